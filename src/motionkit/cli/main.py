@@ -1,0 +1,73 @@
+"""The `motionkit` command: finds subcommands, prints faults as one line, sets the exit code."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+
+import click
+
+from motionkit import __version__
+from motionkit.errors import MotionkitError
+
+# Command name to the module under motionkit.cli that defines it as `command`.
+COMMANDS = {
+    "preprocess": "preprocess",
+    "train": "train",
+    "synthesize": "synthesize",
+    "follow-path": "follow_path",
+    "metrics": "metrics",
+    "mirror": "mirror",
+    "view": "view",
+}
+
+
+class CommandGroup(click.Group):
+    """Imports a subcommand only when it is asked for, so that `--help` answers at once."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        if name not in COMMANDS:
+            return None
+        return importlib.import_module(f"motionkit.cli.{COMMANDS[name]}").command
+
+
+@click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(__version__, prog_name="motionkit")
+def cli() -> None:
+    """Human motion: train a model on BVH files, control it, write BVH.
+
+    Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage.
+    """
+
+
+def main() -> None:
+    """Entry point of the console script."""
+    try:
+        cli.main(standalone_mode=False)
+    except click.UsageError as error:
+        error.show()
+        sys.exit(2)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except click.exceptions.Exit as error:
+        sys.exit(error.exit_code)
+    except (click.Abort, KeyboardInterrupt):
+        click.echo("stopped", err=True)
+        sys.exit(1)
+    except MotionkitError as error:
+        click.echo(f"error: {error}", err=True)
+        sys.exit(1)
+    except BrokenPipeError:
+        sys.stderr.close()
+        sys.exit(1)
+    except OSError as error:
+        click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)
+        sys.exit(1)
+
+
+if __name__ == "__main__":
+    main()

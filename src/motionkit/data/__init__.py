@@ -1,0 +1,1 @@
+"""A folder of BVH files in, a dataset of labelled clips out."""

@@ -1,0 +1,1 @@
+"""One or two motions in, named numbers out."""

@@ -1,0 +1,212 @@
+"""BVH files: reading, writing, and the way to and from Motion.
+
+bvhio reads the hierarchy, numpy the motion block: several times quicker than bvhio's own keyframes
+(benchmarks/bvh_reading.py) and exact in float64. Degrees exist in this file only.
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import bvhio
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from motionkit.errors import BvhError
+from motionkit.files import atomic_write
+from motionkit.motion.bvh_text import read_bvh_text
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import euler_to_quat, quat_continuous, quat_to_euler
+from motionkit.motion.skeleton import Skeleton
+
+POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
+ROTATION_ORDER = "ZYX"  # the order of the CMU files, and of what motionkit writes
+
+
+@dataclass(frozen=True, eq=False)
+class BvhFile:
+    """What a BVH file says, in its own units.
+
+    Attributes:
+        skeleton: hierarchy and rest pose, lengths in file units.
+        channels: for each joint its channel names, in the order of the file.
+        values: (T, C) the motion block, degrees and file units, channels of all joints side by side.
+        frame_time: seconds per frame, as declared.
+    """
+
+    skeleton: Skeleton
+    channels: tuple[tuple[str, ...], ...]
+    values: NDArray[np.float64]
+    frame_time: float
+
+    @property
+    def fps(self) -> float:
+        """The declared rate, rounded to a whole number when it is within 1 % of one."""
+        rate = 1.0 / self.frame_time
+        whole = round(rate)
+        return float(whole) if whole and abs(rate - whole) < 0.01 * whole else rate
+
+    def columns(self) -> list[range]:
+        """For each joint its columns in values."""
+        out, start = [], 0
+        for names in self.channels:
+            out.append(range(start, start + len(names)))
+            start += len(names)
+        return out
+
+
+def read_bvh(path: str | Path) -> BvhFile:
+    """Read a BVH file; raises BvhError naming file and line for anything that is not one."""
+    text = read_bvh_text(path)
+    with tempfile.NamedTemporaryFile("w", suffix=".bvh", encoding="ascii", delete=False) as header:
+        header.write(text.header)
+    try:
+        root = bvhio.readAsBvh(header.name, loadKeyFrames=False).Root
+    except (SyntaxError, IndexError, RecursionError) as error:
+        raise BvhError(path, f"the hierarchy cannot be read ({error})") from None
+    finally:
+        Path(header.name).unlink(missing_ok=True)
+    names: list[str] = []
+    parents: list[int] = []
+    offsets: list[tuple[float, float, float]] = []
+    channels: list[tuple[str, ...]] = []
+    ends: dict[int, tuple[float, float, float]] = {}
+    waiting = [(root, -1)]
+    while waiting:  # depth first, children in file order, which is the order of the channels
+        joint, parent = waiting.pop()
+        index = len(names)
+        names.append(text.names[int(joint.Name[1:])])
+        parents.append(parent)
+        offsets.append(tuple(joint.Offset))
+        channels.append(tuple(joint.Channels))
+        if not joint.Children:
+            ends[index] = tuple(joint.EndSite)
+        waiting.extend((child, index) for child in reversed(joint.Children))
+    skeleton = Skeleton(tuple(names), tuple(parents), torch.tensor(offsets, dtype=torch.float32), ends)
+    return BvhFile(skeleton, tuple(channels), text.values, text.frame_time)
+
+
+def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) -> Motion:
+    """The motion in a BVH file, lengths multiplied by scale, at the declared rate unless fps says otherwise."""
+    frames, joints = bvh.values.shape[0], len(bvh.skeleton)
+    rotations = torch.zeros(frames, joints, 4, dtype=torch.float64)
+    offsets = bvh.skeleton.offsets.to(torch.float64)
+    places = offsets.expand(frames, joints, 3).clone()
+    translates = False
+    values = torch.from_numpy(bvh.values)
+    for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
+        turns = [c for name, c in zip(names, columns, strict=True) if name.endswith("rotation")]
+        order = "".join(name[0] for name in names if name.endswith("rotation"))
+        rotations[:, joint] = euler_to_quat(torch.deg2rad(values[:, turns]), order)
+        for name, column in zip(names, columns, strict=True):
+            if name.endswith("position"):
+                places[:, joint, "XYZ".index(name[0])] = values[:, column]
+                translates = translates or joint > 0
+    motion = Motion(
+        bvh.skeleton,
+        quat_continuous(rotations).to(torch.float32),
+        places[:, 0].to(torch.float32),
+        bvh.fps if fps is None else fps,
+        places.to(torch.float32) if translates else None,
+    )
+    return motion if scale == 1.0 else motion.scaled(scale)
+
+
+def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None = None) -> BvhFile:
+    """The BVH form of a motion, with the given channels or six for the root and ZYX rotations elsewhere.
+
+    Angles are unrolled over time, so that curves in an editor do not jump by 360 degrees.
+    """
+    if channels is None:
+        turns = tuple(f"{axis}rotation" for axis in ROTATION_ORDER)
+        moves = POSITION_CHANNELS
+        every = motion.local_positions is not None
+        channels = tuple(moves + turns if j == 0 or every else turns for j in range(len(motion.skeleton)))
+    blocks: list[Tensor] = []
+    for joint, names in enumerate(channels):
+        order = "".join(name[0] for name in names if name.endswith("rotation"))
+        if len(order) not in (0, 3):
+            raise BvhError(
+                motion.skeleton.names[joint], f"cannot write {len(order)} rotation channels, expected 3"
+            )
+        eulers = _unrolled_euler(motion.local_rotations[:, joint].double(), order) if order else None
+        if joint == 0:
+            place = motion.root_positions
+        elif motion.local_positions is not None:
+            place = motion.local_positions[:, joint]
+        else:
+            place = motion.skeleton.offsets[joint].expand(len(motion), 3)
+        for name in names:
+            if name.endswith("position"):
+                blocks.append(place[:, "XYZ".index(name[0])].double())
+            else:
+                assert eulers is not None
+                blocks.append(eulers[:, order.index(name[0])])
+    values = torch.stack(blocks, dim=-1).numpy()
+    return BvhFile(motion.skeleton, channels, values, 1.0 / motion.fps)
+
+
+def _unrolled_euler(quat: Tensor, order: str) -> Tensor:
+    """Euler angles (T, 3) in degrees, of the two equal triples the nearer one, without 360-degree jumps."""
+    first = quat_to_euler(quat, order).numpy()
+    flip = np.array([math.pi, math.pi, math.pi])
+    second = first * np.array([1.0, -1.0, 1.0]) + flip
+    out = first.copy()
+    turn = 2 * math.pi
+    for t in range(1, len(out)):
+        a = first[t] + turn * np.round((out[t - 1] - first[t]) / turn)
+        b = second[t] + turn * np.round((out[t - 1] - second[t]) / turn)
+        out[t] = a if np.abs(a - out[t - 1]).sum() <= np.abs(b - out[t - 1]).sum() else b
+    return torch.rad2deg(torch.from_numpy(out))
+
+
+def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) -> None:
+    """Write a BVH file, whole or not at all; lengths are multiplied by scale on the way out."""
+    bvh = (
+        motion
+        if isinstance(motion, BvhFile)
+        else motion_to_bvh(motion.scaled(scale) if scale != 1.0 else motion)
+    )
+    if isinstance(motion, BvhFile) and scale != 1.0:
+        bvh = _scaled_file(bvh, scale)
+    with atomic_write(path) as file:
+        file.write("HIERARCHY\n")
+        for line in _hierarchy_lines(bvh):
+            file.write(line + "\n")
+        file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {bvh.frame_time:.9g}\n")
+        np.savetxt(file, bvh.values, fmt="%.6f", delimiter=" ")
+
+
+def _scaled_file(bvh: BvhFile, scale: float) -> BvhFile:
+    names = [name for joint in bvh.channels for name in joint]
+    factor = np.array([scale if name.endswith("position") else 1.0 for name in names])
+    return replace(bvh, skeleton=bvh.skeleton.scaled(scale), values=bvh.values * factor)
+
+
+def _hierarchy_lines(bvh: BvhFile) -> list[str]:
+    skeleton = bvh.skeleton
+    depth = [0] * len(skeleton)
+    lines: list[str] = []
+    for joint, parent in enumerate(skeleton.parents):
+        depth[joint] = depth[parent] + 1 if parent >= 0 else 0
+        if joint:  # close what lies between the joint written last and this one
+            lines.extend("\t" * d + "}" for d in range(depth[joint - 1], depth[joint] - 1, -1))
+        tab = "\t" * depth[joint]
+        x, y, z = (float(v) for v in skeleton.offsets[joint])
+        names = bvh.channels[joint]
+        lines.append(f"{tab}{'JOINT' if joint else 'ROOT'} {skeleton.names[joint]}")
+        lines.append(tab + "{")
+        lines.append(f"{tab}\tOFFSET {x:.6f} {y:.6f} {z:.6f}")
+        lines.append(" ".join([f"{tab}\tCHANNELS {len(names)}", *names]))
+        if joint in skeleton.end_sites or not skeleton.children(joint):
+            x, y, z = skeleton.end_sites.get(joint, (0.0, 0.0, 0.0))
+            lines.extend(
+                [f"{tab}\tEnd Site", tab + "\t{", f"{tab}\t\tOFFSET {x:.6f} {y:.6f} {z:.6f}", tab + "\t}"]
+            )
+    lines.extend("\t" * d + "}" for d in range(depth[-1], -1, -1))
+    return lines

@@ -1,0 +1,85 @@
+"""A recording: rotations and root positions over time on one skeleton."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionkit.motion.rotations import quat_continuous, quat_slerp
+from motionkit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """T frames of motion.
+
+    Attributes:
+        skeleton: the J joints that move.
+        local_rotations: (T, J, 4) unit quaternions in the parent's space.
+        root_positions: (T, 3) the root joint in the world, in the skeleton's unit (cm inside motionkit).
+        fps: frames per second.
+        local_positions: (T, J, 3) where a rig moves joints against their parents (six-channel joints),
+            else None; the root's row is not used.
+    """
+
+    skeleton: Skeleton
+    local_rotations: Tensor
+    root_positions: Tensor
+    fps: float
+    local_positions: Tensor | None = None
+
+    def __len__(self) -> int:
+        return int(self.local_rotations.shape[0])
+
+    @property
+    def seconds(self) -> float:
+        """Duration, counting each frame as 1 / fps."""
+        return len(self) / self.fps
+
+    def cut(self, start: int, end: int) -> Motion:
+        """Frames start to end (exclusive)."""
+        local = None if self.local_positions is None else self.local_positions[start:end]
+        return replace(
+            self,
+            local_rotations=self.local_rotations[start:end],
+            root_positions=self.root_positions[start:end],
+            local_positions=local,
+        )
+
+    def scaled(self, factor: float) -> Motion:
+        """The same motion with every length multiplied."""
+        local = None if self.local_positions is None else self.local_positions * factor
+        return replace(
+            self,
+            skeleton=self.skeleton.scaled(factor),
+            root_positions=self.root_positions * factor,
+            local_positions=local,
+        )
+
+
+def resample(motion: Motion, fps: float) -> Motion:
+    """The motion at another rate: rotations by slerp, positions linearly; time of frame 0 is kept.
+
+    The last frame falls at or before the last frame of the source.
+    """
+    if len(motion) < 2 or abs(motion.fps - fps) < 1e-6 * fps:
+        return replace(motion, fps=fps) if len(motion) < 2 else motion
+    frames = int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1
+    times = torch.arange(frames, dtype=torch.float64) * (motion.fps / fps)
+    before = times.floor().clamp(max=len(motion) - 2).long()
+    fraction = (times - before).to(motion.local_rotations.dtype)
+    after = before + 1
+    rotations = quat_slerp(
+        motion.local_rotations[before],
+        motion.local_rotations[after],
+        fraction[:, None].expand(frames, motion.local_rotations.shape[1]),
+    )
+
+    def linear(values: Tensor) -> Tensor:
+        weight = fraction.reshape(frames, *[1] * (values.dim() - 1)).to(values.dtype)
+        return values[before] * (1 - weight) + values[after] * weight
+
+    local = None if motion.local_positions is None else linear(motion.local_positions)
+    return Motion(motion.skeleton, quat_continuous(rotations), linear(motion.root_positions), fps, local)

@@ -1,0 +1,141 @@
+"""Joint hierarchies, and the canonical skeleton of 23 joints that every motion is mapped onto."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import SkeletonError
+
+
+@dataclass(frozen=True, eq=False)
+class Skeleton:
+    """A joint hierarchy in its rest pose.
+
+    Attributes:
+        names: J joint names, parents before children; the first is the root.
+        parents: J parent indices; the root's is -1.
+        offsets: (J, 3) positions relative to the parent in the rest pose, where all rotations are identity.
+        end_sites: joint index to the (3,) offset of the point that ends its bone.
+    """
+
+    names: tuple[str, ...]
+    parents: tuple[int, ...]
+    offsets: Tensor
+    end_sites: dict[int, tuple[float, float, float]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.names)
+
+    def index(self, name: str) -> int:
+        """The index of a joint by name; raises SkeletonError if there is none."""
+        try:
+            return self.names.index(name)
+        except ValueError:
+            raise SkeletonError(f"no joint named {name!r} among {', '.join(self.names)}") from None
+
+    def children(self, joint: int) -> list[int]:
+        """Indices of the joints whose parent this is."""
+        return [j for j, parent in enumerate(self.parents) if parent == joint]
+
+    def rest_positions(self) -> Tensor:
+        """(J, 3) joint positions of the rest pose, the root at the origin."""
+        positions = [torch.zeros(3, dtype=self.offsets.dtype)]
+        for joint in range(1, len(self)):
+            positions.append(positions[self.parents[joint]] + self.offsets[joint])
+        return torch.stack(positions)
+
+    def scaled(self, factor: float) -> Skeleton:
+        """The same skeleton with every length multiplied."""
+        ends = {j: (x * factor, y * factor, z * factor) for j, (x, y, z) in self.end_sites.items()}
+        return Skeleton(self.names, self.parents, self.offsets * factor, ends)
+
+    def same_hierarchy(self, other: Skeleton) -> bool:
+        """Whether names and parents agree (lengths may differ)."""
+        return self.names == other.names and self.parents == other.parents
+
+
+# Name, parent, offset in cm. Directions are those of the CMU rest pose (arms level, legs spread 20
+# degrees), lengths and directions the median over the CMU subjects, made symmetric; see
+# docs/conventions.md for the command that measures them.
+_CANONICAL: tuple[tuple[str, str, tuple[float, float, float]], ...] = (
+    ("Hips", "", (0.0, 0.0, 0.0)),
+    ("LeftUpLeg", "Hips", (9.14, -10.04, 4.01)),
+    ("LeftLeg", "LeftUpLeg", (13.61, -37.4, 0.0)),
+    ("LeftFoot", "LeftLeg", (14.92, -40.98, 0.0)),
+    ("LeftToeBase", "LeftFoot", (1.02, -2.8, 11.75)),
+    ("RightUpLeg", "Hips", (-9.14, -10.04, 4.01)),
+    ("RightLeg", "RightUpLeg", (-13.61, -37.4, 0.0)),
+    ("RightFoot", "RightLeg", (-14.92, -40.98, 0.0)),
+    ("RightToeBase", "RightFoot", (-1.02, -2.8, 11.75)),
+    ("LowerBack", "Hips", (0.0, 0.0, 0.0)),
+    ("Spine", "LowerBack", (0.0, 11.38, -0.8)),
+    ("Spine1", "Spine", (0.0, 11.46, 0.04)),
+    ("Neck", "Spine1", (0.0, 10.8, 0.27)),
+    ("Neck1", "Neck", (0.0, 9.81, 0.66)),
+    ("Head", "Neck1", (0.0, 9.73, -1.39)),
+    ("LeftShoulder", "Spine1", (0.0, 10.8, 0.27)),
+    ("LeftArm", "LeftShoulder", (18.12, 6.97, -0.31)),
+    ("LeftForeArm", "LeftArm", (30.09, 0.0, 0.0)),
+    ("LeftHand", "LeftForeArm", (18.51, 0.0, 0.0)),
+    ("RightShoulder", "Spine1", (0.0, 10.8, 0.27)),
+    ("RightArm", "RightShoulder", (-18.12, 6.97, -0.31)),
+    ("RightForeArm", "RightArm", (-30.09, 0.0, 0.0)),
+    ("RightHand", "RightForeArm", (-18.51, 0.0, 0.0)),
+)
+_CANONICAL_ENDS: dict[str, tuple[float, float, float]] = {
+    "LeftToeBase": (0.0, 0.0, 6.07),
+    "RightToeBase": (0.0, 0.0, 6.07),
+    "Head": (0.0, 9.99, -0.59),
+    "LeftHand": (8.0, 0.0, 0.0),
+    "RightHand": (-8.0, 0.0, 0.0),
+}
+
+JOINT_NAMES: tuple[str, ...] = tuple(name for name, _, _ in _CANONICAL)
+JOINT_COUNT = len(JOINT_NAMES)
+PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(p) if p else -1 for _, p, _ in _CANONICAL)
+# The four joints whose contact with the floor is labelled, in the order of the contact columns.
+FOOT_JOINTS: tuple[int, ...] = tuple(
+    JOINT_NAMES.index(name) for name in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase")
+)
+# Thigh plus shin as a share of standing height (anthropometric tables; also the CMU subjects).
+LEG_TO_STATURE = 0.491
+
+
+def mirrored_name(name: str) -> str:
+    """The canonical name on the other side of the body; central joints map to themselves."""
+    if name.startswith("Left"):
+        return "Right" + name[4:]
+    if name.startswith("Right"):
+        return "Left" + name[5:]
+    return name
+
+
+# For every canonical joint the index of its twin on the other side.
+MIRROR_JOINTS: tuple[int, ...] = tuple(JOINT_NAMES.index(mirrored_name(name)) for name in JOINT_NAMES)
+
+
+def canonical_skeleton(offsets: Tensor | None = None) -> Skeleton:
+    """The canonical skeleton of 23 joints in cm, facing +Z, left along +X, with other offsets (23, 3) if given.
+
+    End sites keep their share of the length of the bone they end.
+    """
+    default = torch.tensor([offset for _, _, offset in _CANONICAL], dtype=torch.float32)
+    ends = {JOINT_NAMES.index(name): end for name, end in _CANONICAL_ENDS.items()}
+    if offsets is not None:
+        if tuple(offsets.shape) != (JOINT_COUNT, 3):
+            raise SkeletonError(f"expected offsets of shape (23, 3), found {tuple(offsets.shape)}")
+        for joint, end in ends.items():
+            share = float(offsets[joint].norm() / default[joint].norm().clamp(min=1e-6))
+            ends[joint] = (end[0] * share, end[1] * share, end[2] * share)
+        default = offsets.to(torch.float32)
+    return Skeleton(JOINT_NAMES, PARENTS, default, ends)
+
+
+def leg_length(skeleton: Skeleton) -> float:
+    """Thigh plus shin of a canonical skeleton, the mean of both sides, in its own unit."""
+    lengths = skeleton.offsets.norm(dim=-1)
+    names = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
+    return float(sum(lengths[skeleton.index(name)] for name in names)) / 2.0

@@ -1,0 +1,1 @@
+"""A model and controls in, motion out: one frame at a time, or whole."""
