@@ -1,0 +1,37 @@
+"""Which feet touch the floor: labels from speed and height."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionkit.motion.skeleton import FOOT_JOINTS
+
+# A joint touches when it is slow and low. Order: left foot, left toe, right foot, right toe. Heights in
+# cm above the floor of the canonical skeleton, where the standing ankle is near 10 and the toe near 2.
+CONTACT_HEIGHTS = (14.0, 6.0, 14.0, 6.0)
+CONTACT_SPEED = 40.0  # cm per second
+_FILTER = 5  # frames; removes single-frame flicker
+
+
+def foot_contacts(global_positions: Tensor, fps: float) -> Tensor:
+    """Contact labels (T, 4) of 0 and 1 for left foot, left toe, right foot, right toe.
+
+    Args:
+        global_positions: (T, 23, 3) canonical joints in cm, the floor at height zero.
+        fps: frames per second.
+    """
+    feet = global_positions[:, list(FOOT_JOINTS)]
+    if len(feet) < 2:
+        return (feet[..., 1] < torch.tensor(CONTACT_HEIGHTS)).to(feet.dtype)
+    steps = torch.diff(feet, dim=0).norm(dim=-1) * fps
+    speed = torch.cat([steps[:1], steps]) * 0.5 + torch.cat([steps, steps[-1:]]) * 0.5
+    touching = (speed < CONTACT_SPEED) & (feet[..., 1] < torch.tensor(CONTACT_HEIGHTS))
+    return _majority(touching.to(feet.dtype))
+
+
+def _majority(labels: Tensor) -> Tensor:
+    """Each label becomes that of most of its neighbours in a short window (T, 4)."""
+    half = _FILTER // 2
+    padded = torch.cat([labels[:1].expand(half, -1), labels, labels[-1:].expand(half, -1)])
+    return (padded.unfold(0, _FILTER, 1).mean(-1) > 0.5).to(labels.dtype)

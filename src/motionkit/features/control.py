@@ -1,0 +1,97 @@
+"""Control signals C_n: skeleton, motion type, and where the root is to be over the coming second.
+
+Paper section 3, "Control Signal Representation". Beside the paper's four there is a flag that says
+whether a trajectory is given, so that one model serves both with and without a path.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.motion.rotations import rotate_ground
+from motionkit.motion.skeleton import JOINT_COUNT
+
+TRAJECTORY_OFFSETS: tuple[int, ...] = (10, 20, 30, 40, 50, 60)  # frames ahead, at 60 fps
+TRAJECTORY_COUNT = 4 * len(TRAJECTORY_OFFSETS)  # 6 positions (x, z), then 6 directions (x, z)
+SKELETON_COUNT = 3 * JOINT_COUNT
+TYPE_BLEND_FRAMES = 40
+
+
+@dataclass(frozen=True)
+class ControlLayout:
+    """Where each signal stands in the control vector: skeleton, type, trajectory, flag."""
+
+    types: tuple[str, ...]
+
+    @property
+    def skeleton(self) -> slice:
+        """The 69 rest-pose joint positions."""
+        return slice(0, SKELETON_COUNT)
+
+    @property
+    def type(self) -> slice:
+        """The weights of the motion types."""
+        return slice(SKELETON_COUNT, SKELETON_COUNT + len(self.types))
+
+    @property
+    def trajectory(self) -> slice:
+        """The 24 trajectory numbers, zero where none is given."""
+        return slice(self.type.stop, self.type.stop + TRAJECTORY_COUNT)
+
+    @property
+    def flag(self) -> int:
+        """The column that is 1 where a trajectory is given."""
+        return self.trajectory.stop
+
+    @property
+    def size(self) -> int:
+        """Numbers in a control vector."""
+        return self.flag + 1
+
+
+def future_trajectory(ground: Tensor, frames: Tensor) -> Tensor:
+    """Trajectory numbers (..., 24) of the given frames, in the heading frame of each.
+
+    Beyond the last frame the root goes on as it went over the last six frames, facing as it did.
+
+    Args:
+        ground: (T, 3) root x, z (cm) and heading (radians).
+        frames: (...) indices into ground.
+    """
+    last = ground.shape[0] - 1
+    ahead = frames[..., None] + torch.tensor(TRAJECTORY_OFFSETS)
+    beyond = (ahead - last).clamp(min=0).to(ground.dtype)
+    span = min(6, last)
+    drift = (ground[last, :2] - ground[last - span, :2]) / max(span, 1)
+    targets = ground[ahead.clamp(max=last)]
+    positions = targets[..., :2] + beyond[..., None] * drift
+    here = ground[frames]
+    relative = rotate_ground(-here[..., None, 2], positions - here[..., None, :2])
+    turn = targets[..., 2] - here[..., None, 2]
+    directions = torch.stack([torch.sin(turn), torch.cos(turn)], dim=-1)
+    return torch.cat([relative.flatten(-2), directions.flatten(-2)], dim=-1)
+
+
+def trajectory_mirror() -> Tensor:
+    """Signs (24,) that mirror trajectory numbers at the plane x = 0."""
+    return torch.tensor([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)))
+
+
+def blend_types(type_ids: Tensor, count: int, blend: int = TYPE_BLEND_FRAMES) -> Tensor:
+    """Type weights (T, count) that move linearly over the blend frames centred on each change.
+
+    Args:
+        type_ids: (T,) the type of every frame.
+        count: the number of types.
+        blend: frames a change takes (the paper's 40).
+    """
+    weights = torch.nn.functional.one_hot(type_ids.long(), count).to(torch.float32)
+    if blend < 2 or bool((type_ids == type_ids[0]).all()):
+        return weights
+    before, after = blend // 2, blend - blend // 2
+    padded = torch.cat([weights[:1].expand(before, -1), weights, weights[-1:].expand(after, -1)])
+    sums = torch.cumsum(torch.cat([torch.zeros(1, count), padded]).double(), dim=0)
+    return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).float()

@@ -1,0 +1,141 @@
+"""Motion to the 276 numbers of every frame (paper section 3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.errors import SkeletonError
+from motionkit.features.contacts import foot_contacts
+from motionkit.features.heading import heading_angles
+from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import (
+    quat_from_yaw,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+    quat_to_expmap,
+    quat_to_sixd,
+    rotate_ground,
+)
+from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES
+
+# Beyond this angle from its reference a rotation is written the shorter way round again. Following a
+# track through pi up to here keeps dances continuous; going on to a full turn would give one pose two forms.
+FOLD_ANGLE = 1.4 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class EncodedMotion:
+    """A motion in features, and where it was in the world.
+
+    Attributes:
+        features: (T, 276) unnormalised, columns as in the layout.
+        contacts: (T, 4) left foot, left toe, right foot, right toe.
+        ground: (T, 3) root x, root z (cm) and heading (radians) in the world, from which controls are cut.
+    """
+
+    features: Tensor
+    contacts: Tensor
+    ground: Tensor
+
+
+def identity_references() -> Tensor:
+    """Reference rotations (23, 4) that leave the exponential maps as the paper has them."""
+    return quat_identity((JOINT_COUNT,))
+
+
+def encode_motion(
+    motion: Motion, references: Tensor | None = None, layout: str = DEFAULT_LAYOUT
+) -> EncodedMotion:
+    """Features, contacts and ground track of a motion on the canonical joints.
+
+    Velocities are differences to the frame before, in the heading frame of the later one, per second;
+    the first frame repeats the second one's.
+
+    Args:
+        motion: T >= 2 frames on the 23 canonical joints, cm.
+        references: (23, 4) rotation each joint's exponential map is relative to; identity if not given.
+        layout: the version of the columns.
+
+    Raises:
+        SkeletonError: if the joints are not the canonical ones or there are fewer than two frames.
+    """
+    if motion.skeleton.names != JOINT_NAMES:
+        raise SkeletonError(
+            "expected the 23 canonical joints; map the motion with motionkit.motion.retarget first"
+        )
+    if len(motion) < 2:
+        raise SkeletonError(f"expected at least 2 frames for velocities, found {len(motion)}")
+    references = identity_references() if references is None else references
+    _, positions = motion_kinematics(motion)
+    yaw = heading_angles(positions, motion.fps)
+    to_heading = quat_from_yaw(-yaw)
+    root_xz = positions[:, 0, [0, 2]]
+    ground = torch.cat([root_xz, yaw[:, None]], dim=-1)
+
+    origin = torch.stack([root_xz[:, 0], torch.zeros_like(yaw), root_xz[:, 1]], dim=-1)
+    facing_positions = quat_rotate(to_heading[:, None], positions - origin[:, None])
+    velocities = _backward(positions, motion.fps)
+    facing_velocities = quat_rotate(to_heading[:, None], velocities)
+    root_rotation = quat_multiply(to_heading, motion.local_rotations[:, 0])
+    turns = quat_multiply(quat_inverse(motion.local_rotations[:-1]), motion.local_rotations[1:])
+    angular = quat_to_expmap(turns) * motion.fps
+    angular = torch.cat([angular[:1], angular])
+
+    frames = len(motion)
+    continuous = layout.startswith("sixd")
+    parts = {
+        "root_yaw_velocity": _backward(yaw[:, None], motion.fps),
+        "root_xz_velocity": rotate_ground(-yaw, velocities[:, 0, [0, 2]]),
+        "root_rotation": quat_to_sixd(root_rotation) if continuous else quat_to_expmap(root_rotation),
+        "joint_rotations": relative_expmaps(motion.local_rotations[:, 1:], references[1:]).reshape(
+            frames, -1
+        ),
+        "joint_angular_velocities": angular[:, 1:].reshape(frames, -1),
+        "joint_positions": facing_positions.reshape(frames, -1),
+        "joint_velocities": facing_velocities.reshape(frames, -1),
+    }
+    if continuous:
+        parts["joint_positions"] = torch.cat(
+            [parts["joint_positions"][:, 1:2], parts["joint_positions"][:, 3:]], -1
+        )
+        parts["joint_velocities"] = parts["joint_velocities"][:, 1:]
+    features = torch.cat([parts[name] for name in feature_layout(layout).blocks], dim=-1)
+    return EncodedMotion(features, foot_contacts(positions, motion.fps), ground)
+
+
+def _backward(values: Tensor, fps: float) -> Tensor:
+    """Differences to the frame before per second (T, ...); the first repeats the second."""
+    steps = torch.diff(values, dim=0) * fps
+    return torch.cat([steps[:1], steps])
+
+
+def relative_expmaps(rotations: Tensor, references: Tensor) -> Tensor:
+    """Exponential maps (T, J, 3) of rotations (T, J, 4) relative to references (J, 4), followed through pi."""
+    relative = quat_multiply(quat_inverse(references), rotations)
+    quats = relative.numpy().copy()
+    fold = np.cos(0.5 * FOLD_ANGLE)
+    quats[0] *= np.where(quats[0, :, :1] < 0, -1.0, 1.0)
+    agree = np.einsum("tjk,tjk->tj", quats[1:], quats[:-1])
+    previous_sign = np.ones(quats.shape[1], dtype=quats.dtype)
+    for t in range(1, len(quats)):
+        sign = np.where(agree[t - 1] * previous_sign < 0, -1.0, 1.0).astype(quats.dtype)
+        sign = np.where(sign * quats[t, :, 0] < fold, -sign, sign)
+        quats[t] *= sign[:, None]
+        previous_sign = sign
+    return _expmap_any_branch(torch.from_numpy(quats))
+
+
+def _expmap_any_branch(quat: Tensor) -> Tensor:
+    """Exponential maps (..., 3) up to 2 pi: the sign of the quaternion tells which way round."""
+    sine = quat[..., 1:].norm(dim=-1, keepdim=True)
+    angle = 2.0 * torch.atan2(sine, quat[..., :1])
+    scale = torch.where(sine < 1e-6, torch.full_like(sine, 2.0), angle / sine.clamp(min=1e-6))
+    return scale * quat[..., 1:]

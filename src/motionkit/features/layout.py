@@ -1,0 +1,112 @@
+"""The one table that knows which of the 276 numbers means what.
+
+Paper section 3; the split into 6 + 66 + 66 + 69 + 69 and the reason for it are in docs/features.md.
+Each of the 23 joints owns 12 of the numbers; the root's 12 are the data both body parts share.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import ModelError
+from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, MIRROR_JOINTS
+
+FEATURE_COUNT = 276
+CONTACT_COUNT = 4
+LAYOUTS = ("sixd-root-1", "expmap-root-1")
+DEFAULT_LAYOUT = "sixd-root-1"
+
+# What a reflection at the plane x = 0 does to the components of each kind of quantity.
+_VECTOR = (-1.0, 1.0, 1.0)
+_AXIAL = (1.0, -1.0, -1.0)
+_SIXD = (1.0, -1.0, -1.0, -1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Column:
+    """One number: its block, the joint it belongs to, the component within the joint, its sign when mirrored."""
+
+    block: str
+    joint: int
+    component: int
+    mirror_sign: float
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureLayout:
+    """Names for the columns of one version of the 276 numbers.
+
+    Attributes:
+        version: what a model file says it was trained on.
+        columns: 276 descriptions, in order.
+        blocks: block name to its slice.
+    """
+
+    version: str
+    columns: tuple[Column, ...]
+    blocks: dict[str, slice]
+
+    def joint_columns(self, joint: int) -> list[int]:
+        """The 12 columns that belong to a joint, in order."""
+        return [index for index, column in enumerate(self.columns) if column.joint == joint]
+
+    def mirror_map(self) -> tuple[Tensor, Tensor]:
+        """Column indices (276,) and signs (276,): mirrored = features[..., indices] * signs."""
+        place = {(c.block, c.joint, c.component): index for index, c in enumerate(self.columns)}
+        indices = [place[c.block, MIRROR_JOINTS[c.joint], c.component] for c in self.columns]
+        return torch.tensor(indices), torch.tensor([c.mirror_sign for c in self.columns])
+
+
+def _block(name: str, joints: range | list[int], signs: tuple[float, ...]) -> list[Column]:
+    return [Column(name, joint, k, sign) for joint in joints for k, sign in enumerate(signs)]
+
+
+@lru_cache(maxsize=None)
+def feature_layout(version: str = DEFAULT_LAYOUT) -> FeatureLayout:
+    """The layout of a version; raises ModelError for one this release does not know.
+
+    "expmap-root-1" is the paper's: the root's rotation as an exponential map, its position (0, y, 0).
+    "sixd-root-1" writes the root's rotation as two matrix columns, which have no jump when the body
+    turns over, and leaves out the root's constant x and z position and its sideways velocity (which
+    root_xz_velocity holds already) to stay at 276.
+    """
+    if version not in LAYOUTS:
+        raise ModelError(f"feature layout {version!r} is unknown, expected one of {', '.join(LAYOUTS)}")
+    continuous = version.startswith("sixd")
+    others = range(1, JOINT_COUNT)
+    parts = [
+        _block("root_yaw_velocity", [0], (-1.0,)),
+        _block("root_xz_velocity", [0], (-1.0, 1.0)),
+        _block("root_rotation", [0], _SIXD if continuous else _AXIAL),
+        _block("joint_rotations", others, _AXIAL),
+        _block("joint_angular_velocities", others, _AXIAL),
+        _root_vector("joint_positions", (1,) if continuous else (0, 1, 2))
+        + _block("joint_positions", others, _VECTOR),
+        _root_vector("joint_velocities", (1, 2) if continuous else (0, 1, 2))
+        + _block("joint_velocities", others, _VECTOR),
+    ]
+    columns: list[Column] = []
+    blocks: dict[str, slice] = {}
+    for part in parts:
+        blocks[part[0].block] = slice(len(columns), len(columns) + len(part))
+        columns.extend(part)
+    assert len(columns) == FEATURE_COUNT
+    return FeatureLayout(version, tuple(columns), blocks)
+
+
+def _root_vector(name: str, components: tuple[int, ...]) -> list[Column]:
+    return [Column(name, 0, k, _VECTOR[k]) for k in components]
+
+
+def contact_mirror() -> Tensor:
+    """Indices (4,) that swap the contacts of the left and the right foot."""
+    return torch.tensor([2, 3, 0, 1])
+
+
+def column_names(version: str = DEFAULT_LAYOUT) -> list[str]:
+    """276 readable names such as joint_positions.LeftFoot.1, for logs and exports."""
+    return [f"{c.block}.{JOINT_NAMES[c.joint]}.{c.component}" for c in feature_layout(version).columns]
