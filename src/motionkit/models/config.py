@@ -1,0 +1,67 @@
+"""What a network is made of; a variant changes a field or two."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+from motionkit.errors import ModelError
+from motionkit.features.layout import DEFAULT_LAYOUT
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Sizes and choices of the network. The paper's supplement, which has its sizes, is not public."""
+
+    partition: str = "two"  # which body parts: see models/parts.py
+    layout: str = DEFAULT_LAYOUT  # version of the 276 columns
+    width: int = 128  # channels of each part
+    heads: int = 8  # attention heads
+    ffn: int = 256  # hidden channels of each feed-forward layer
+    layers: int = 6  # attention layers in each auto-regressive module (paper: 6)
+    window: int = 8  # frames a layer sees, its own included (paper: lm = 8)
+    kernel: int = 3  # causal convolution of the shallow modules (paper: 3; deep: 1)
+    control_width: int = 32  # channels of the embedded controls, out of width
+    shared_channels: int = 24  # first channels of the embedding, fed by the shared joints alone
+    input_dropout: float = 0.2  # on the motion that goes in (paper: 0.5)
+    deep_dropout: float = 0.1  # on the features that enter the deep modules (paper: 0.5)
+    spatial_dropout: float = 0.1  # whole channels, before the attention layers (paper: 0.1)
+    position: str = "bias"  # "bias": learned per head and offset, streams; "sinusoidal": the paper's
+    norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
+    fusion: str = "linear"  # "linear" (paper) or "none"
+    layer_controls: bool = True  # add the embedded controls to the input of every layer as well
+    consistency: bool = True  # consistency modules in training
+    head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
+    log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
+    log_sigma_max: float = 2.0
+    contact_hidden: int = 64  # Foot-MLP
+    consistency_hidden: int = 64  # consistency modules
+
+    def __post_init__(self) -> None:
+        motion_width = self.width - self.control_width
+        if self.width % self.heads or motion_width <= self.shared_channels:
+            raise ModelError("model width must be a multiple of heads and exceed control and shared channels")
+        for name, allowed in (
+            ("position", ("bias", "sinusoidal")),
+            ("norm", ("pre", "post")),
+            ("fusion", ("linear", "none")),
+        ):
+            if getattr(self, name) not in allowed:
+                raise ModelError(f"{name} is {getattr(self, name)!r}, expected one of {', '.join(allowed)}")
+
+    @property
+    def receptive_field(self) -> int:
+        """Frames that can influence a prediction: TRL of the paper, 87 by default."""
+        return (self.kernel - 1) + self.window + (2 * self.layers - 1) * (self.window - 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for a model file."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> ModelConfig:
+        """The config a model file holds; raises ModelError for fields this release does not know."""
+        unknown = set(values) - {f.name for f in fields(cls)}
+        if unknown:
+            raise ModelError(f"the model was made by another release: unknown settings {', '.join(sorted(unknown))}")
+        return cls(**values)

@@ -1,0 +1,223 @@
+"""The part transformer: TPTN for two parts, the paper's EBTN, FPTN and 5PTN for one, four and five.
+
+Paper section 4.1. Shape legend: P parts, B batch, T frames, F features (276), C controls, D width.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from motionkit.features.control import TRAJECTORY_COUNT
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
+from motionkit.models.attention import LocalAttention
+from motionkit.models.config import ModelConfig
+from motionkit.models.layers import FeedForward, PartLinear, PartNorm, sinusoidal_positions, spatial_dropout
+from motionkit.models.parts import Partition, partition
+
+
+@dataclass(frozen=True, eq=False)
+class Prediction:
+    """The Gaussian of the next frame for every frame that went in; all in normalised units.
+
+    Attributes:
+        mean, log_sigma: (..., 276).
+        trajectory_mean, trajectory_log_sigma: (..., 24).
+        contact_logits: (..., 4).
+        shallow, deep: (P, ..., D) features of the two module levels, for the consistency loss.
+    """
+
+    mean: Tensor
+    log_sigma: Tensor
+    trajectory_mean: Tensor
+    trajectory_log_sigma: Tensor
+    contact_logits: Tensor
+    shallow: Tensor
+    deep: Tensor
+
+
+class AttentionLayer(nn.Module):
+    """Attention and a feed-forward network, each with its residual."""
+
+    def __init__(self, parts: int, config: ModelConfig) -> None:
+        super().__init__()
+        self.pre = config.norm == "pre"
+        self.attention_norm = PartNorm(parts, config.width)
+        self.attention = LocalAttention(
+            parts, config.width, config.heads, config.window, bias=config.position == "bias"
+        )
+        self.ffn_norm = PartNorm(parts, config.width)
+        self.ffn = FeedForward(parts, config.width, config.ffn, config.width)
+        self.control = (
+            PartLinear(parts, config.control_width, config.width) if config.layer_controls else None
+        )
+
+    def forward(self, x_PBTD: Tensor, controls: Tensor) -> Tensor:
+        return self._residuals(x_PBTD, controls, self.attention)
+
+    def step(self, x_PBD: Tensor, controls: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor) -> Tensor:
+        """One frame; see LocalAttention.step."""
+        return self._residuals(x_PBD, controls, lambda x: self.attention.step(x, keys, values, slot, bias))
+
+    def _residuals(self, x: Tensor, controls: Tensor, attention) -> Tensor:  # noqa: ANN001
+        if self.control is not None:
+            x = x + self.control(controls)
+        if self.pre:
+            x = x + attention(self.attention_norm(x))
+            return x + self.ffn(self.ffn_norm(x))
+        x = self.attention_norm(x + attention(x))
+        return self.ffn_norm(x + self.ffn(x))
+
+
+class AutoRegressiveModule(nn.Module):
+    """Embed, add controls, attend: the shallow or the deep module of all parts at once."""
+
+    def __init__(self, parts: int, inputs: int, control_size: int, config: ModelConfig, kernel: int) -> None:
+        super().__init__()
+        self.config, self.kernel = config, kernel
+        motion_width = config.width - config.control_width
+        self.embed = PartLinear(parts, kernel * inputs, motion_width)
+        self.embed_controls = PartLinear(parts, control_size, config.control_width)
+        self.layers = nn.ModuleList(AttentionLayer(parts, config) for _ in range(config.layers))
+        self.final_norm = PartNorm(parts, config.width) if config.norm == "pre" else None
+        self.register_buffer("embed_mask", torch.ones(1), persistent=False)
+
+    def restrict_embedding(self, mask: Tensor) -> None:
+        """Let only some inputs reach some channels: mask (P, inputs, motion width) of 0 and 1."""
+        self.embed_mask = mask.repeat(1, self.kernel, 1)
+
+    def embed_motion(self, x: Tensor) -> Tensor:
+        """Embedding of kernel frames side by side (P, ..., kernel x inputs), oldest first."""
+        flat = x.reshape(x.shape[0], -1, x.shape[-1])
+        out = torch.baddbmm(self.embed.bias, flat, self.embed.weight * self.embed_mask)
+        return out.reshape(*x.shape[:-1], -1)
+
+    def forward(self, x_PBTD: Tensor, controls_BTC: Tensor) -> Tensor:
+        if self.kernel > 1:
+            padded = F.pad(x_PBTD, (0, 0, self.kernel - 1, 0))
+            T = x_PBTD.shape[2]
+            x_PBTD = torch.cat([padded[:, :, i : i + T] for i in range(self.kernel)], dim=-1)
+        motion = self.embed_motion(x_PBTD)
+        P = motion.shape[0]
+        controls = self.embed_controls(controls_BTC.expand(P, *controls_BTC.shape))
+        if self.config.position == "sinusoidal":
+            motion = motion + sinusoidal_positions(motion.shape[2], motion.shape[3], motion.device)
+        motion = spatial_dropout(motion, self.config.spatial_dropout, self.training)
+        x = torch.cat([motion, controls], dim=-1)
+        for layer in self.layers:
+            x = layer(x, controls)
+        return x if self.final_norm is None else self.final_norm(x)
+
+
+class PartTransformer(nn.Module):
+    """P streams of a shallow and a deep module, fused once in the middle, aggregated at the end."""
+
+    def __init__(self, config: ModelConfig, control_size: int) -> None:
+        super().__init__()
+        self.config, self.control_size = config, control_size
+        self.body: Partition = partition(config.partition)
+        P, D = len(self.body.parts), config.width
+        gather, shared = part_columns(config)
+        self.register_buffer("part_columns", gather, persistent=False)
+        self.shallow = AutoRegressiveModule(P, gather.shape[1], control_size, config, config.kernel)
+        self.shallow.restrict_embedding(_embedding_mask(gather, shared, config))
+        self.deep = AutoRegressiveModule(P, D, control_size, config, 1)
+        # Each part gets one linear map of all the other parts' shallow features.
+        self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.fusion == "linear" else None
+        self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
+        self.feet = [i for i, part in enumerate(self.body.parts) if part.contacts]
+        self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.contact_hidden, CONTACT_COUNT)
+        self._initialise()
+
+    def _initialise(self) -> None:
+        """Small outputs at the start: the leaky head then begins near a fading copy of its input."""
+        with torch.no_grad():
+            self.aggregate.weight.mul_(0.1)
+            self.aggregate.bias.zero_()
+
+    def split_parts(self, x: Tensor, contacts: Tensor) -> Tensor:
+        """Inputs of all parts (P, ..., N) from features (..., 276) and contacts (..., 4); short parts end in zeros."""
+        whole = torch.cat([x, contacts, torch.zeros_like(x[..., :1])], dim=-1)
+        return whole[..., self.part_columns].movedim(-2, 0)
+
+    def forward(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> Prediction:
+        """Predict frame n + 1 from frames up to n, for all n at once.
+
+        Args:
+            x_BTF: (B, T, 276) normalised features.
+            contacts_BT4: (B, T, 4) foot contacts.
+            controls_BTC: (B, T, C) normalised control vectors.
+        """
+        inputs = F.dropout(self.split_parts(x_BTF, contacts_BT4), self.config.input_dropout, self.training)
+        shallow = self.shallow(inputs, controls_BTC)
+        fused = F.dropout(self.fuse(shallow), self.config.deep_dropout, self.training)
+        deep = self.deep(fused, controls_BTC)
+        return self.predict(x_BTF, shallow, deep)
+
+    def fuse(self, shallow: Tensor) -> Tensor:
+        """Shallow features (P, ..., D) plus a linear map of the other parts' (paper eq. 3)."""
+        if self.fusion is None:
+            return shallow
+        P = shallow.shape[0]
+        others = torch.stack([torch.cat([shallow[q] for q in range(P) if q != p], -1) for p in range(P)])
+        return shallow + self.fusion(others)
+
+    def predict(self, x: Tensor, shallow: Tensor, deep: Tensor) -> Prediction:
+        """Aggregation layer and Foot-MLP."""
+        body = torch.cat(list(deep), dim=-1)
+        out = self.aggregate(body).float()
+        sizes = [FEATURE_COUNT, FEATURE_COUNT, TRAJECTORY_COUNT, TRAJECTORY_COUNT]
+        mean, log_sigma, trajectory, trajectory_log_sigma = out.split(sizes, dim=-1)
+        if self.config.head_leak:
+            mean = mean + self.config.head_leak * x.float()
+        feet = torch.cat([torch.cat([shallow[i], deep[i]], dim=-1) for i in self.feet], dim=-1)
+        contact_logits = self.contact_mlp(feet[None])[0].float()
+        low, high = self.config.log_sigma_min, self.config.log_sigma_max
+        return Prediction(
+            mean,
+            log_sigma.clamp(low, high),
+            trajectory,
+            trajectory_log_sigma.clamp(low, high),
+            contact_logits,
+            shallow,
+            deep,
+        )
+
+
+def part_columns(config: ModelConfig) -> tuple[Tensor, Tensor]:
+    """For each part the columns it takes in (P, N), and which of them are of shared joints (P, N).
+
+    Columns count the 276 features, then the 4 contacts, then one column of zeros for padding.
+    """
+    layout = feature_layout(config.layout)
+    body = partition(config.partition)
+    rows, shared = [], []
+    for part in body.parts:
+        joints = list(body.shared) + [j for j in part.joints if j not in body.shared]
+        columns = [c for joint in joints for c in layout.joint_columns(joint)]
+        common = len(body.shared) * 12
+        columns += [FEATURE_COUNT + contact for contact in part.contacts]
+        rows.append(columns)
+        shared.append([True] * common + [False] * (len(columns) - common))
+    size = max(len(row) for row in rows)
+    zero = FEATURE_COUNT + CONTACT_COUNT
+    gather = torch.tensor([row + [zero] * (size - len(row)) for row in rows])
+    is_shared = torch.tensor([row + [False] * (size - len(row)) for row in shared])
+    return gather, is_shared
+
+
+def _embedding_mask(gather: Tensor, shared: Tensor, config: ModelConfig) -> Tensor:
+    """(P, N, motion width): the first channels take the shared joints only; padding reaches nothing."""
+    width = config.width - config.control_width
+    mask = torch.ones(*gather.shape, width)
+    mask[:, :, : config.shared_channels] = shared[:, :, None].float()
+    return mask * (gather < FEATURE_COUNT + CONTACT_COUNT)[:, :, None].float()
+
+
+def parameter_count(network: PartTransformer) -> int:
+    """Parameters that can have an effect (those of padded or masked inputs are not counted)."""
+    total = sum(p.numel() for p in network.parameters())
+    return total - int((network.shallow.embed_mask == 0).sum())

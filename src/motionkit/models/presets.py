@@ -1,0 +1,70 @@
+"""Named configurations: the shipped model, the paper's, and its ablations."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from motionkit.errors import ModelError
+from motionkit.models.config import ModelConfig
+
+
+def tptn() -> ModelConfig:
+    """Two parts; leaky head and relative positions, so that it fits fast and streams."""
+    return ModelConfig()
+
+
+def tptn_paper() -> ModelConfig:
+    """As the paper has it: absolute head, sinusoidal positions, post-norm, its dropout, its root rotation."""
+    return ModelConfig(
+        layout="expmap-root-1",
+        input_dropout=0.5,
+        deep_dropout=0.5,
+        position="sinusoidal",
+        norm="post",
+        layer_controls=False,
+        head_leak=0.0,
+        log_sigma_min=-9.2,
+    )
+
+
+def ebtn() -> ModelConfig:
+    """One stream for the entire body (paper table 6)."""
+    return replace(tptn(), partition="one", width=176, ffn=352, control_width=32)
+
+
+def fptn_r() -> ModelConfig:
+    """Four parts that share the root."""
+    return replace(tptn(), partition="four-root", width=88, ffn=176, control_width=24, shared_channels=16)
+
+
+def fptn_s() -> ModelConfig:
+    """Four parts that share the spine."""
+    return replace(tptn(), partition="four-spine", width=88, ffn=176, control_width=24, shared_channels=40)
+
+
+def five_ptn() -> ModelConfig:
+    """Five parts: two arms, two legs, the spine."""
+    return replace(tptn(), partition="five", width=80, ffn=160, control_width=24, shared_channels=16)
+
+
+def tiny() -> ModelConfig:
+    """A small network for tests and first tries; it learns little."""
+    return replace(tptn(), width=48, heads=4, ffn=96, layers=2, control_width=16, shared_channels=12)
+
+
+PRESETS = {
+    "tptn": tptn,
+    "tptn-paper": tptn_paper,
+    "ebtn": ebtn,
+    "fptn-r": fptn_r,
+    "fptn-s": fptn_s,
+    "5ptn": five_ptn,
+    "tiny": tiny,
+}
+
+
+def preset(name: str) -> ModelConfig:
+    """A preset by name; raises ModelError for an unknown one."""
+    if name not in PRESETS:
+        raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")
+    return PRESETS[name]()
