@@ -1,0 +1,217 @@
+"""What a contact sheet shows, as arrays: positions with up along axis 1, a view, a floor, the feet."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.mirror import joint_sides
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_rotate
+
+Array = NDArray[np.float64]
+
+# Units seen in BVH files: name, cm per unit, and the statures a person may have in it.
+UNITS = (
+    ("m", 100.0, 0.9, 2.6),
+    ("CMU units", 2.54 / 0.45, 16.0, 45.0),
+    ("inches", 2.54, 45.0, 95.0),
+    ("cm", 1.0, 95.0, 260.0),
+    ("mm", 0.1, 900.0, 2600.0),
+)
+# A foot nearer to the floor than this share of the stature, and faster than this many statures a
+# second along the floor, is sliding: 4 cm and 0.5 m/s for a person of 1.75 m.
+LOW_SHARE = 0.025
+SLIDE_SHARE = 0.28
+
+
+@dataclass(frozen=True, eq=False)
+class Figure:
+    """A motion as points and bones in the world.
+
+    Attributes:
+        positions: (T, N, 3) joints, then end sites; axis 1 is up, lengths in the motion's own unit.
+        bones: pairs of point indices, parent first.
+        sides: for every point "left", "right" or "".
+        head: the point drawn as a head, or None.
+        feet: side to the point that stands for the foot.
+        floor: height of the ground line.
+        floor_is_zero: whether that is the world's zero rather than the lowest the body goes.
+        facing: (T,) angle of the body's front in the ground plane, atan2 of axis 2 and axis 0.
+        stature: estimated standing height.
+        fps: frames per second.
+    """
+
+    positions: Array
+    bones: tuple[tuple[int, int], ...]
+    sides: tuple[str, ...]
+    head: int | None
+    feet: dict[str, int]
+    floor: float
+    floor_is_zero: bool
+    facing: Array
+    stature: float
+    fps: float
+
+    @property
+    def root(self) -> Array:
+        """(T, 3) the root, or the hips below it where the root itself stays on the floor."""
+        heights = self.positions[:, : len(self.sides), 1].mean(axis=0)
+        hips = 0
+        while heights[hips] - self.floor < 0.2 * self.stature:
+            below = [child for parent, child in self.bones if parent == hips]
+            if len(below) != 1:
+                return self.positions[:, 0]
+            hips = below[0]
+        return self.positions[:, hips]
+
+    def unit(self) -> tuple[str, float]:
+        """The likely unit by stature: its name and cm per unit; ("units", 1.0) when none fits."""
+        for name, cm, low, high in UNITS:
+            if low <= self.stature < high:
+                return name, cm
+        return "units", 1.0
+
+
+def motion_figure(motion: Motion) -> Figure:
+    """The points and bones of a motion, turned so that axis 1 is up."""
+    skeleton = motion.skeleton
+    rotations, positions = motion_kinematics(motion)
+    ends = sorted(skeleton.end_sites)
+    tips = [positions[:, j] + quat_rotate(rotations[:, j], torch.tensor(skeleton.end_sites[j])) for j in ends]
+    points = torch.stack([*positions.unbind(1), *tips], dim=1).double().numpy()
+    if _is_z_up(points, skeleton.names):
+        points = np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+    count = len(skeleton)
+    bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
+    bones += [(joint, count + n) for n, joint in enumerate(ends)]
+    sides = joint_sides(skeleton.names)
+    points_sides = sides + tuple(sides[joint] for joint in ends)
+    stature = _stature(points, skeleton.parents)
+    floor, floor_is_zero = _floor(points, stature)
+    return Figure(
+        points,
+        tuple(bones),
+        points_sides,
+        _head(skeleton.names, points),
+        _feet(skeleton.names, sides, points),
+        floor,
+        floor_is_zero,
+        _facing(points, sides),
+        stature,
+        motion.fps,
+    )
+
+
+def _is_z_up(points: Array, names: tuple[str, ...]) -> bool:
+    """Whether heads are above feet along Z rather than Y; in a rig without such names, whether Z is taller."""
+    high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
+    low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
+    if high and low:
+        up = (points[:, high].mean(axis=1) - points[:, low].mean(axis=1)).mean(axis=0)
+        return bool(up[2] > abs(up[1]))
+    spread = (points.max(axis=1) - points.min(axis=1)).mean(axis=0)
+    return bool(spread[2] > 1.5 * spread[1])
+
+
+def _stature(points: Array, parents: tuple[int, ...]) -> float:
+    """Roughly the standing height: from the lowest to the highest end of the body along its bones.
+
+    The two longest chains from the root reach the toes and the head or a hand; along bones they are
+    about a sixth longer than the body is tall.
+    """
+    middle = points[len(points) // 2]
+    reach = np.zeros(len(parents))
+    for joint, parent in enumerate(parents):
+        if parent > 0 or (parent == 0 and len([p for p in parents if p == 0]) > 1):
+            reach[joint] = reach[parent] + np.linalg.norm(middle[joint] - middle[parent])
+    return max(float(2.0 * reach.max() / 1.17), 1e-6)
+
+
+def _floor(points: Array, stature: float) -> tuple[float, bool]:
+    lowest = float(np.percentile(points[..., 1].min(axis=1), 5))
+    near_zero = abs(lowest) < 0.3 * stature
+    return (0.0, True) if near_zero else (lowest, False)
+
+
+def _head(names: tuple[str, ...], points: Array) -> int | None:
+    heads = [i for i, name in enumerate(names) if re.search(r"head(?!.*(end|nub|top))", name, re.IGNORECASE)]
+    necks = [i for i, name in enumerate(names) if re.search(r"neck", name, re.IGNORECASE)]
+    found = heads or necks
+    return found[-1] if found else None
+
+
+def _feet(names: tuple[str, ...], sides: tuple[str, ...], points: Array) -> dict[str, int]:
+    """For each side its toe, else its foot, else its lowest joint; without sides the lowest of all."""
+    feet: dict[str, int] = {}
+    heights = points[:, : len(names), 1].mean(axis=0)
+    for side in sorted(set(sides) - {""}) or [""]:
+        own = [i for i, s in enumerate(sides) if s == side]
+        for pattern in (r"toe(?!.*(end|nub))", r"foot|ankle|talus", r""):
+            found = [i for i in own if re.search(pattern, names[i], re.IGNORECASE)]
+            if found:
+                feet[side] = min(found, key=lambda i: (round(float(heights[i]), 3), i))
+                break
+    return feet
+
+
+def _facing(points: Array, sides: tuple[str, ...]) -> Array:
+    """(T,) where the front is: a quarter turn from the line between the left and the right half."""
+    left = [i for i, side in enumerate(sides) if side == "left"]
+    right = [i for i, side in enumerate(sides) if side == "right"]
+    if not left:
+        return np.zeros(len(points))
+    across = points[:, left].mean(axis=1) - points[:, right].mean(axis=1)
+    return np.arctan2(-across[:, 0], across[:, 2])
+
+
+def camera_angle(figure: Figure) -> float:
+    """The screen's x axis as an angle in the ground plane, so that the body is seen from the best side.
+
+    Someone who travels is seen at right angles to the way, someone who stays is seen half from the
+    front; both turned a little so that left and right do not cover each other.
+    """
+    ground = figure.root[:, [0, 2]]
+    steps = ground - ground.mean(axis=0)
+    values, vectors = np.linalg.eigh(steps.T @ steps / max(len(steps), 1))
+    travelled = 2.0 * np.sqrt(max(values[1], 0.0))
+    front = np.array([np.cos(figure.facing).mean(), np.sin(figure.facing).mean()])
+    if travelled > 0.25 * figure.stature:
+        along = vectors[:, 1]
+        if along @ (ground[-1] - ground[0]) < 0:
+            along = -along
+        return float(np.arctan2(along[1], along[0])) + np.radians(20.0)
+    return float(np.arctan2(front[1], front[0])) + np.radians(50.0)
+
+
+def screen_points(points: Array, angle: float) -> Array:
+    """Points (..., 3) as (..., 3): right, up, and depth towards the viewer, for a level camera."""
+    cosine, sine = np.cos(angle), np.sin(angle)
+    right = points[..., 0] * cosine + points[..., 2] * sine
+    towards = -points[..., 0] * sine + points[..., 2] * cosine
+    return np.stack([right, points[..., 1], towards], axis=-1)
+
+
+def sliding_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
+    """(T,) whether the foot moves along the floor while it is low."""
+    track = figure.positions[:, foot]
+    if len(track) < 2:
+        return np.zeros(len(track), dtype=bool)
+    span = max(1, round(figure.fps / 20))  # over a twentieth of a second, or noise counts as speed
+    ahead = np.minimum(np.arange(len(track)) + span, len(track) - 1)
+    behind = np.maximum(np.arange(len(track)) - span, 0)
+    steps = np.linalg.norm((track[ahead] - track[behind])[:, [0, 2]], axis=-1)
+    speeds = steps * figure.fps / np.maximum(ahead - behind, 1)
+    return low_frames(figure, foot) & (speeds > SLIDE_SHARE * figure.stature)
+
+
+def low_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
+    """(T,) whether the foot is near the height at which it stands."""
+    heights = figure.positions[:, foot, 1]
+    standing = np.percentile(heights, 3)
+    return heights < standing + LOW_SHARE * figure.stature
