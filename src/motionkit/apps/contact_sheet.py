@@ -37,6 +37,7 @@ PLOT_HEIGHT = 240
 PATH_WIDTH = 380
 POSES_PER_ROW = 16
 MAX_POSES = 480
+OVERLAP = 1.3  # the widest pose may reach this share of its cell; its neighbours seldom reach theirs
 
 Color = tuple[int, int, int]
 SIDE_COLORS: dict[str, Color] = {"left": (31, 99, 214), "right": (219, 84, 20), "": (60, 60, 66)}
@@ -239,16 +240,18 @@ def _draw_poses(
     """Figures side by side, each centred on its root, feet on one ground line, all at one scale."""
     screen = screen_points(figure.positions[all_frames], angle)
     roots = screen_points(figure.root[all_frames], angle)
-    half = max(float(np.percentile(np.abs(screen[..., 0] - roots[:, None, 0]).max(axis=1), 90)), 1e-6)
+    drawn = sorted({point for bone in figure.bones for point in bone})
+    half = max(float(np.abs(screen[:, drawn, 0] - roots[:, None, 0]).max()), 1e-6)
     top = max(float(screen[..., 1].max()), figure.floor + 0.5 * figure.stature)
     bottom = min(float(screen[..., 1].min()), figure.floor)
-    cell = box.width / per_row
+    cell = box.width / (per_row + OVERLAP - 1.0)
+    first = box.left + cell * OVERLAP / 2
     room = box.height - 40
-    scale = min(1.1 * cell / (2 * half), room / (top - bottom))
+    scale = min(OVERLAP * cell / (2 * half), room / (top - bottom))
     ground = box.top + 10 + room - (figure.floor - bottom) * scale
     canvas.line([(box.left, ground), (box.left + box.width, ground)], GROUND, 1.2)
     for slot, frame in enumerate(frames):
-        centre = box.left + (slot + 0.5) * cell
+        centre = first + slot * cell
         n = all_frames.index(frame)
         x = centre + (screen[n, :, 0] - roots[n, 0]) * scale
         y = ground - (screen[n, :, 1] - figure.floor) * scale
@@ -353,7 +356,13 @@ def _draw_heights(
     canvas.text(box.left, box.top, f"heights in {shown}, {floor}:", FAINT, size=11)
     canvas.text(box.left + 190, box.top, "root", ROOT_COLOR, size=11)
     for n, (name, _) in enumerate(named):
-        canvas.text(box.left + 230 + 70 * n, box.top, f"{name} toe", SIDE_COLORS.get(name, INK), size=11)
+        canvas.text(
+            box.left + 230 + 70 * n,
+            box.top,
+            f"{name} foot" if name != "foot" else name,
+            SIDE_COLORS.get(name, INK),
+            size=11,
+        )
     step = _round_length((high - low) * cm / 4) / cm
     for k in range(int(np.ceil(low / step)), int(high / step) + 1):
         y = y_of(k * step)
@@ -382,4 +391,4 @@ def _draw_band(canvas: _Canvas, figure: Figure, foot: int, color: Color, x_of: A
             left, right = x_of(float(start)), x_of(float(end - 1))
             canvas.box(_Box(left, y, max(right - left, 1.0), 7), fill=shade)
     share = 100.0 * slides.sum() / max(int(low.sum()), 1)
-    canvas.text(x_of(0.0) - 6, y + 3, f"slides {share:.0f}%", SLIDE_COLOR, size=9, anchor="rm")
+    canvas.text(x_of(0.0) - 6, y + 3, f"slides {share:.0f}%", SLIDE_COLOR, size=10, anchor="rm")

@@ -28,6 +28,9 @@ UNITS = (
 # second along the floor, is sliding: 4 cm and 0.5 m/s for a person of 1.75 m.
 LOW_SHARE = 0.025
 SLIDE_SHARE = 0.28
+# A joint that moves against its parent by more than this share of the stature hangs from no bone: so
+# do the hips below a root that stays on the floor.
+LOOSE_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ class Figure:
         positions: (T, N, 3) joints, then end sites; axis 1 is up, lengths in the motion's own unit.
         bones: pairs of point indices, parent first.
         sides: for every point "left", "right" or "".
+        hips: the point drawn as the root.
         head: the point drawn as a head, or None.
         feet: side to the point that stands for the foot.
         floor: height of the ground line.
@@ -50,6 +54,7 @@ class Figure:
     positions: Array
     bones: tuple[tuple[int, int], ...]
     sides: tuple[str, ...]
+    hips: int
     head: int | None
     feet: dict[str, int]
     floor: float
@@ -60,15 +65,8 @@ class Figure:
 
     @property
     def root(self) -> Array:
-        """(T, 3) the root, or the hips below it where the root itself stays on the floor."""
-        heights = self.positions[:, : len(self.sides), 1].mean(axis=0)
-        hips = 0
-        while heights[hips] - self.floor < 0.2 * self.stature:
-            below = [child for parent, child in self.bones if parent == hips]
-            if len(below) != 1:
-                return self.positions[:, 0]
-            hips = below[0]
-        return self.positions[:, hips]
+        """(T, 3) the root joint, or the hips where the root itself only stays on the floor."""
+        return self.positions[:, self.hips]
 
     def unit(self) -> tuple[str, float]:
         """The likely unit by stature: its name and cm per unit; ("units", 1.0) when none fits."""
@@ -90,15 +88,16 @@ def motion_figure(motion: Motion) -> Figure:
     count = len(skeleton)
     bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     bones += [(joint, count + n) for n, joint in enumerate(ends)]
+    stature = _stature(points, skeleton.parents)
     sides = joint_sides(skeleton.names)
     points_sides = sides + tuple(sides[joint] for joint in ends)
-    stature = _stature(points, skeleton.parents)
     floor, floor_is_zero = _floor(points, stature)
     return Figure(
         points,
-        tuple(bones),
+        tuple(bone for bone in bones if not _is_loose(points, bone, stature)),
         points_sides,
-        _head(skeleton.names, points),
+        _hips(points, skeleton.parents, floor, stature),
+        _head(skeleton.names),
         _feet(skeleton.names, sides, points),
         floor,
         floor_is_zero,
@@ -109,7 +108,7 @@ def motion_figure(motion: Motion) -> Figure:
 
 
 def _is_z_up(points: Array, names: tuple[str, ...]) -> bool:
-    """Whether heads are above feet along Z rather than Y; in a rig without such names, whether Z is taller."""
+    """Whether heads are above feet along Z rather than Y; in rigs without such names, whether Z is taller."""
     high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
     low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
     if high and low:
@@ -133,13 +132,29 @@ def _stature(points: Array, parents: tuple[int, ...]) -> float:
     return max(float(2.0 * reach.max() / 1.17), 1e-6)
 
 
+def _is_loose(points: Array, bone: tuple[int, int], stature: float) -> bool:
+    lengths = np.linalg.norm(points[:, bone[1]] - points[:, bone[0]], axis=-1)
+    return bool(np.ptp(lengths) > LOOSE_SHARE * stature)
+
+
 def _floor(points: Array, stature: float) -> tuple[float, bool]:
     lowest = float(np.percentile(points[..., 1].min(axis=1), 5))
     near_zero = abs(lowest) < 0.3 * stature
     return (0.0, True) if near_zero else (lowest, False)
 
 
-def _head(names: tuple[str, ...], points: Array) -> int | None:
+def _hips(points: Array, parents: tuple[int, ...], floor: float, stature: float) -> int:
+    """The first joint from the root on that stays off the floor, while there is but one way to go."""
+    hips = 0
+    while points[:, hips, 1].mean() - floor < 0.2 * stature:
+        below = [joint for joint, parent in enumerate(parents) if parent == hips]
+        if len(below) != 1:
+            return 0
+        hips = below[0]
+    return hips
+
+
+def _head(names: tuple[str, ...]) -> int | None:
     heads = [i for i, name in enumerate(names) if re.search(r"head(?!.*(end|nub|top))", name, re.IGNORECASE)]
     necks = [i for i, name in enumerate(names) if re.search(r"neck", name, re.IGNORECASE)]
     found = heads or necks
@@ -197,21 +212,23 @@ def screen_points(points: Array, angle: float) -> Array:
     return np.stack([right, points[..., 1], towards], axis=-1)
 
 
-def sliding_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
-    """(T,) whether the foot moves along the floor while it is low."""
-    track = figure.positions[:, foot]
-    if len(track) < 2:
-        return np.zeros(len(track), dtype=bool)
-    span = max(1, round(figure.fps / 20))  # over a twentieth of a second, or noise counts as speed
-    ahead = np.minimum(np.arange(len(track)) + span, len(track) - 1)
-    behind = np.maximum(np.arange(len(track)) - span, 0)
-    steps = np.linalg.norm((track[ahead] - track[behind])[:, [0, 2]], axis=-1)
-    speeds = steps * figure.fps / np.maximum(ahead - behind, 1)
-    return low_frames(figure, foot) & (speeds > SLIDE_SHARE * figure.stature)
-
-
 def low_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
     """(T,) whether the foot is near the height at which it stands."""
     heights = figure.positions[:, foot, 1]
     standing = np.percentile(heights, 3)
     return heights < standing + LOW_SHARE * figure.stature
+
+
+def sliding_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
+    """(T,) whether the foot moves along the floor while it is low, also a twentieth of a second either side.
+
+    So neither the touch-down nor the push-off of a step counts.
+    """
+    track = figure.positions[:, foot]
+    span = max(1, round(figure.fps / 20))
+    frames = np.arange(len(track))
+    behind, ahead = np.maximum(frames - span, 0), np.minimum(frames + span, len(track) - 1)
+    steps = np.linalg.norm((track[ahead] - track[behind])[:, [0, 2]], axis=-1)
+    speeds = steps * figure.fps / np.maximum(ahead - behind, 1)
+    low = low_frames(figure, foot)
+    return low & low[behind] & low[ahead] & (speeds > SLIDE_SHARE * figure.stature)
