@@ -1,0 +1,273 @@
+"""Mends what capture leaves behind: T-pose lead-ins, pops, flipped knees and floors that are off.
+
+A canonical motion comes in, the same motion without the faults and a report go out. Every detector
+compares a frame with its own neighbours, so that kicks, flips and cartwheels, which are fast for
+several frames in a row, are left alone. docs/cleaning.md holds the measurements behind the constants.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_angle, quat_continuous, quat_slerp
+from motionkit.motion.skeleton import JOINT_NAMES
+
+# Height of the toe joint (ball of the foot) above the floor while the foot stands on it, in cm: the
+# median over the CMU subjects whose floor is level.
+TOE_HEIGHT = 3.5
+
+TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
+
+# Breaks: a step of the whole body, or of one joint, that nothing after it continues.
+LEAD_SECONDS = 0.5
+EDGE_SECONDS = 0.1
+FROZEN_ANGLE = math.radians(0.01)
+FROZEN_DISTANCE = 1e-3
+BODY_BREAK = math.radians(2.5)
+ROOT_BREAK = 8.0
+JOINT_BREAK = math.radians(20.0)
+BREAK_RATIO = 3.5
+LOOK_AHEAD = 8
+
+# Pops: a joint jumps away and back. Longer spans must stand out more to count.
+POP_JUMP = math.radians(8.0)
+LONG_POP_JUMP = math.radians(30.0)
+POP_RATIO = 3.0
+LONG_POP_RATIO = 4.0
+LONG_POP_SECONDS = 0.034
+NEIGHBOURS = 4
+ROOT_POP = 1.2
+ROOT_POP_RATIO = 4.0
+JUMP_LEFT = math.radians(60.0)
+
+# Stance: toes this slow, gathered in the lowest well-filled band of heights.
+STANCE_SPEED = 20.0
+STANCE_BAND = 6.0
+STANCE_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class CleaningReport:
+    """What was done to one motion.
+
+    Attributes:
+        lead_in: frames cut at the start (T-pose, the blend out of it, bad first frames).
+        lead_out: frames cut at the end.
+        pops: (source frame, joint) of every frame mended; "root position" stands for the root's place.
+        floor_shift: cm added to the root height.
+        notes: what was seen and left as it is.
+    """
+
+    lead_in: int
+    lead_out: int
+    pops: tuple[tuple[int, str], ...]
+    floor_shift: float
+    notes: tuple[str, ...]
+
+
+def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
+    """The motion (23 canonical joints, cm) without capture faults, at its own rate, and what was done.
+
+    The last frame is never cut away: a motion of one or two frames comes back with its floor set only.
+    """
+    mended, _ = _mend_pops(motion)  # so that a pop near an edge is not taken for a break
+    start, end = _good_span(mended)
+    cut = motion.cut(start, end)
+    cut, pops = _mend_pops(cut)
+    shift, floor_notes = _floor_shift(cut)
+    notes = floor_notes + _jumps_left(cut, start)
+    up = torch.tensor([0.0, shift, 0.0], dtype=cut.root_positions.dtype)
+    report = CleaningReport(
+        start, len(motion) - end, tuple(sorted((t + start, name) for t, name in pops)), shift, notes
+    )
+    return replace(cut, root_positions=cut.root_positions + up), report
+
+
+def _steps(motion: Motion) -> tuple[Tensor, Tensor]:
+    """Angles (T - 1, J) between frames in radians, and root distances (T - 1) in cm."""
+    rotations, places = motion.local_rotations, motion.root_positions
+    return _angle(rotations[:-1], rotations[1:]), (places[1:] - places[:-1]).norm(dim=-1)
+
+
+def _angle(a: Tensor, b: Tensor) -> Tensor:
+    """quat_angle without its axis: the chord of the difference, exact for small angles too."""
+    chord = torch.minimum((a - b).norm(dim=-1), (a + b).norm(dim=-1))
+    return 4.0 * torch.asin((0.5 * chord).clamp(max=1.0))
+
+
+def _good_span(motion: Motion) -> tuple[int, int]:
+    """First frame worth keeping, and the end (exclusive)."""
+    if len(motion) < 3:
+        return 0, len(motion)
+    angles, distances = _steps(motion)
+    start = _lead(angles, distances, motion.fps)
+    end = len(motion) - _tail(angles.flip(0), distances.flip(0), motion.fps)
+    return (start, end) if end - start >= 2 else (0, len(motion))
+
+
+def _lead(angles: Tensor, distances: Tensor, fps: float) -> int:
+    """Frames to cut before the motion proper, from the steps (T - 1, J) and (T - 1)."""
+    steps = angles.shape[0]
+    window = min(max(12, round(LEAD_SECONDS * fps)), steps // 2)
+    edge = min(max(3, round(EDGE_SECONDS * fps)), window)
+    body = angles.mean(dim=1)
+    breaks = _breaks(body, BODY_BREAK, window) | _breaks(distances, ROOT_BREAK, window)
+    breaks[:edge] |= _breaks(angles, JOINT_BREAK, edge).any(dim=1)[:edge]
+    return max(_last_true(breaks), _frozen(angles, distances))
+
+
+def _tail(angles: Tensor, distances: Tensor, fps: float) -> int:
+    """Frames to cut at the end, from the steps in reverse order."""
+    edge = min(max(3, round(EDGE_SECONDS * fps)), angles.shape[0] // 2)
+    breaks = _breaks(angles.mean(dim=1), BODY_BREAK, edge) | _breaks(distances, ROOT_BREAK, edge)
+    breaks |= _breaks(angles, JOINT_BREAK, edge).any(dim=1)
+    return max(_last_true(breaks), _frozen(angles, distances))
+
+
+def _breaks(steps: Tensor, least: float, window: int) -> Tensor:
+    """Which of the first steps (window, ...) tower over the LOOK_AHEAD steps that follow them."""
+    ahead = torch.cat([steps, steps[-1:].expand(LOOK_AHEAD, *steps.shape[1:])])
+    following = ahead[1:].unfold(0, LOOK_AHEAD, 1)[:window].amax(dim=-1)
+    return (steps[:window] > least) & (steps[:window] > BREAK_RATIO * following)
+
+
+def _frozen(angles: Tensor, distances: Tensor) -> int:
+    """How many steps from the start nothing moves at all; 0 if nothing ever does."""
+    still = (angles.amax(dim=1) < FROZEN_ANGLE) & (distances < FROZEN_DISTANCE)
+    moving = torch.nonzero(~still)
+    return int(moving[0]) if len(moving) else 0
+
+
+def _last_true(flags: Tensor) -> int:
+    """One more than the index of the last true flag, 0 if there is none."""
+    found = torch.nonzero(flags)
+    return int(found[-1]) + 1 if len(found) else 0
+
+
+def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion with short pops bridged, and their frames and joints."""
+    rotations, places = motion.local_rotations.clone(), motion.root_positions.clone()
+    longest = max(2, round(LONG_POP_SECONDS * motion.fps))
+    mended: list[tuple[int, str]] = []
+    for span in range(1, longest + 1):
+        if len(motion) < span + 2:
+            break
+        for frame, joint in _joint_pops(rotations, span):
+            ends = rotations[frame - 1, joint], rotations[frame + span, joint]
+            fractions = torch.arange(1, span + 1, dtype=rotations.dtype) / (span + 1)
+            rotations[frame : frame + span, joint] = quat_slerp(
+                ends[0].expand(span, 4), ends[1].expand(span, 4), fractions
+            )
+            mended.extend((frame + i, JOINT_NAMES[joint]) for i in range(span))
+    for frame in _root_pops(places):
+        places[frame] = 0.5 * (places[frame - 1] + places[frame + 1])
+        mended.append((frame, "root position"))
+    if not mended:
+        return motion, []
+    out = replace(motion, local_rotations=quat_continuous(rotations), root_positions=places)
+    return out, sorted(set(mended))
+
+
+def _joint_pops(rotations: Tensor, span: int) -> list[tuple[int, int]]:
+    """First frame and joint of every pop of this many frames in rotations (T, J, 4).
+
+    The steps out and back must tower over the steps before and after, and over what is left when the
+    span is bridged; that sets a pop apart from a fast swing, whose neighbours are fast as well.
+    """
+    least, ratio = (POP_JUMP, POP_RATIO) if span <= 2 else (LONG_POP_JUMP, LONG_POP_RATIO)
+    steps = _angle(rotations[:-1], rotations[1:])
+    jump = torch.minimum(steps[: len(steps) - span], steps[span:])
+    frames, joints = torch.nonzero(jump > least, as_tuple=True)
+    if not len(frames):
+        return []
+    before, after = rotations[frames, joints], rotations[frames + span + 1, joints]
+    around = torch.full((len(frames),), 0.0, dtype=steps.dtype)
+    for near in range(1, NEIGHBOURS + 1):
+        around = torch.maximum(around, _step_at(steps, frames - near, joints))
+        around = torch.maximum(around, _step_at(steps, frames + span + near, joints))
+    around = torch.maximum(around, _angle(before, after) / (span + 1))
+    jump = jump[frames, joints]
+    away = torch.stack(
+        [
+            quat_angle(
+                rotations[frames + i, joints],
+                quat_slerp(before, after, torch.full_like(jump, i / (span + 1))),
+            )
+            for i in range(1, span + 1)
+        ]
+    ).amin(dim=0)
+    found = (jump > ratio * around.clamp(min=math.radians(1.0))) & (away > 0.7 * jump)
+    return [(int(t) + 1, int(j)) for t, j in zip(frames[found], joints[found], strict=True)]
+
+
+def _step_at(steps: Tensor, frames: Tensor, joints: Tensor) -> Tensor:
+    """Steps at these frames and joints, zero beyond the ends."""
+    inside = (frames >= 0) & (frames < len(steps))
+    return torch.where(inside, steps[frames.clamp(0, len(steps) - 1), joints], torch.zeros(()))
+
+
+def _root_pops(places: Tensor) -> list[int]:
+    """Frames whose place (T, 3) stands off the line of its neighbours as none nearby does."""
+    if len(places) < 2 * NEIGHBOURS:
+        return []
+    residual = torch.zeros(len(places), dtype=places.dtype)
+    residual[1:-1] = (places[1:-1] - 0.5 * (places[:-2] + places[2:])).norm(dim=-1)
+    found = []
+    for frame in torch.nonzero(residual > ROOT_POP).flatten().tolist():
+        # A pop shows at its two neighbours with half its size: they are not "nearby".
+        nearby = torch.cat([residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]])
+        beside = residual[max(0, frame - 1) : frame + 2].amax()
+        if residual[frame] >= beside and residual[frame] > ROOT_POP_RATIO * nearby.amax().clamp(min=0.1):
+            found.append(frame)
+    return found
+
+
+def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
+    """Notes on jumps that do not come back, which no neighbour can mend."""
+    if len(motion) < 3:
+        return ()
+    angles, _ = _steps(motion)
+    frames, joints = torch.nonzero(angles > JUMP_LEFT, as_tuple=True)
+    return tuple(
+        f"jump of {math.degrees(float(angles[t, j])):.0f} degrees left in {JOINT_NAMES[j]} "
+        f"at frame {int(t) + 1 + start}"
+        for t, j in zip(frames.tolist(), joints.tolist(), strict=True)
+    )
+
+
+def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
+    """cm to add to the height so that standing toes are at TOE_HEIGHT, and how that was found."""
+    _, positions = motion_kinematics(motion)
+    toes = positions[:, list(TOES)]
+    heights = toes[..., 1]
+    slow = heights[_speeds(toes, motion.fps) < STANCE_SPEED]
+    if len(slow) < 5:
+        lowest = float(heights.flatten().quantile(0.02))
+        return TOE_HEIGHT - lowest, ("no stance found; floor set from the lowest toe",)
+    return TOE_HEIGHT - _lowest_band(slow), ()
+
+
+def _speeds(places: Tensor, fps: float) -> Tensor:
+    """Speeds (T, ...) in cm/s of places (T, ..., 3), over two frames where there are two."""
+    if len(places) < 2:
+        return torch.zeros(places.shape[:-1], dtype=places.dtype)
+    steps = (places[1:] - places[:-1]) * fps
+    both = 0.5 * (steps[1:] + steps[:-1])
+    return torch.cat([steps[:1], both, steps[-1:]]).norm(dim=-1)
+
+
+def _lowest_band(heights: Tensor) -> float:
+    """Median height within the lowest band that is nearly as full as the fullest band (N,).
+
+    Feet held still in the air (a raised leg, a handstand) lie above it, single stray frames below it.
+    """
+    ordered = torch.sort(heights).values
+    counts = torch.searchsorted(ordered, ordered + STANCE_BAND, right=True) - torch.arange(len(ordered))
+    first = int(torch.nonzero(counts >= STANCE_SHARE * counts.amax())[0])
+    return float(ordered[first : first + int(counts[first])].median())
