@@ -29,9 +29,10 @@ LEAD_SECONDS = 0.5
 EDGE_SECONDS = 0.1
 FROZEN_ANGLE = math.radians(0.01)
 FROZEN_DISTANCE = 1e-3
-BODY_BREAK = math.radians(2.5)
+BODY_BREAK = math.radians(3.0)
+FAR_BODY_BREAK = math.radians(6.0)
 ROOT_BREAK = 8.0
-JOINT_BREAK = math.radians(20.0)
+JOINT_BREAK = math.radians(30.0)
 BREAK_RATIO = 3.5
 LOOK_AHEAD = 8
 
@@ -50,6 +51,8 @@ JUMP_LEFT = math.radians(60.0)
 STANCE_SPEED = 20.0
 STANCE_BAND = 6.0
 STANCE_SHARE = 0.75
+STEP_DOWN = 8.0
+STEP_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -113,21 +116,33 @@ def _good_span(motion: Motion) -> tuple[int, int]:
 
 def _lead(angles: Tensor, distances: Tensor, fps: float) -> int:
     """Frames to cut before the motion proper, from the steps (T - 1, J) and (T - 1)."""
-    steps = angles.shape[0]
-    window = min(max(12, round(LEAD_SECONDS * fps)), steps // 2)
-    edge = min(max(3, round(EDGE_SECONDS * fps)), window)
+    half = len(angles) // 2
+    edge = min(max(3, round(EDGE_SECONDS * fps)), half)
+    window = min(round(LEAD_SECONDS * fps), half)
+    coarse = max(1.0, 60.0 / fps)  # honest steps grow as frames get rarer
     body = angles.mean(dim=1)
-    breaks = _breaks(body, BODY_BREAK, window) | _breaks(distances, ROOT_BREAK, window)
-    breaks[:edge] |= _breaks(angles, JOINT_BREAK, edge).any(dim=1)[:edge]
-    return max(_last_true(breaks), _frozen(angles, distances))
+    lead = max(
+        _last_true(_breaks(body, coarse * FAR_BODY_BREAK, window)),
+        _last_true(_breaks(distances, coarse * ROOT_BREAK, window)),
+        _edge_breaks(angles, edge, coarse),
+    )
+    return lead + _frozen(angles[lead:], distances[lead:])
 
 
 def _tail(angles: Tensor, distances: Tensor, fps: float) -> int:
     """Frames to cut at the end, from the steps in reverse order."""
-    edge = min(max(3, round(EDGE_SECONDS * fps)), angles.shape[0] // 2)
-    breaks = _breaks(angles.mean(dim=1), BODY_BREAK, edge) | _breaks(distances, ROOT_BREAK, edge)
-    breaks |= _breaks(angles, JOINT_BREAK, edge).any(dim=1)
-    return max(_last_true(breaks), _frozen(angles, distances))
+    edge = min(max(3, round(EDGE_SECONDS * fps)), len(angles) // 2)
+    coarse = max(1.0, 60.0 / fps)
+    tail = max(_last_true(_breaks(distances, coarse * ROOT_BREAK, edge)), _edge_breaks(angles, edge, coarse))
+    return tail + _frozen(angles[tail:], distances[tail:])
+
+
+def _edge_breaks(angles: Tensor, edge: int, coarse: float) -> int:
+    """Frames before the last break of the whole body or of one joint, among the first steps (T - 1, J)."""
+    body = _breaks(angles.mean(dim=1), coarse * BODY_BREAK, edge)
+    joints = _breaks(angles, coarse * JOINT_BREAK, edge)
+    joints[2:, list(TOES)] = False  # toes tremble; only the outermost frames are worth cutting for them
+    return _last_true(body | joints.any(dim=1))
 
 
 def _breaks(steps: Tensor, least: float, window: int) -> Tensor:
@@ -222,8 +237,10 @@ def _root_pops(places: Tensor) -> list[int]:
     for frame in torch.nonzero(residual > ROOT_POP).flatten().tolist():
         # A pop shows at its two neighbours with half its size: they are not "nearby".
         nearby = torch.cat([residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]])
-        beside = residual[max(0, frame - 1) : frame + 2].amax()
-        if residual[frame] >= beside and residual[frame] > ROOT_POP_RATIO * nearby.amax().clamp(min=0.1):
+        # A jump that does not come back gives two equal residuals side by side.
+        beside = max(float(residual[frame - 1]), float(residual[frame + 1]))
+        level = max(0.1, float(nearby.amax())) if len(nearby) else math.inf
+        if residual[frame] > max(1.4 * beside, ROOT_POP_RATIO * level):
             found.append(frame)
     return found
 
@@ -266,8 +283,12 @@ def _lowest_band(heights: Tensor) -> float:
     """Median height within the lowest band that is nearly as full as the fullest band (N,).
 
     Feet held still in the air (a raised leg, a handstand) lie above it, single stray frames below it.
+    Where a good share lies a whole step further down, the band was a platform, and that is the floor.
     """
     ordered = torch.sort(heights).values
     counts = torch.searchsorted(ordered, ordered + STANCE_BAND, right=True) - torch.arange(len(ordered))
     first = int(torch.nonzero(counts >= STANCE_SHARE * counts.amax())[0])
+    below = ordered[ordered < ordered[first] - STEP_DOWN]
+    if len(below) >= max(5, STEP_SHARE * len(heights)):
+        return _lowest_band(below)
     return float(ordered[first : first + int(counts[first])].median())
