@@ -19,54 +19,61 @@ BLOCK = 16
 
 
 class LocalAttention(nn.Module):
-    """Multi-head self-attention of each frame over itself and the W - 1 frames before."""
+    """Multi-head self-attention of each frame over itself and the W - 1 frames before, added to a residual."""
 
     def __init__(self, parts: int, width: int, heads: int, window: int, bias: bool) -> None:
         super().__init__()
+        assert window - 1 <= BLOCK
         self.heads, self.window = heads, window
         self.qkv = PartLinear(parts, width, 3 * width)
-        self.out = PartLinear(parts, width, width)
+        self.out = PartLinear(parts, width, width, bias=False)
         # One learned number per head and distance in frames (0 = the frame itself).
         self.offset_bias = nn.Parameter(torch.zeros(parts, heads, window)) if bias else None
 
-    def forward(self, x_PBTD: Tensor) -> Tensor:
+    def forward(self, x_PBTD: Tensor, residual: Tensor) -> Tensor:
         P, B, T, D = x_PBTD.shape
         H, E = self.heads, D // self.heads
         blocks = -(-T // BLOCK)
-        pad = blocks * BLOCK - T
-        q, k, v = self.qkv(x_PBTD).reshape(P, B, T, 3, H, E).unbind(3)
-        q = F.pad(q, (0, 0, 0, 0, 0, pad)).reshape(P, B, blocks, BLOCK, H, E)
-        reach = self.window - 1
-        k, v = (F.pad(t, (0, 0, 0, 0, reach, pad)).unfold(2, BLOCK + reach, BLOCK) for t in (k, v))
-        # unfold leaves (P, B, blocks, H, E, BLOCK + reach)
-        scores = torch.matmul(q.transpose(3, 4), k) / math.sqrt(E)  # (P, B, blocks, H, BLOCK, keys)
-        scores = scores.float() + self._mask(P, blocks, x_PBTD.device)
-        weights = torch.softmax(scores, dim=-1).to(v.dtype)
-        mixed = torch.matmul(weights, v.transpose(-1, -2))  # (P, B, blocks, H, BLOCK, E)
-        mixed = mixed.transpose(3, 4).reshape(P, B, blocks * BLOCK, D)[:, :, :T]
-        return self.out(mixed)
+        qkv = self.qkv(x_PBTD).reshape(P, B, T, 3, H, E).permute(3, 0, 1, 4, 2, 5)
+        qkv = F.pad(qkv, (0, 0, 0, blocks * BLOCK - T)).reshape(3, P, B, H, blocks, BLOCK, E)
+        q, k, v = qkv.unbind(0)
+        k, v = self._with_reach(k), self._with_reach(v)  # (P, B, H, blocks, reach + BLOCK, E)
+        scores = torch.matmul(q, k.transpose(-1, -2))
+        mask = self._mask(P, blocks, x_PBTD.device)
+        weights = torch.softmax(torch.add(mask, scores, alpha=1.0 / math.sqrt(E)), dim=-1).to(v.dtype)
+        mixed = torch.matmul(weights, v).reshape(P, B, H, blocks * BLOCK, E)[:, :, :, :T]
+        return self.out(mixed.transpose(2, 3).reshape(P, B, T, D), residual)
+
+    def _with_reach(self, x: Tensor) -> Tensor:
+        """Each block (..., blocks, BLOCK, E) with the last W - 1 rows of the block before in front."""
+        tails = x[..., :-1, BLOCK - self.window + 1 :, :]
+        tails = F.pad(tails, (0, 0, 0, 0, 1, 0))
+        return torch.cat([tails, x], dim=-2)
 
     def _mask(self, parts: int, blocks: int, device: torch.device) -> Tensor:
-        """Additive mask, broadcastable to (P, B, blocks, H, BLOCK, keys): the bias inside the window, -inf outside."""
+        """Additive mask, broadcastable to (P, B, H, blocks, BLOCK, keys): the bias inside the window, -inf outside."""
         reach = self.window - 1
         query = torch.arange(BLOCK, device=device)[:, None]
         key = torch.arange(BLOCK + reach, device=device)[None, :] - reach
         distance = query - key
         inside = (distance >= 0) & (distance < self.window)
-        first = inside & (key >= 0)  # before the first frame there is nothing
-        allowed = torch.stack([first] + [inside] * (blocks - 1))
+        # Before the first frame there is nothing.
+        allowed = torch.stack([inside & (key >= 0)] + [inside] * (blocks - 1))
         zero = torch.zeros((), device=device)
-        mask = torch.where(allowed, zero, zero - torch.inf)[None, None, :, None]
+        mask = torch.where(allowed, zero, zero - torch.inf)
         if self.offset_bias is None:
             return mask
         bias = self.offset_bias[:, :, distance.clamp(0, self.window - 1)]
-        return mask + bias.reshape(parts, 1, 1, self.heads, BLOCK, BLOCK + reach)
+        return mask + bias.reshape(parts, 1, self.heads, 1, BLOCK, BLOCK + reach)
 
-    def step(self, x_PBD: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor) -> Tensor:
+    def step(
+        self, x_PBD: Tensor, residual: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
+    ) -> Tensor:
         """One frame against a ring of W keys and values, which it writes into.
 
         Args:
             x_PBD: the new frame.
+            residual: (P, B, D) what the result is added to.
             keys, values: (P, B, H, W, E) rings, changed in place.
             slot: the place in the ring of this frame.
             bias: (P, 1, H, 1, W) per ring place, -inf where nothing has been written yet.
@@ -78,7 +85,7 @@ class LocalAttention(nn.Module):
         values[:, :, :, slot] = v
         scores = torch.matmul(q.unsqueeze(-2), keys.transpose(-1, -2)) / math.sqrt(E) + bias
         mixed = torch.matmul(torch.softmax(scores, dim=-1), values)
-        return self.out(mixed.reshape(P, B, D))
+        return self.out(mixed.reshape(P, B, D), residual)
 
     def ring_bias(self, frame: int, device: torch.device) -> Tensor:
         """The bias (P, 1, H, 1, W) of step() at a frame counted from the start of the stream."""

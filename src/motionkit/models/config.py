@@ -63,5 +63,7 @@ class ModelConfig:
         """The config a model file holds; raises ModelError for fields this release does not know."""
         unknown = set(values) - {f.name for f in fields(cls)}
         if unknown:
-            raise ModelError(f"the model was made by another release: unknown settings {', '.join(sorted(unknown))}")
+            raise ModelError(
+                f"the model was made by another release: unknown settings {', '.join(sorted(unknown))}"
+            )
         return cls(**values)

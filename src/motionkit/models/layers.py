@@ -13,43 +13,53 @@ from torch import Tensor, nn
 
 
 class PartLinear(nn.Module):
-    """P linear maps (P, ..., in) -> (P, ..., out), one per part."""
+    """P linear maps (P, ..., in) -> (P, ..., out), one per part.
 
-    def __init__(self, parts: int, inputs: int, outputs: int) -> None:
+    Without a bias the map can be added to a residual in the same product, which saves a pass over memory.
+    """
+
+    def __init__(self, parts: int, inputs: int, outputs: int, bias: bool = True) -> None:
         super().__init__()
         bound = 1.0 / math.sqrt(inputs)
         self.weight = nn.Parameter(torch.empty(parts, inputs, outputs).uniform_(-bound, bound))
-        self.bias = nn.Parameter(torch.zeros(parts, 1, outputs))
+        self.bias = nn.Parameter(torch.zeros(parts, 1, outputs)) if bias else None
 
-    def forward(self, x: Tensor) -> Tensor:
-        flat = x.reshape(x.shape[0], -1, x.shape[-1])
-        out = torch.baddbmm(self.bias, flat, self.weight)
-        return out.reshape(*x.shape[:-1], self.weight.shape[-1])
+    def forward(self, x: Tensor, residual: Tensor | None = None) -> Tensor:
+        shape = (*x.shape[:-1], self.weight.shape[-1])
+        x = x.reshape(x.shape[0], -1, x.shape[-1])
+        if residual is not None:
+            assert self.bias is None
+            return torch.baddbmm(residual.reshape(shape[0], -1, shape[-1]), x, self.weight).reshape(shape)
+        out = torch.bmm(x, self.weight) if self.bias is None else torch.baddbmm(self.bias, x, self.weight)
+        return out.reshape(shape)
 
 
 class PartNorm(nn.Module):
-    """Layer normalisation with scale and shift per part."""
+    """Layer normalisation; with a scale and shift per part only where no linear map follows to absorb them."""
 
-    def __init__(self, parts: int, width: int) -> None:
+    def __init__(self, parts: int, width: int, affine: bool) -> None:
         super().__init__()
-        self.scale = nn.Parameter(torch.ones(parts, 1, width))
-        self.shift = nn.Parameter(torch.zeros(parts, 1, width))
+        self.scale = nn.Parameter(torch.ones(parts, 1, 1, width)) if affine else None
+        self.shift = nn.Parameter(torch.zeros(parts, 1, 1, width)) if affine else None
 
     def forward(self, x: Tensor) -> Tensor:
-        flat = F.layer_norm(x.reshape(x.shape[0], -1, x.shape[-1]), x.shape[-1:])
-        return (flat * self.scale + self.shift).reshape(x.shape)
+        out = F.layer_norm(x, x.shape[-1:])
+        if self.scale is None or self.shift is None:
+            return out
+        scale, shift = (t if x.dim() == 4 else t[:, 0] for t in (self.scale, self.shift))
+        return out * scale + shift
 
 
 class FeedForward(nn.Module):
     """Two linear layers with a ReLU between them, per part."""
 
-    def __init__(self, parts: int, inputs: int, hidden: int, outputs: int) -> None:
+    def __init__(self, parts: int, inputs: int, hidden: int, outputs: int, bias: bool = True) -> None:
         super().__init__()
         self.inner = PartLinear(parts, inputs, hidden)
-        self.outer = PartLinear(parts, hidden, outputs)
+        self.outer = PartLinear(parts, hidden, outputs, bias)
 
-    def forward(self, x: Tensor) -> Tensor:
-        return self.outer(F.relu(self.inner(x)))
+    def forward(self, x: Tensor, residual: Tensor | None = None) -> Tensor:
+        return self.outer(F.relu(self.inner(x)), residual)
 
 
 def spatial_dropout(x: Tensor, rate: float, training: bool) -> Tensor:

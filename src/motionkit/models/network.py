@@ -5,6 +5,7 @@ Paper section 4.1. Shape legend: P parts, B batch, T frames, F features (276), C
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -45,31 +46,38 @@ class AttentionLayer(nn.Module):
     def __init__(self, parts: int, config: ModelConfig) -> None:
         super().__init__()
         self.pre = config.norm == "pre"
-        self.attention_norm = PartNorm(parts, config.width)
-        self.attention = LocalAttention(
-            parts, config.width, config.heads, config.window, bias=config.position == "bias"
-        )
-        self.ffn_norm = PartNorm(parts, config.width)
-        self.ffn = FeedForward(parts, config.width, config.ffn, config.width)
+        D = config.width
+        self.attention_norm = PartNorm(parts, D, affine=not self.pre)
+        self.attention = LocalAttention(parts, D, config.heads, config.window, bias=config.position == "bias")
+        self.ffn_norm = PartNorm(parts, D, affine=not self.pre)
+        self.ffn = FeedForward(parts, D, config.ffn, D, bias=False)
         self.control = (
-            PartLinear(parts, config.control_width, config.width) if config.layer_controls else None
+            PartLinear(parts, config.control_width, D, bias=False) if config.layer_controls else None
         )
 
     def forward(self, x_PBTD: Tensor, controls: Tensor) -> Tensor:
         return self._residuals(x_PBTD, controls, self.attention)
 
-    def step(self, x_PBD: Tensor, controls: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor) -> Tensor:
+    def step(
+        self, x_PBD: Tensor, controls: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
+    ) -> Tensor:
         """One frame; see LocalAttention.step."""
-        return self._residuals(x_PBD, controls, lambda x: self.attention.step(x, keys, values, slot, bias))
 
-    def _residuals(self, x: Tensor, controls: Tensor, attention) -> Tensor:  # noqa: ANN001
+        def attention(x: Tensor, residual: Tensor) -> Tensor:
+            return self.attention.step(x, residual, keys, values, slot, bias)
+
+        return self._residuals(x_PBD, controls, attention)
+
+    def _residuals(
+        self, x: Tensor, controls: Tensor, attention: Callable[[Tensor, Tensor], Tensor]
+    ) -> Tensor:
         if self.control is not None:
-            x = x + self.control(controls)
+            x = self.control(controls, x)
         if self.pre:
-            x = x + attention(self.attention_norm(x))
-            return x + self.ffn(self.ffn_norm(x))
-        x = self.attention_norm(x + attention(x))
-        return self.ffn_norm(x + self.ffn(x))
+            x = attention(self.attention_norm(x), x)
+            return self.ffn(self.ffn_norm(x), x)
+        x = self.attention_norm(attention(x, x))
+        return self.ffn_norm(self.ffn(x, x))
 
 
 class AutoRegressiveModule(nn.Module):
@@ -82,7 +90,7 @@ class AutoRegressiveModule(nn.Module):
         self.embed = PartLinear(parts, kernel * inputs, motion_width)
         self.embed_controls = PartLinear(parts, control_size, config.control_width)
         self.layers = nn.ModuleList(AttentionLayer(parts, config) for _ in range(config.layers))
-        self.final_norm = PartNorm(parts, config.width) if config.norm == "pre" else None
+        self.final_norm = PartNorm(parts, config.width, affine=False) if config.norm == "pre" else None
         self.register_buffer("embed_mask", torch.ones(1), persistent=False)
 
     def restrict_embedding(self, mask: Tensor) -> None:
