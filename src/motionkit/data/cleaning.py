@@ -9,13 +9,24 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_angle, quat_continuous, quat_slerp
+from motionkit.motion.rotations import (
+    quat_angle,
+    quat_continuous,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+    quat_slerp,
+)
 from motionkit.motion.skeleton import JOINT_NAMES
 
 # Height of the toe joint (ball of the foot) above the floor while the foot stands on it, in cm: the
@@ -47,6 +58,18 @@ ROOT_POP = 1.2
 ROOT_POP_RATIO = 4.0
 JUMP_LEFT = math.radians(60.0)
 
+# Flips: hip and ankle stay, but knee and toes jump to the other side of the line between them, and back
+# some frames later. A limb is (upper, middle, end).
+LIMBS = tuple(
+    (JOINT_NAMES.index(side + upper), JOINT_NAMES.index(side + middle), JOINT_NAMES.index(side + end))
+    for side in ("Left", "Right")
+    for upper, middle, end in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
+)
+FLIP_JUMP = math.radians(40.0)
+FLIP_FULL = math.radians(150.0)
+FLIP_SECONDS = 0.25
+FLIP_TURN = math.radians(75.0)
+
 # Stance: toes this slow, gathered in the lowest well-filled band of heights.
 STANCE_SPEED = 20.0
 STANCE_BAND = 6.0
@@ -63,6 +86,7 @@ class CleaningReport:
         lead_in: frames cut at the start (T-pose, the blend out of it, bad first frames).
         lead_out: frames cut at the end.
         pops: (source frame, joint) of every frame mended; "root position" stands for the root's place.
+            A flipped limb is listed under its thigh or upper arm.
         floor_shift: cm added to the root height.
         notes: what was seen and left as it is.
     """
@@ -82,12 +106,13 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     mended, _ = _mend_pops(motion)  # so that a pop near an edge is not taken for a break
     start, end = _good_span(mended)
     cut = motion.cut(start, end)
+    cut, flips = _mend_flips(cut)
     cut, pops = _mend_pops(cut)
     shift, floor_notes = _floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = torch.tensor([0.0, shift, 0.0], dtype=cut.root_positions.dtype)
     report = CleaningReport(
-        start, len(motion) - end, tuple(sorted((t + start, name) for t, name in pops)), shift, notes
+        start, len(motion) - end, tuple(sorted({(t + start, name) for t, name in pops + flips})), shift, notes
     )
     return replace(cut, root_positions=cut.root_positions + up), report
 
@@ -174,10 +199,8 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
         if len(motion) < span + 2:
             break
         for frame, joint in _joint_pops(rotations, span):
-            ends = rotations[frame - 1, joint], rotations[frame + span, joint]
-            fractions = torch.arange(1, span + 1, dtype=rotations.dtype) / (span + 1)
-            rotations[frame : frame + span, joint] = quat_slerp(
-                ends[0].expand(span, 4), ends[1].expand(span, 4), fractions
+            rotations[frame : frame + span, joint] = _bridge(
+                rotations[frame - 1, joint], rotations[frame + span, joint], span
             )
             mended.extend((frame + i, JOINT_NAMES[joint]) for i in range(span))
     for frame in _root_pops(places):
@@ -225,6 +248,62 @@ def _step_at(steps: Tensor, frames: Tensor, joints: Tensor) -> Tensor:
     """Steps at these frames and joints, zero beyond the ends."""
     inside = (frames >= 0) & (frames < len(steps))
     return torch.where(inside, steps[frames.clamp(0, len(steps) - 1), joints], torch.zeros(()))
+
+
+def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion with knees and elbows back on their side, and the frames and upper joints mended.
+
+    The limb is swung about the line from its first joint to its last, which both stay in place, to
+    where it lies between the good frames around; the end joint bridges the span.
+    """
+    rotations = motion.local_rotations.clone()
+    mended: list[tuple[int, str]] = []
+    for upper, middle, end in LIMBS:
+        for first, last in _flipped_spans(rotations[:, upper], rotations[:, end], motion.fps):
+            span, count = slice(first, last + 1), last + 1 - first
+            wanted = _bridge(rotations[first - 1, upper], rotations[last + 1, upper], count)
+            reach = motion.skeleton.offsets[middle] + quat_rotate(
+                rotations[span, middle], motion.skeleton.offsets[end]
+            )
+            line = F.normalize(quat_rotate(rotations[span, upper], reach), dim=-1)
+            swing = _twist(quat_multiply(wanted, quat_inverse(rotations[span, upper])), line)
+            rotations[span, upper] = quat_multiply(swing, rotations[span, upper])
+            rotations[span, end] = _bridge(rotations[first - 1, end], rotations[last + 1, end], count)
+            mended.extend((frame, JOINT_NAMES[upper]) for frame in range(first, last + 1))
+    if not mended:
+        return motion, []
+    return replace(motion, local_rotations=quat_continuous(rotations)), mended
+
+
+def _flipped_spans(upper: Tensor, end: Tensor, fps: float) -> list[tuple[int, int]]:
+    """First and last frame of every short span in which a limb (T, 4), (T, 4) lies on its wrong side."""
+    jumps = (_angle(upper[:-1], upper[1:]) > FLIP_JUMP) & (_angle(end[:-1], end[1:]) > FLIP_JUMP)
+    events = torch.nonzero(jumps).flatten().tolist()
+    spans: list[tuple[int, int]] = []
+    for away, back in pairwise(events):
+        taken = bool(spans) and away < spans[-1][1] + 1
+        if taken or back - away > FLIP_SECONDS * fps:
+            continue
+        ends_apart = float(_angle(upper[away], upper[back + 1]))
+        jump = float(_angle(upper[away], upper[away + 1]))
+        if ends_apart < FLIP_TURN * min(1.0, jump / FLIP_FULL):
+            spans.append((away + 1, back))
+    return spans
+
+
+def _bridge(before: Tensor, after: Tensor, count: int) -> Tensor:
+    """Rotations (count, 4) evenly between two (4)."""
+    fractions = torch.arange(1, count + 1, dtype=before.dtype) / (count + 1)
+    return quat_slerp(before.expand(count, 4), after.expand(count, 4), fractions)
+
+
+def _twist(rotations: Tensor, axes: Tensor) -> Tensor:
+    """The part (..., 4) of rotations (..., 4) that turns about unit axes (..., 3)."""
+    along = (rotations[..., 1:] * axes).sum(dim=-1, keepdim=True)
+    part = torch.cat([rotations[..., :1], along * axes], dim=-1)
+    # Half a turn about an axis at right angles has no such part; any twist will do.
+    none = part.norm(dim=-1, keepdim=True) < 1e-6
+    return quat_normalize(torch.where(none, quat_identity(dtype=part.dtype), part))
 
 
 def _root_pops(places: Tensor) -> list[int]:
