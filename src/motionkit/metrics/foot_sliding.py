@@ -1,0 +1,34 @@
+"""Average foot sliding (AFS): how far feet near the ground move along it."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import MotionkitError
+from motionkit.metrics.ground import ground_speed
+from motionkit.metrics.value import MetricSettings, MetricValue
+
+
+def average_foot_sliding(feet: Tensor, floor: float, settings: MetricSettings | None = None) -> MetricValue:
+    """AFS in cm per frame (paper, equation AFS): ground speed, weighted 1 on the floor down to 0 at height H.
+
+    Args:
+        feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
+        floor: height of the floor in cm.
+        settings: the heights H, foot_height and toe_height.
+
+    Raises MotionkitError for fewer than two frames.
+    """
+    settings = settings or MetricSettings()
+    if len(feet) < 2:
+        raise MotionkitError(f"average foot sliding needs at least 2 frames, found {len(feet)}")
+    limits = torch.tensor([settings.foot_height, settings.toe_height] * 2, dtype=torch.float64)
+    exponent = ((feet[1:, :, 1].double() - floor) / limits).clamp(0.0, 1.0)
+    sliding = ground_speed(feet) * (2.0 - torch.exp2(exponent))
+    parameters: dict[str, float | str] = {
+        "foot_height_cm": settings.foot_height,
+        "toe_height_cm": settings.toe_height,
+        "floor_cm": floor,
+    }
+    return MetricValue("afs", float(sliding.mean()), "cm/frame", parameters)

@@ -1,0 +1,69 @@
+"""A BVH file in, a motion on the canonical joints out, with remarks on what had to be done."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+
+from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
+
+PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin from a small child to a giant
+
+
+def load_canonical(
+    path: str | Path, scale: float | None = None, fps: float | None = None
+) -> tuple[Motion, list[str]]:
+    """A file's motion on the 23 canonical joints in cm at its own rate, and remarks for the reader.
+
+    A file that already has the 23 joints keeps its proportions and is taken to be in cm unless a scale
+    is given; any other rig is retargeted.
+
+    Raises BvhError for a file that cannot be read and SkeletonError for a rig that cannot be mapped.
+    """
+    bvh = read_bvh(path)
+    order = _canonical_order(bvh.skeleton)
+    if order is None:
+        from motionkit.motion.retarget import retarget_file
+
+        motion, _ = retarget_file(path, scale=scale, fps=fps)
+        joints = len(bvh.skeleton)
+        return motion, [f"{Path(path).name}: {joints} joints mapped onto the {JOINT_COUNT} canonical joints"]
+    motion = _reordered(bvh_to_motion(bvh, scale or 1.0, fps), order)
+    leg = leg_length(motion.skeleton)
+    if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
+        return motion, []
+    return motion, [f"{Path(path).name}: legs of {leg:.3g} cm; if the file is not in cm, give its scale"]
+
+
+def _canonical_order(skeleton: Skeleton) -> list[int] | None:
+    """For each canonical joint its index in a skeleton of the same joints and hierarchy, else None."""
+    if set(skeleton.names) != set(JOINT_NAMES) or len(skeleton) != JOINT_COUNT:
+        return None
+    for joint, name in enumerate(JOINT_NAMES):
+        parent = skeleton.parents[skeleton.index(name)]
+        if (skeleton.names[parent] if parent >= 0 else None) != (
+            JOINT_NAMES[PARENTS[joint]] if joint else None
+        ):
+            return None
+    return [skeleton.index(name) for name in JOINT_NAMES]
+
+
+def _reordered(motion: Motion, order: list[int]) -> Motion:
+    skeleton = motion.skeleton
+    place = {old: new for new, old in enumerate(order)}
+    picked = torch.tensor(order)
+    return replace(
+        motion,
+        skeleton=Skeleton(
+            JOINT_NAMES,
+            PARENTS,
+            skeleton.offsets[picked],
+            {place[j]: end for j, end in skeleton.end_sites.items()},
+        ),
+        local_rotations=motion.local_rotations[:, picked],
+        local_positions=None if motion.local_positions is None else motion.local_positions[:, picked],
+    )

@@ -1,0 +1,27 @@
+"""Mean per joint position error (MPJPE), relative to the root."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from motionkit.errors import MotionkitError
+from motionkit.metrics.value import MetricValue
+
+
+def mean_position_error(generated: Tensor, reference: Tensor) -> MetricValue:
+    """MPJPE in cm (paper, equation MPJPE): joints relative to the root's position, heading kept.
+
+    Args:
+        generated, reference: (T, J, 3) global positions in cm, the root first.
+
+    Raises MotionkitError if the shapes differ or hold no frames.
+    """
+    if generated.shape != reference.shape:
+        raise MotionkitError(
+            f"MPJPE needs equal shapes, found {tuple(generated.shape)} and {tuple(reference.shape)}"
+        )
+    if len(generated) == 0:
+        raise MotionkitError("MPJPE needs at least 1 frame, found 0")
+    generated, reference = generated.double(), reference.double()
+    error = (generated - generated[:, :1]) - (reference - reference[:, :1])
+    return MetricValue("mpjpe", float(error.norm(dim=-1).mean()), "cm", {"joints": float(error.shape[1])})

@@ -1,0 +1,308 @@
+"""All metrics of a motion, alone or beside its ground truth, aligned where that is honest."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.features.heading import heading_angles
+from motionkit.metrics.body_movement import body_movement
+from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.metrics.ground import floor_height, foot_positions, foot_skate_ratio, penetration
+from motionkit.metrics.loading import load_canonical
+from motionkit.metrics.position_error import mean_position_error
+from motionkit.metrics.similarity import joint_expmaps, structural_similarity
+from motionkit.metrics.smoothness import mean_jerk
+from motionkit.metrics.trajectory import ground_track, trajectory_distance
+from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, leg_length
+
+# Unit and the value of the ground truth against itself, for metrics that need a pair.
+PAIR_METRICS: dict[str, tuple[str, float]] = {
+    "ssim-channel": ("", 1.0),
+    "ssim-window": ("", 1.0),
+    "mpjpe": ("cm", 0.0),
+    "path-mean": ("cm/frame", 0.0),
+    "path-max": ("cm", 0.0),
+    "path-coverage": ("", 1.0),
+}
+_WITHOUT_RATIO = ("floor-height",)
+
+
+@dataclass(frozen=True)
+class MetricRow:
+    """One metric of a motion and, where there is one, of its ground truth."""
+
+    motion: MetricValue
+    ground_truth: MetricValue | None = None
+
+    @property
+    def id(self) -> str:
+        """The id of the definition."""
+        return self.motion.id
+
+    @property
+    def ratio(self) -> float | None:
+        """The motion's value over the ground truth's, or None where that says nothing."""
+        base = None if self.ground_truth is None else self.ground_truth.value
+        if self.motion.value is None or not base or self.id in _WITHOUT_RATIO:
+            return None
+        return self.motion.value / base
+
+
+@dataclass(frozen=True)
+class MetricReport:
+    """Every metric of one evaluation.
+
+    Attributes:
+        rows: the metrics, in the order they are printed.
+        frames: frames that were compared, at fps.
+        fps: the rate of the per-frame metrics.
+        notes: what was done to make the motions comparable, and what the numbers then contain.
+    """
+
+    rows: tuple[MetricRow, ...]
+    frames: int
+    fps: float = FRAME_RATE
+    notes: tuple[str, ...] = ()
+
+    def value(self, metric_id: str) -> float | None:
+        """The motion's value by id; raises MotionkitError for an id that is not in the report."""
+        for row in self.rows:
+            if row.id == metric_id:
+                return row.motion.value
+        raise MotionkitError(f"no metric {metric_id!r} among {', '.join(row.id for row in self.rows)}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "frames": self.frames,
+            "fps": self.fps,
+            "metrics": [_row_dict(row) for row in self.rows],
+            "notes": list(self.notes),
+        }
+
+
+def _row_dict(row: MetricRow) -> dict[str, Any]:
+    out: dict[str, Any] = {"id": row.id, "unit": row.motion.unit, "value": row.motion.value}
+    out["parameters"] = row.motion.parameters
+    if row.motion.reason:
+        out["reason"] = row.motion.reason
+    if row.ground_truth is not None:
+        out["ground_truth"] = row.ground_truth.value
+        out["ground_truth_parameters"] = row.ground_truth.parameters
+        out["ratio"] = row.ratio
+        if row.ground_truth.reason:
+            out["ground_truth_reason"] = row.ground_truth.reason
+    return out
+
+
+def evaluate_motion(
+    motion: Motion,
+    reference: Motion | None = None,
+    settings: MetricSettings | None = None,
+    skip: int = 0,
+    align_start: bool = False,
+) -> MetricReport:
+    """Every metric that one motion, or a motion beside its ground truth, can give.
+
+    Both are brought to 60 fps and compared over the frames they share, counted from the first; the
+    report's notes say so where it changed anything.
+
+    Args:
+        motion: on the 23 canonical joints, in cm, at any rate.
+        reference: its ground truth, likewise.
+        settings: thresholds; the documented definitions if None.
+        skip: frames at 60 fps to leave out at the start of both, such as the frames a synthesis was given.
+        align_start: turn and move the motion along the ground so that both start alike.
+
+    Raises MotionkitError where no two frames are left to compare, a number is not finite, or a skeleton
+    is not the canonical one.
+    """
+    settings = settings or MetricSettings()
+    motions = [motion] if reference is None else [motion, reference]
+    for each, name in zip(motions, _names(motions), strict=True):
+        _check(each, name)
+    notes = _rate_notes(motions)
+    if reference is not None and align_start:
+        motions[0] = placed_like(motion, reference)
+        notes.append("generated motion turned and moved along the ground to start as the ground truth does")
+    whole = [resample(each, FRAME_RATE) for each in motions]
+    frames = min(len(each) for each in whole)
+    if frames - skip < 2:
+        lengths = " and ".join(str(len(each)) for each in reversed(whole))
+        raise MotionkitError(
+            f"nothing to compare: {lengths} frames at 60 fps with {skip} skipped leave fewer than 2"
+        )
+    notes += _length_notes(whole, frames, skip)
+    cut = [each.cut(skip, frames) for each in whole]
+    rate = min([FRAME_RATE, *(each.fps for each in motions)])
+    if rate < FRAME_RATE:
+        notes.append(
+            f"jerk is taken at {rate:g} fps, the lowest rate given; body movement between the frames of "
+            "such a file is interpolated and reads low"
+        )
+    spans = [_same_time(each, skip, frames) for each in motions]
+    columns = [_own_metrics(c, s, rate, settings) for c, s in zip(cut, spans, strict=True)]
+    if reference is None:
+        rows = [MetricRow(value) for value in columns[0]]
+    else:
+        notes += _body_notes(motion, reference)
+        rows = [MetricRow(mine, theirs) for mine, theirs in zip(*columns, strict=True)]
+        rows += _pair_metrics(cut[0], cut[1], settings)
+    return MetricReport(tuple(rows), frames - skip, FRAME_RATE, tuple(notes))
+
+
+def evaluate_files(
+    ground_truth: str | Path,
+    generated: str | Path | None = None,
+    settings: MetricSettings | None = None,
+    skip: int = 0,
+    align_start: bool = False,
+    scales: tuple[float | None, float | None] = (None, None),
+    rates: tuple[float | None, float | None] = (None, None),
+) -> MetricReport:
+    """evaluate_motion for BVH files of any rig: both are first mapped onto the 23 canonical joints.
+
+    Args:
+        ground_truth: the file to measure, or to measure against.
+        generated: the file to measure beside it.
+        settings, skip, align_start: as in evaluate_motion.
+        scales: cm per file unit of both, to override what the files suggest.
+        rates: fps of both, where a header is wrong.
+
+    Raises MotionkitError as evaluate_motion does, BvhError and SkeletonError for files that cannot be used.
+    """
+    first, notes = load_canonical(ground_truth, scales[0], rates[0])
+    if generated is None:
+        report = evaluate_motion(first, None, settings, skip)
+    else:
+        second, more = load_canonical(generated, scales[1], rates[1])
+        notes += more
+        report = evaluate_motion(second, first, settings, skip, align_start)
+    return replace(report, notes=(*notes, *report.notes))
+
+
+def placed_like(motion: Motion, reference: Motion) -> Motion:
+    """The motion turned about Y and moved along the ground so that its first frame faces and stands alike."""
+    yaws = [heading_angles(motion_kinematics(each)[1], each.fps)[0] for each in (motion, reference)]
+    turn = quat_from_yaw(yaws[1] - yaws[0]).to(motion.local_rotations.dtype)
+    rotations = motion.local_rotations.clone()
+    rotations[:, 0] = quat_multiply(turn.expand_as(rotations[:, 0]), rotations[:, 0])
+    places = quat_rotate(turn, motion.root_positions - motion.root_positions[0])
+    places[:, 1] += motion.root_positions[0, 1]
+    places[:, [0, 2]] += reference.root_positions[0, [0, 2]].to(places.dtype)
+    return replace(motion, local_rotations=rotations, root_positions=places)
+
+
+def _check(motion: Motion, name: str) -> None:
+    if motion.skeleton.names != JOINT_NAMES:
+        raise SkeletonError(
+            f"metrics need the {len(JOINT_NAMES)} canonical joints; the {name} has {len(motion.skeleton)}"
+        )
+    if not motion.fps > 0 or not math.isfinite(motion.fps):
+        raise MotionkitError(f"the {name} has {motion.fps} frames per second, expected a rate above 0")
+    for values in (motion.local_rotations, motion.root_positions):
+        if not bool(torch.isfinite(values).all()):
+            frame = int((~torch.isfinite(values.flatten(1)).all(dim=1)).nonzero()[0])
+            raise MotionkitError(f"the {name} holds a number that is not finite in frame {frame}")
+
+
+def _own_metrics(
+    motion: Motion, native: Motion, jerk_rate: float, settings: MetricSettings
+) -> list[MetricValue]:
+    """What one motion can give: motion at 60 fps, and the same time at its native rate for the jerk."""
+    positions = motion_kinematics(motion)[1].double()
+    feet = foot_positions(positions)
+    floor = floor_height(feet) if settings.floor is None else settings.floor
+    native_positions = positions if native is motion else motion_kinematics(native)[1].double()
+    source = "own" if settings.floor is None else "given"
+    return [
+        *_measured(lambda: body_movement(motion.local_rotations, "euler"), {"bm-euler": "deg/frame"}),
+        *_measured(lambda: body_movement(motion.local_rotations, "geodesic"), {"bm-geodesic": "deg/frame"}),
+        *_measured(lambda: average_foot_sliding(feet, floor, settings), {"afs": "cm/frame"}),
+        *_measured(lambda: foot_skate_ratio(feet, floor, settings), {"skate-ratio": ""}),
+        *_measured(lambda: mean_jerk(native_positions, native.fps, jerk_rate), {"jerk": "m/s^3"}),
+        *_measured(lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
+        MetricValue("floor-height", floor, "cm", {"floor": source}),
+    ]
+
+
+def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -> list[MetricRow]:
+    mine, theirs = joint_expmaps(motion), joint_expmaps(reference)
+    places, true_places = motion_kinematics(motion)[1], motion_kinematics(reference)[1]
+    track, path = ground_track(motion.root_positions), ground_track(reference.root_positions)
+    values = [
+        *_measured(lambda: structural_similarity(mine, theirs, "channel", settings), _units("ssim-channel")),
+        *_measured(lambda: structural_similarity(mine, theirs, "window", settings), _units("ssim-window")),
+        *_measured(lambda: mean_position_error(places, true_places), _units("mpjpe")),
+        *_measured(
+            lambda: trajectory_distance(track, path, settings.path_tolerance).values(),
+            _units("path-mean", "path-max", "path-coverage"),
+        ),
+    ]
+    return [
+        MetricRow(value, replace(value, value=PAIR_METRICS[value.id][1], reason=None)) for value in values
+    ]
+
+
+def _units(*ids: str) -> dict[str, str]:
+    return {metric_id: PAIR_METRICS[metric_id][0] for metric_id in ids}
+
+
+def _measured(
+    measure: Callable[[], MetricValue | tuple[MetricValue, ...]], units: dict[str, str]
+) -> tuple[MetricValue, ...]:
+    """The values, or for each id a value of None with the reason for the refusal."""
+    try:
+        result = measure()
+    except MotionkitError as error:
+        return tuple(MetricValue(name, None, unit, reason=str(error)) for name, unit in units.items())
+    return result if isinstance(result, tuple) else (result,)
+
+
+def _same_time(motion: Motion, skip: int, frames: int) -> Motion:
+    """The native frames within the time that frames skip to frames (exclusive) span at 60 fps."""
+    per_frame = motion.fps / FRAME_RATE
+    start = math.ceil(skip * per_frame - 1e-6)
+    return motion.cut(start, math.floor((frames - 1) * per_frame + 1e-6) + 1)
+
+
+def _names(motions: list[Motion]) -> list[str]:
+    return ["motion"] if len(motions) == 1 else ["generated motion", "ground truth"]
+
+
+def _rate_notes(motions: list[Motion]) -> list[str]:
+    return [
+        f"{name}: {motion.fps:g} fps, resampled to {FRAME_RATE:g}"
+        for name, motion in zip(_names(motions), motions, strict=True)
+        if abs(motion.fps - FRAME_RATE) > 1e-6 * FRAME_RATE
+    ]
+
+
+def _length_notes(motions: list[Motion], frames: int, skip: int) -> list[str]:
+    notes = [f"the first {skip} frames are left out"] if skip else []
+    if len({len(motion) for motion in motions}) > 1:
+        mine, theirs = (len(motion) for motion in motions)
+        notes.append(f"ground truth {theirs} frames, generated {mine}: compared over the first {frames}")
+    return notes
+
+
+def _body_notes(motion: Motion, reference: Motion) -> list[str]:
+    difference = (motion.skeleton.offsets - reference.skeleton.offsets).norm(dim=-1).mean()
+    if motion.local_positions is not None or reference.local_positions is not None or difference < 0.1:
+        return []
+    legs = [leg_length(each.skeleton) for each in (reference, motion)]
+    return [
+        f"the bodies differ by {float(difference):.2g} cm a bone (legs {legs[0]:.1f} and {legs[1]:.1f} cm); "
+        "mpjpe contains that"
+    ]

@@ -1,0 +1,41 @@
+"""A measured number that says how it was measured, and the settings every measurement shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+FRAME_RATE = 60.0  # per-frame metrics are per frame at this rate
+
+
+@dataclass(frozen=True)
+class MetricValue:
+    """One number with the id of its definition (docs/metrics.md).
+
+    Attributes:
+        id: the definition, such as "bm-euler".
+        value: the number, or None where it cannot honestly be given.
+        unit: "cm/frame", "deg/frame", "cm", "m/s^3", or "" for a plain share or index.
+        parameters: the thresholds the value depends on.
+        reason: why there is no value.
+    """
+
+    id: str
+    value: float | None
+    unit: str
+    parameters: dict[str, float | str] = field(default_factory=dict)
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class MetricSettings:
+    """Thresholds of the metrics; the defaults are the documented definitions."""
+
+    foot_height: float = 10.85  # cm, H of the foot joints in AFS (paper, equation AFS)
+    toe_height: float = 1.55  # cm, H of the toe joints in AFS (paper, equation AFS)
+    skate_height: float = 2.5  # cm above the floor below which a toe counts as standing
+    skate_speed: float = 50.0  # cm/s along the ground above which a standing toe skates
+    ssim_window: int = 11  # frames (paper, section Metrics)
+    ssim_k1: float = 0.01
+    ssim_k2: float = 0.03
+    path_tolerance: float = 10.0  # cm within which a stretch of the reference path counts as covered
+    floor: float | None = None  # cm, a known floor; None estimates each clip's own
