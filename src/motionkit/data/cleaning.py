@@ -15,7 +15,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     quat_angle,
@@ -103,18 +103,24 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
 
     The last frame is never cut away: a motion of one or two frames comes back with its floor set only.
     """
-    mended, _ = _mend_pops(motion)  # so that a pop near an edge is not taken for a break
-    start, end = _good_span(mended)
-    cut = motion.cut(start, end)
-    cut, flips = _mend_flips(cut)
-    cut, pops = _mend_pops(cut)
+    cut, pops = _mend(motion)  # first, so that a pop near an edge is not taken for a break
+    start, end = _good_span(cut)
+    if end - start < len(motion):
+        cut, pops = _mend(motion.cut(start, end))
     shift, floor_notes = _floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = torch.tensor([0.0, shift, 0.0], dtype=cut.root_positions.dtype)
     report = CleaningReport(
-        start, len(motion) - end, tuple(sorted({(t + start, name) for t, name in pops + flips})), shift, notes
+        start, len(motion) - end, tuple(sorted({(t + start, name) for t, name in pops})), shift, notes
     )
     return replace(cut, root_positions=cut.root_positions + up), report
+
+
+def _mend(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion without flips and pops, and the frames and joints mended."""
+    unflipped, flips = _mend_flips(motion)
+    mended, pops = _mend_pops(unflipped)
+    return mended, flips + pops
 
 
 def _steps(motion: Motion) -> tuple[Tensor, Tensor]:
@@ -125,8 +131,9 @@ def _steps(motion: Motion) -> tuple[Tensor, Tensor]:
 
 def _angle(a: Tensor, b: Tensor) -> Tensor:
     """quat_angle without its axis: the chord of the difference, exact for small angles too."""
-    chord = torch.minimum((a - b).norm(dim=-1), (a + b).norm(dim=-1))
-    return 4.0 * torch.asin((0.5 * chord).clamp(max=1.0))
+    same = (a * b).sum(dim=-1, keepdim=True) >= 0
+    squared = (torch.where(same, a - b, a + b) ** 2).sum(dim=-1)
+    return 4.0 * torch.asin((0.5 * squared.sqrt()).clamp(max=1.0))
 
 
 def _good_span(motion: Motion) -> tuple[int, int]:
@@ -194,15 +201,17 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion with short pops bridged, and their frames and joints."""
     rotations, places = motion.local_rotations.clone(), motion.root_positions.clone()
     longest = max(2, round(LONG_POP_SECONDS * motion.fps))
+    steps = _angle(rotations[:-1], rotations[1:])
     mended: list[tuple[int, str]] = []
-    for span in range(1, longest + 1):
-        if len(motion) < span + 2:
-            break
-        for frame, joint in _joint_pops(rotations, span):
+    for span in range(1, min(longest, len(motion) - 2) + 1):
+        pops = _joint_pops(rotations, steps, span)
+        for frame, joint in pops:
             rotations[frame : frame + span, joint] = _bridge(
                 rotations[frame - 1, joint], rotations[frame + span, joint], span
             )
             mended.extend((frame + i, JOINT_NAMES[joint]) for i in range(span))
+        if pops:
+            steps = _angle(rotations[:-1], rotations[1:])
     for frame in _root_pops(places):
         places[frame] = 0.5 * (places[frame - 1] + places[frame + 1])
         mended.append((frame, "root position"))
@@ -212,14 +221,13 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     return out, sorted(set(mended))
 
 
-def _joint_pops(rotations: Tensor, span: int) -> list[tuple[int, int]]:
-    """First frame and joint of every pop of this many frames in rotations (T, J, 4).
+def _joint_pops(rotations: Tensor, steps: Tensor, span: int) -> list[tuple[int, int]]:
+    """First frame and joint of every pop of this many frames in rotations (T, J, 4) with steps (T - 1, J).
 
     The steps out and back must tower over the steps before and after, and over what is left when the
     span is bridged; that sets a pop apart from a fast swing, whose neighbours are fast as well.
     """
     least, ratio = (POP_JUMP, POP_RATIO) if span <= 2 else (LONG_POP_JUMP, LONG_POP_RATIO)
-    steps = _angle(rotations[:-1], rotations[1:])
     jump = torch.minimum(steps[: len(steps) - span], steps[span:])
     frames, joints = torch.nonzero(jump > least, as_tuple=True)
     if not len(frames):
@@ -339,7 +347,14 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
 
 def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
     """cm to add to the height so that standing toes are at TOE_HEIGHT, and how that was found."""
-    _, positions = motion_kinematics(motion)
+    legs = max(TOES) + 1  # hips and legs come first
+    skeleton = motion.skeleton
+    _, positions = forward_kinematics(
+        motion.local_rotations[:, :legs],
+        motion.root_positions,
+        skeleton.offsets[:legs],
+        skeleton.parents[:legs],
+    )
     toes = positions[:, list(TOES)]
     heights = toes[..., 1]
     slow = heights[_speeds(toes, motion.fps) < STANCE_SPEED]
