@@ -272,7 +272,13 @@ def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], s
         pale = 0.45 * (near - where) / max(near - far, 1e-9)
         if bone is None:
             assert figure.head is not None
-            canvas.dot(*points[figure.head, :2], head, _lighter(SIDE_COLORS[""], 0.7), SIDE_COLORS[""])
+            canvas.dot(
+                points[figure.head, 0],
+                points[figure.head, 1],
+                head,
+                _lighter(SIDE_COLORS[""], 0.7),
+                SIDE_COLORS[""],
+            )
             continue
         side = figure.sides[bone[1]]
         canvas.line(points[list(bone), :2].tolist(), _lighter(SIDE_COLORS[side], pale), 3.2 if side else 4.0)
@@ -310,9 +316,9 @@ def _draw_path(
         turn = figure.facing[frame] - angle
         tip = root[frame] + 13 * np.array([np.cos(turn), np.sin(turn)])
         canvas.line([root[frame].tolist(), tip.tolist()], INK, 1.2)
-        canvas.dot(*root[frame], 2.0, INK)
-    canvas.dot(*root[0], 5.0, WHITE, ROOT_COLOR)
-    canvas.dot(*root[-1], 5.0, ROOT_COLOR)
+        canvas.dot(root[frame][0], root[frame][1], 2.0, INK)
+    canvas.dot(root[0][0], root[0][1], 5.0, WHITE, ROOT_COLOR)
+    canvas.dot(root[-1][0], root[-1][1], 5.0, ROOT_COLOR)
     canvas.text(root[0][0] + 8, root[0][1] - 16, "start", ROOT_COLOR, size=11)
     if len(root) > 1:
         canvas.text(root[-1][0] + 8, root[-1][1] + 4, "end", ROOT_COLOR, size=11)
@@ -329,7 +335,9 @@ def _draw_footprints(
     """A foot that stands leaves a dot, one that slides leaves a streak in the sliding colour."""
     low, slides = low_frames(figure, foot), sliding_frames(figure, foot)
     for frame in np.flatnonzero(low):
-        canvas.dot(*track[frame], 2.2, SLIDE_COLOR if slides[frame] else _lighter(color, 0.45))
+        canvas.dot(
+            track[frame][0], track[frame][1], 2.2, SLIDE_COLOR if slides[frame] else _lighter(color, 0.45)
+        )
 
 
 def _draw_heights(

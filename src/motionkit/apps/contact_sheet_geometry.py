@@ -10,7 +10,7 @@ import torch
 from numpy.typing import NDArray
 
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import joint_sides
+from motionkit.motion.mirror import is_z_up, joint_sides
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
 
@@ -83,7 +83,7 @@ def motion_figure(motion: Motion) -> Figure:
     ends = sorted(skeleton.end_sites)
     tips = [positions[:, j] + quat_rotate(rotations[:, j], torch.tensor(skeleton.end_sites[j])) for j in ends]
     points = torch.stack([*positions.unbind(1), *tips], dim=1).double().numpy()
-    if _is_z_up(points, skeleton.names):
+    if is_z_up(positions, skeleton.names):
         points = np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
     count = len(skeleton)
     bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
@@ -105,17 +105,6 @@ def motion_figure(motion: Motion) -> Figure:
         stature,
         motion.fps,
     )
-
-
-def _is_z_up(points: Array, names: tuple[str, ...]) -> bool:
-    """Whether heads are above feet along Z rather than Y; in rigs without such names, whether Z is taller."""
-    high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
-    low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
-    if high and low:
-        up = (points[:, high].mean(axis=1) - points[:, low].mean(axis=1)).mean(axis=0)
-        return bool(up[2] > abs(up[1]))
-    spread = (points.max(axis=1) - points.min(axis=1)).mean(axis=0)
-    return bool(spread[2] > 1.5 * spread[1])
 
 
 def _stature(points: Array, parents: tuple[int, ...]) -> float:

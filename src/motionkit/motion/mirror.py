@@ -1,9 +1,31 @@
-"""The mirror image of a motion, on the same skeleton, for any rig whose joints have a left and a right."""
+"""The mirror image of a motion, on the same skeleton, for any rig whose joints have a left and a right.
+
+The world is reflected in an upright plane through the origin. The frame of each joint becomes that of
+its twin, seen in the mirror and then reflected once more by signs of its own, because a mirror image
+of a frame is left-handed: where M is the world's reflection and R(j) = diag(+-1, +-1, +-1) with
+determinant -1, the mirrored world rotation of joint j is M G(twin) R(j), and so the local one is
+R(parent) L(twin) R(j). Signs that carry the bones of one side onto those of the other give the exact
+mirror image of all positions when left and right are equally long.
+"""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import mean_rotation, quat_angle, quat_multiply
+from motionkit.motion.skeleton import Skeleton
 
 # How rigs mark a side, from the plainest to the vaguest. A mark counts only when the name with the
 # other side in its place exists too, so that "lowerback" or "rib" are nobody's left or right.
@@ -54,3 +76,333 @@ def joint_sides(names: Sequence[str]) -> tuple[str, ...]:
     """For every joint "left", "right", or "" where it has no twin."""
     paired = _paired_marks(names)
     return tuple(("left" if paired[i][1] else "right") if i in paired else "" for i in range(len(names)))
+
+
+# The reflections a joint's frame may need: of one axis, or of all three, as rigs have it whose right
+# side is built so that equal angles make mirrored poses.
+Signs = tuple[float, float, float]
+_REFLECTIONS: tuple[Signs, ...] = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0))
+# A bone speaks against a reflection that misses it by this share of its length more than another does;
+# the sides of real subjects differ by far less.
+_SPEAKS_AGAINST = 0.5
+# So many of the bones must, for one odd prop or mesh node is not the rig.
+_ODD_SHARE = 0.15
+# Bones shorter than this share of the mean bone have no say: their direction is noise.
+_SHORT_SHARE = 0.05
+# A joint whose place varies less than this share of the mean bone hangs from a rigid bone.
+_RIGID_SHARE = 0.01
+
+
+@dataclass(frozen=True)
+class MirrorPlan:
+    """How to mirror a rig: for every joint its twin and its reflection, and the reflection of the world."""
+
+    twins: tuple[int, ...]
+    world: Signs
+    joints: tuple[Signs, ...]
+
+    def outer(self, skeleton: Skeleton, joint: int) -> Signs:
+        """The reflection on the parent's side of a joint."""
+        return self.joints[skeleton.parents[joint]] if joint else self.world
+
+
+def mirror_plan(motion: Motion) -> MirrorPlan:
+    """Find twins by name and reflections by rest pose and mean pose.
+
+    The plan for a motion and for its mirror image is the same. Raises SkeletonError for a rig without
+    a left and a right, or whose sides hang from different joints.
+    """
+    skeleton = motion.skeleton
+    twins = _checked_twins(skeleton)
+    places, rigid = _mean_places(motion)
+    axis = _common_axis(twins, places, rigid)
+    if axis is not None:
+        signs = _REFLECTIONS[axis]
+        up = 2 if is_z_up(motion_kinematics(motion)[1], skeleton.names) else 1
+        world = _REFLECTIONS[0] if axis == up else signs
+        return MirrorPlan(twins, world, (signs,) * len(skeleton))
+    world = _REFLECTIONS[0]
+    return MirrorPlan(twins, world, _own_reflections(motion, twins, places, rigid, world))
+
+
+def _checked_twins(skeleton: Skeleton) -> tuple[int, ...]:
+    names, parents = skeleton.names, skeleton.parents
+    twins = left_right_twins(names)
+    if all(twin == joint for joint, twin in enumerate(twins)):
+        some = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+        raise SkeletonError(
+            f"no joint has a left and a right by its name, expected some such as LeftArm: {some}"
+        )
+    for joint, twin in enumerate(twins):
+        if twin == joint:
+            continue
+        parent, other = parents[joint], parents[twin]
+        if parent < 0 or other < 0 or twins[parent] != other:
+            hangs = [names[p] if p >= 0 else "nothing" for p in (parent, other)]
+            raise SkeletonError(
+                f"{names[joint]} hangs from {hangs[0]} but {names[twin]} from {hangs[1]}; "
+                "mirroring needs the same hierarchy on both sides"
+            )
+    return twins
+
+
+def is_z_up(positions: Tensor, names: Sequence[str]) -> bool:
+    """Whether a motion's global positions (T, J, 3) have heads and feet apart along Z rather than Y.
+
+    For rigs without such names it is the axis along which the body is larger, in doubt Y.
+    """
+    high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
+    low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
+    if high and low:
+        up = (positions[:, high].mean(dim=1) - positions[:, low].mean(dim=1)).mean(dim=0).abs()
+        return bool(up[2] > up[1])
+    spread = (positions.amax(dim=1) - positions.amin(dim=1)).mean(dim=0)
+    return bool(spread[2] > 1.5 * spread[1])
+
+
+def _mean_places(motion: Motion) -> tuple[Tensor, tuple[bool, ...]]:
+    """Mean positions (J, 3) in the parent's space, and for every joint whether it stays there."""
+    count = len(motion.skeleton)
+    if motion.local_positions is None:
+        return motion.skeleton.offsets.double(), (False,) + (True,) * (count - 1)
+    places = motion.local_positions.double()
+    mean = places.mean(dim=0)
+    size = float(mean[1:].norm(dim=-1).mean()) if count > 1 else 1.0
+    wander = (places - mean).norm(dim=-1).amax(dim=0)
+    return mean, (False, *(bool(w < _RIGID_SHARE * size) for w in wander[1:]))
+
+
+def _common_axis(twins: tuple[int, ...], places: Tensor, rigid: tuple[bool, ...]) -> int | None:
+    """The axis along which all bones mirror their twins; None for a rig whose joints have own axes."""
+    own = places[[joint for joint, stays in enumerate(rigid) if stays]]
+    other = places[[twins[joint] for joint, stays in enumerate(rigid) if stays]]
+    reflections = torch.tensor(_REFLECTIONS, dtype=own.dtype)
+    misses = (own - other * reflections[:, None]).norm(dim=-1)
+    axis = int(misses[:3].sum(dim=-1).argmin())
+    length = torch.maximum(own.norm(dim=-1), other.norm(dim=-1))
+    against = misses[axis] > misses.amin(dim=0) + _SPEAKS_AGAINST * length
+    heard = length > _SHORT_SHARE * length.mean()
+    return None if int((against & heard).sum()) > _ODD_SHARE * int(heard.sum()) else axis
+
+
+def _own_reflections(
+    motion: Motion, twins: tuple[int, ...], places: Tensor, rigid: tuple[bool, ...], world: Signs
+) -> tuple[Signs, ...]:
+    """For every joint the reflection that best carries its twin's bones and mean rotation onto its own.
+
+    Bones leave the turn about themselves open; a reflection that is wrong there puts the mean pose half
+    a turn off, which no natural asymmetry does.
+    """
+    skeleton = motion.skeleton
+    rotations = motion.local_rotations.double()
+    means = mean_rotation(torch.einsum("tji,tjk->jik", rotations, rotations))
+    found: list[Signs] = []
+    for joint, parent in enumerate(skeleton.parents):
+        twin = twins[joint]
+        if twin < joint:
+            found.append(found[twin])
+            continue
+        outer = found[parent] if joint else world
+        known = not joint or not rigid[joint]  # a joint that travels also turns any way
+        costs = []
+        # The parent's own reflection comes first, so that it wins where nothing else decides.
+        for signs in sorted(_REFLECTIONS, key=lambda candidate: candidate != outer):
+            bones = _bone_misfit(skeleton, joint, signs, twins, places, rigid)
+            turned = reflect_rotations(means[twin], outer, signs)
+            pose = 0.0 if known else float(quat_angle(means[joint], turned)) / torch.pi
+            costs.append((bones + 0.5 * pose, signs))
+        best = min(cost for cost, _ in costs)
+        found.append(next(signs for cost, signs in costs if cost < best + 1e-3))
+    return tuple(found)
+
+
+def _bone_misfit(
+    skeleton: Skeleton,
+    joint: int,
+    signs: Signs,
+    twins: tuple[int, ...],
+    places: Tensor,
+    rigid: tuple[bool, ...],
+) -> float:
+    """By what share of their length the bones below a joint differ from their reflected twins."""
+    twin = twins[joint]
+    below = [child for child in skeleton.children(joint) if rigid[child]]
+    pairs = [(places[child], places[twins[child]]) for child in below]
+    if not joint and all(twins[child] == child for child in below):
+        return 0.0  # where the hips stand over a root on the floor says nothing about left and right
+    if joint in skeleton.end_sites and twin in skeleton.end_sites:
+        own, other = (torch.tensor(skeleton.end_sites[j], dtype=places.dtype) for j in (joint, twin))
+        pairs.append((own, other))
+    reflection = torch.tensor(signs, dtype=places.dtype)
+    length = sum(float(own.norm()) for own, _ in pairs)
+    return sum(float((own - reflection * other).norm()) for own, other in pairs) / max(length, 1e-9)
+
+
+def reflect_rotations(quat: Tensor, outer: Signs, inner: Signs) -> Tensor:
+    """The rotations (..., 4) diag(outer) q diag(inner) for unit quaternions q (..., 4)."""
+    conjugated = quat * torch.tensor([1.0, *(-sign for sign in outer)], dtype=quat.dtype)
+    half_turn = _half_turn_axis(outer, inner)
+    if half_turn is None:
+        return conjugated
+    turn = torch.zeros(4, dtype=quat.dtype)
+    turn[1 + half_turn] = 1.0
+    return quat_multiply(conjugated, turn.expand_as(conjugated))
+
+
+def _half_turn_axis(outer: Signs, inner: Signs) -> int | None:
+    """The axis of the half turn diag(outer) diag(inner), or None where the two are the same."""
+    return None if outer == inner else [a * b for a, b in zip(outer, inner, strict=True)].index(1.0)
+
+
+def mirror_motion(motion: Motion) -> Motion:
+    """The motion with left and right exchanged, on the same skeleton; any rig with a left and a right.
+
+    The world is reflected along the rig's left-right axis, X for the canonical skeleton. Raises
+    SkeletonError for a rig that has no sides.
+    """
+    plan = mirror_plan(motion)
+    skeleton, twins = motion.skeleton, plan.twins
+    rotations = [
+        reflect_rotations(motion.local_rotations[:, twin], plan.outer(skeleton, joint), plan.joints[joint])
+        for joint, twin in enumerate(twins)
+    ]
+    world = torch.tensor(plan.world, dtype=motion.root_positions.dtype)
+    places = motion.local_positions
+    if places is not None:
+        signs = torch.tensor([plan.outer(skeleton, j) for j in range(len(twins))], dtype=places.dtype)
+        places = places[:, list(twins)] * signs
+    return replace(
+        motion,
+        local_rotations=torch.stack(rotations, dim=1),
+        root_positions=motion.root_positions * world,
+        local_positions=places,
+    )
+
+
+def mirror_bvh(bvh: BvhFile) -> BvhFile:
+    """A BVH file with left and right exchanged, in the same hierarchy and channels.
+
+    Where twins list their channels in the same order, angles only change signs or shift by half turns,
+    so that mirroring twice gives the file back. Raises SkeletonError for a rig that has no sides or
+    whose twins have different channels.
+    """
+    motion = bvh_to_motion(bvh)
+    plan = mirror_plan(motion)
+    columns = bvh.columns()
+    values = np.empty_like(bvh.values)
+    rebuilt: BvhFile | None = None
+    for joint, twin in enumerate(plan.twins):
+        names, twin_names = bvh.channels[joint], bvh.channels[twin]
+        _check_channels(bvh, joint, twin)
+        outer = plan.outer(bvh.skeleton, joint)
+        source = dict(zip(twin_names, columns[twin], strict=True))
+        for name, column in zip(names, columns[joint], strict=True):
+            if name.endswith("position"):
+                values[:, column] = outer["XYZ".index(name[0])] * bvh.values[:, source[name]]
+        own = [c for n, c in zip(names, columns[joint], strict=True) if n.endswith("rotation")]
+        theirs = [c for n, c in zip(twin_names, columns[twin], strict=True) if n.endswith("rotation")]
+        order = _rotation_order(names)
+        if order == _rotation_order(twin_names):
+            turned = _reflect_angles(bvh.values[:, theirs], order, outer, plan.joints[joint])
+            if turned is None:
+                raise SkeletonError(
+                    f"{bvh.skeleton.names[joint]} has the rotation channels {order or 'none'} only; "
+                    "its mirror image needs all three"
+                )
+            values[:, own] = turned
+        else:
+            rebuilt = rebuilt or motion_to_bvh(mirror_motion(motion), bvh.channels)
+            values[:, own] = rebuilt.values[:, own]
+    return replace(bvh, values=values)
+
+
+def _rotation_order(channels: tuple[str, ...]) -> str:
+    return "".join(name[0] for name in channels if name.endswith("rotation"))
+
+
+def _check_channels(bvh: BvhFile, joint: int, twin: int) -> None:
+    own, other = bvh.channels[joint], bvh.channels[twin]
+    whole = len(_rotation_order(own)) == 3 or _rotation_order(own) == _rotation_order(other)
+    if set(own) != set(other) or not whole:
+        names = bvh.skeleton.names
+        raise SkeletonError(
+            f"{names[joint]} has the channels {' '.join(own) or 'none'} but {names[twin]} "
+            f"{' '.join(other) or 'none'}; mirroring needs the same on both sides"
+        )
+
+
+def _reflect_angles(
+    angles: NDArray[np.float64], order: str, outer: Signs, inner: Signs
+) -> NDArray[np.float64] | None:
+    """Euler angles (T, len(order)) in degrees of diag(outer) q diag(inner), or None if order cannot tell.
+
+    Reflection turns an angle about axis k into -outer[k] times it. A half turn after the rotation
+    moves in front of all angles that follow its axis, and negates them; one about the middle axis is
+    written as half turns about the outer two, so that the middle angle stays within a quarter turn.
+    """
+    signs = np.array([-outer["XYZ".index(axis)] for axis in order])
+    half_turn = _half_turn_axis(outer, inner)
+    if half_turn is None:
+        return angles * signs
+    if len(order) != 3:
+        return None
+    at = order.index("XYZ"[half_turn])
+    signs = signs * np.array([(1.0, -1.0, -1.0), (1.0, -1.0, -1.0), (1.0, 1.0, 1.0)][at])
+    turned = angles * signs
+    for column in ((0,), (0, 2), (2,))[at]:
+        turned[:, column] += _half_turn_shift(angles[:, column], signs[column])
+    return turned
+
+
+def _half_turn_shift(angles: NDArray[np.float64], sign: float) -> float:
+    """180 degrees up or down, for a whole column at once, so that a second shift takes the first back.
+
+    Halves of the circle are numbered by the mean angle. Unreflected angles move from even halves up
+    and from odd ones down; reflected ones are reflected about the middle of their own half.
+    """
+    mean = float(angles.mean())
+    if sign > 0:
+        return 180.0 if np.floor(mean / 180.0 + 0.5) % 2 == 0 else -180.0
+    return 180.0 * (2.0 * np.floor(mean / 180.0) + 1.0)
+
+
+def mirror_file(source: str | Path, target: str | Path) -> None:
+    """Read a BVH file and write its mirror image; raises MotionkitError that names the file."""
+    bvh = read_bvh(source)
+    try:
+        mirrored = mirror_bvh(bvh)
+    except SkeletonError as error:
+        raise SkeletonError(f"{source}: {error}") from None
+    write_bvh(target, mirrored)
+
+
+def mirror_folder(
+    source: str | Path, target: str | Path, strict: bool = False
+) -> Iterator[tuple[Path, MotionkitError | None]]:
+    """Mirror every BVH file below a folder into the same places below another, one at a time.
+
+    Yields each file with None, or with its fault if it could not be mirrored; strict raises that fault.
+    Raises MotionkitError if there is no BVH file.
+    """
+    source, target = Path(source), Path(target)
+    found = sorted(path for path in source.rglob("*") if path.suffix.lower() == ".bvh" and path.is_file())
+    if not found:
+        raise MotionkitError(f"{source}: no BVH file in this folder, expected names that end with .bvh")
+    for path in found:
+        place = target / path.relative_to(source)
+        try:
+            _make_folder(place.parent)
+            mirror_file(path, place)
+        except MotionkitError as error:
+            if strict:
+                raise
+            yield path, error
+        else:
+            yield path, None
+
+
+def _make_folder(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MotionkitError(f"{path}: cannot be made a folder ({error.strerror or error})") from None
