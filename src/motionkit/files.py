@@ -22,9 +22,12 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     path = Path(path)
     if path.is_dir():
         raise MotionkitError(f"{path}: is a folder, expected a file to write")
+    if path.exists() and not path.is_file():  # a rename would put a file where a device was
+        raise MotionkitError(f"{path}: is not a regular file, expected a file to write")
     temporary = ""
     try:
-        handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent or ".")
+        target = Path(os.path.realpath(path))  # a link stays a link
+        handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
         with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
             yield file
             file.flush()
@@ -32,7 +35,7 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
         umask = os.umask(0)
         os.umask(umask)
         os.chmod(temporary, 0o666 & ~umask)
-        os.replace(temporary, path)
+        os.replace(temporary, target)
     except OSError as error:
         raise MotionkitError(f"{path}: cannot be written ({error.strerror or error})") from None
     finally:

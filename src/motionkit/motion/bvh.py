@@ -127,14 +127,10 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
         moves = POSITION_CHANNELS
         every = motion.local_positions is not None
         channels = tuple(moves + turns if j == 0 or every else turns for j in range(len(motion.skeleton)))
+    orders = ["".join(name[0] for name in names if name.endswith("rotation")) for names in channels]
+    eulers = _unrolled_eulers(motion, orders)
     blocks: list[Tensor] = []
     for joint, names in enumerate(channels):
-        order = "".join(name[0] for name in names if name.endswith("rotation"))
-        if len(order) not in (0, 3):
-            raise BvhError(
-                motion.skeleton.names[joint], f"cannot write {len(order)} rotation channels, expected 3"
-            )
-        eulers = _unrolled_euler(motion.local_rotations[:, joint].double(), order) if order else None
         if joint == 0:
             place = motion.root_positions
         elif motion.local_positions is not None:
@@ -145,23 +141,29 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
             if name.endswith("position"):
                 blocks.append(place[:, "XYZ".index(name[0])].double())
             else:
-                assert eulers is not None
-                blocks.append(eulers[:, order.index(name[0])])
+                blocks.append(eulers[:, joint, orders[joint].index(name[0])])
     values = torch.stack(blocks, dim=-1).numpy()
     return BvhFile(motion.skeleton, channels, values, 1.0 / motion.fps)
 
 
-def _unrolled_euler(quat: Tensor, order: str) -> Tensor:
-    """Euler angles (T, 3) in degrees, of the two equal triples the nearer one, without 360-degree jumps."""
-    first = quat_to_euler(quat, order).numpy()
-    flip = np.array([math.pi, math.pi, math.pi])
-    second = first * np.array([1.0, -1.0, 1.0]) + flip
+def _unrolled_eulers(motion: Motion, orders: list[str]) -> Tensor:
+    """Euler angles (T, J, 3) in degrees, of the two equal triples the nearer one, without 360-degree jumps."""
+    first = np.zeros((len(motion), len(orders), 3))
+    for joint, order in enumerate(orders):
+        if len(order) not in (0, 3):
+            raise BvhError(
+                motion.skeleton.names[joint], f"cannot write {len(order)} rotation channels, expected 3"
+            )
+        if order:
+            first[:, joint] = quat_to_euler(motion.local_rotations[:, joint].double(), order).numpy()
+    second = first * np.array([1.0, -1.0, 1.0]) + math.pi
     out = first.copy()
     turn = 2 * math.pi
     for t in range(1, len(out)):
         a = first[t] + turn * np.round((out[t - 1] - first[t]) / turn)
         b = second[t] + turn * np.round((out[t - 1] - second[t]) / turn)
-        out[t] = a if np.abs(a - out[t - 1]).sum() <= np.abs(b - out[t - 1]).sum() else b
+        nearer = np.abs(a - out[t - 1]).sum(-1) <= np.abs(b - out[t - 1]).sum(-1)
+        out[t] = np.where(nearer[:, None], a, b)
     return torch.rad2deg(torch.from_numpy(out))
 
 

@@ -7,6 +7,7 @@ motion block is counted as bytes. What leaves this module is safe to hand to bvh
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,6 +21,9 @@ MAX_JOINTS = 2000
 CHANNEL_NAMES = {
     f"{axis}{kind}".lower(): f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")
 }
+FRAMES = re.compile(r"\s*frames\s*:?\s*(\S.*?)\s*", re.IGNORECASE)
+FRAME_TIME = re.compile(r"\s*frame\s+time\s*:?\s*(\S+)\s*", re.IGNORECASE)
+WHOLE_NUMBER = re.compile(r"[0-9]{1,9}")
 
 
 @dataclass(frozen=True)
@@ -92,12 +96,15 @@ def _find_motion(path: str | Path, lines: list[str]) -> int:
 
 
 def _floats(path: str | Path, words: list[str], line: int, what: str) -> list[float]:
-    try:
-        numbers = [float(word) for word in words]
-    except ValueError:
-        raise BvhError(path, f"expected numbers for {what}, found {' '.join(words)[:40]!r}", line) from None
-    if not all(math.isfinite(number) for number in numbers):
-        raise BvhError(path, f"expected finite numbers for {what}, found {' '.join(words)[:40]!r}", line)
+    numbers = []
+    for word in words:
+        try:
+            number = float(word.replace("_", "?"))  # Python would read 1_0 as ten
+        except ValueError:
+            raise BvhError(path, f"expected numbers for {what}, found {word[:40]!r}", line) from None
+        if not math.isfinite(number):
+            raise BvhError(path, f"expected finite numbers for {what}, found {word[:40]!r}", line)
+        numbers.append(number)
     return numbers
 
 
@@ -152,7 +159,9 @@ class _HierarchyWalk:
             raise self.fail("a '{' without a joint before it", line)
         if len(self.open) >= MAX_DEPTH:
             raise self.fail(f"joints nested more than {MAX_DEPTH} deep", line)
-        self.pending.update(offset=False, channels=False)
+        self.pending.update(offset=False, channels=False, children=False)
+        if self.open:
+            self.open[-1]["children"] = True
         self.open.append(self.pending)
         self.pending = None
         self.out.append("{")
@@ -169,6 +178,8 @@ class _HierarchyWalk:
 
     def offset(self, words: list[str], line: int) -> None:
         node = self._node("OFFSET", line)
+        if node["offset"]:
+            raise self.fail(f"a second OFFSET of {node['label']}", line)
         if len(words) != 3:
             raise self.fail(f"expected 3 numbers after OFFSET of {node['label']}, found {len(words)}", line)
         numbers = _floats(self.path, words, line, f"OFFSET of {node['label']}")
@@ -179,7 +190,9 @@ class _HierarchyWalk:
         node = self._node("CHANNELS", line)
         if node["end"] or node["channels"]:
             raise self.fail(f"CHANNELS not expected here in {node['label']}", line)
-        if not words or not words[0].isdigit() or int(words[0]) != len(words) - 1:
+        if node["children"]:  # the order of the columns would be anybody's guess
+            raise self.fail(f"CHANNELS of {node['label']} stands after its children", line)
+        if not words or words[0] != str(len(words) - 1):
             raise self.fail(
                 f"expected a count and that many names after CHANNELS of {node['label']}, "
                 f"found {' '.join(words)[:60]!r}",
@@ -254,31 +267,26 @@ def _check_hierarchy(
 
 
 def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -> tuple[int, float, int]:
-    numbered = [(i, lines[i].split()) for i in range(motion_line + 1, min(len(lines), motion_line + 20))]
-    numbered = [(i, words) for i, words in numbered if words]
-    if not numbered or numbered[0][1][0].lower() not in ("frames:", "frames"):
-        line = numbered[0][0] + 1 if numbered else motion_line + 2
-        raise BvhError(path, "expected 'Frames: COUNT' after MOTION", line)
-    frames_line, words = numbered[0]
-    count = words[-1].split(":")[-1]
-    if not count.isdigit():
-        raise BvhError(
-            path, f"expected a whole number of frames, found {' '.join(words[1:])[:40]!r}", frames_line + 1
-        )
-    frames = int(count)
+    filled = [i for i in range(motion_line + 1, min(len(lines), motion_line + 20)) if lines[i].strip()]
+    frames_line = filled[0] if filled else motion_line + 1
+    found = FRAMES.fullmatch(lines[frames_line]) if filled else None
+    if found is None:
+        raise BvhError(path, "expected 'Frames: COUNT' after MOTION", frames_line + 1)
+    if not WHOLE_NUMBER.fullmatch(found[1]):
+        raise BvhError(path, f"expected a whole number of frames, found {found[1][:40]!r}", frames_line + 1)
+    frames = int(found[1])
     if frames == 0:
         raise BvhError(path, "declares zero frames; there is no motion in it", frames_line + 1)
-    if len(numbered) < 2 or [w.lower() for w in numbered[1][1][:2]] not in (
-        ["frame", "time:"],
-        ["frame", "time"],
-    ):
-        line = numbered[1][0] + 1 if len(numbered) > 1 else frames_line + 2
-        raise BvhError(path, "expected 'Frame Time: SECONDS' after the frame count", line)
-    time_line, words = numbered[1]
-    frame_time = _floats(path, words[-1:], time_line + 1, "the frame time")[0]
+    time_line = filled[1] if len(filled) > 1 else frames_line + 1
+    found = FRAME_TIME.fullmatch(lines[time_line]) if len(filled) > 1 else None
+    if found is None:
+        raise BvhError(path, "expected 'Frame Time: SECONDS' after the frame count", time_line + 1)
+    frame_time = _floats(path, [found[1]], time_line + 1, "the frame time")[0]
     if not 1e-4 <= frame_time <= 10.0:
         raise BvhError(
-            path, f"expected a frame time between 0.0001 and 10 seconds, found {words[-1]}", time_line + 1
+            path,
+            f"expected a frame time between 0.0001 and 10 seconds, found {found[1][:40]}",
+            time_line + 1,
         )
     return frames, frame_time, time_line + 1
 

@@ -140,8 +140,8 @@ def quat_between(source: Tensor, target: Tensor) -> Tensor:
     # Opposite directions: any axis at right angles will do.
     helper = torch.where(
         source[..., :1].abs() < 0.9,
-        torch.tensor([1.0, 0.0, 0.0], dtype=source.dtype),
-        torch.tensor([0.0, 1.0, 0.0], dtype=source.dtype),
+        source.new_tensor([1.0, 0.0, 0.0]),
+        source.new_tensor([0.0, 1.0, 0.0]),
     )
     sideways = torch.linalg.cross(source, helper.expand_as(source))
     opposite = w < 1e-6
@@ -210,10 +210,10 @@ def euler_to_quat(euler: Tensor, order: str) -> Tensor:
 
     order is a word over X, Y, Z, such as "ZYX": the first angle turns about the first axis, outermost.
     """
-    quat = quat_identity(tuple(euler.shape[:-1]), euler.dtype)
+    quat = quat_identity(tuple(euler.shape[:-1]), euler.dtype).to(euler.device)
     for index, axis in enumerate(order):
         half = 0.5 * euler[..., index]
-        step = torch.zeros(*euler.shape[:-1], 4, dtype=euler.dtype)
+        step = euler.new_zeros(*euler.shape[:-1], 4)
         step[..., 0] = torch.cos(half)
         step[..., 1 + "XYZ".index(axis)] = torch.sin(half)
         quat = quat_multiply(quat, step)
