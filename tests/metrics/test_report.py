@@ -1,0 +1,167 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.metrics.report import PAIR_METRICS, MetricReport, evaluate_motion, placed_like
+from motionkit.metrics.value import MetricSettings
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+
+from .conftest import placed, swaying
+
+ALONE = [
+    "bm-euler",
+    "bm-geodesic",
+    "afs",
+    "skate-ratio",
+    "jerk",
+    "penetration-mean",
+    "penetration-max",
+    "floor-height",
+]
+
+
+def values(report: MetricReport) -> dict[str, float | None]:
+    return {row.id: row.motion.value for row in report.rows}
+
+
+def test_one_motion_gives_what_one_can(motion: Motion) -> None:
+    report = evaluate_motion(motion)
+    assert [row.id for row in report.rows] == ALONE
+    assert report.frames == 120 and report.notes == ()
+    assert all(value is not None for value in values(report).values())
+
+
+def test_a_motion_beside_itself_is_perfect(motion: Motion) -> None:
+    report = evaluate_motion(motion, motion)
+    assert [row.id for row in report.rows] == ALONE + list(PAIR_METRICS)
+    for name, (_, best) in PAIR_METRICS.items():
+        assert report.value(name) == pytest.approx(best, abs=1e-9)
+    assert report.notes == ()
+    ratios = {row.id: row.ratio for row in report.rows}
+    assert ratios["bm-euler"] == ratios["jerk"] == 1.0
+    assert ratios["mpjpe"] is None and ratios["floor-height"] is None
+
+
+def test_place_and_heading_do_not_matter(motion: Motion) -> None:
+    here = values(evaluate_motion(motion))
+    there = values(evaluate_motion(placed(motion, yaw=1.2, move=(500.0, 0.0, -80.0))))
+    lifted = values(evaluate_motion(placed(motion, move=(0.0, 30.0, 0.0))))
+    for name in ALONE:
+        if name != "bm-euler":
+            assert there[name] == pytest.approx(here[name], abs=2e-3), name
+        if name != "floor-height":
+            assert lifted[name] == pytest.approx(here[name], abs=2e-3), name
+    assert lifted["floor-height"] == pytest.approx(here["floor-height"] + 30.0, abs=1e-3)
+
+
+def test_a_pair_turned_together_does_not_change() -> None:
+    a, b = swaying(seed=1), swaying(seed=2, speed=130.0)
+    here = evaluate_motion(a, b)
+    there = evaluate_motion(*(placed(m, yaw=-2.0, move=(9.0, 0.0, 7.0)) for m in (a, b)))
+    for name in PAIR_METRICS:
+        assert there.value(name) == pytest.approx(here.value(name), abs=1e-3), name
+
+
+def test_a_path_beside_the_other_is_that_far_away(motion: Motion) -> None:
+    report = evaluate_motion(placed(motion, move=(12.0, 0.0, 0.0)), motion)
+    assert report.value("path-mean") == pytest.approx(12.0)
+    assert report.value("path-coverage") == 0.0
+    assert report.value("mpjpe") == pytest.approx(0.0, abs=1e-4)
+    wide = evaluate_motion(placed(motion, move=(12.0, 0.0, 0.0)), motion, MetricSettings(path_tolerance=13.0))
+    assert wide.value("path-coverage") == 1.0
+
+
+def test_align_start_undoes_place_and_heading(motion: Motion) -> None:
+    away = placed(motion, yaw=2.0, move=(300.0, 0.0, 50.0))
+    assert evaluate_motion(away, motion).value("path-mean") > 100.0
+    report = evaluate_motion(away, motion, align_start=True)
+    assert report.value("path-mean") == pytest.approx(0.0, abs=1e-3)
+    assert report.value("mpjpe") == pytest.approx(0.0, abs=1e-3)
+    assert any("turned and moved" in note for note in report.notes)
+    assert placed_like(away, motion).root_positions == pytest.approx(motion.root_positions, abs=1e-3)
+
+
+def test_other_lengths_are_compared_over_the_common_frames(motion: Motion) -> None:
+    report = evaluate_motion(motion.cut(0, 80), motion)
+    assert report.frames == 80
+    assert "ground truth 120 frames, generated 80: compared over the first 80" in report.notes
+    assert report.value("mpjpe") == 0.0
+
+
+def test_other_rates_meet_at_60() -> None:
+    fast, slow = swaying(frames=241, fps=120.0), swaying(frames=121, fps=60.0)
+    report = evaluate_motion(fast, slow)
+    assert report.frames == 121
+    assert "generated motion: 120 fps, resampled to 60" in report.notes
+    for row in report.rows:
+        if row.ratio is not None and row.id != "skate-ratio":
+            assert row.ratio == pytest.approx(1.0, abs=1e-3), row.id
+
+
+def test_jerk_is_compared_at_the_lowest_rate_given() -> None:
+    slow, fast = swaying(frames=61, fps=30.0), swaying(frames=121, fps=60.0)
+    rows = {row.id: row for row in evaluate_motion(slow, fast).rows}
+    assert rows["jerk"].motion.parameters == {"fps": 30.0}
+    assert rows["jerk"].ratio == pytest.approx(1.0, abs=1e-3)
+    assert rows["bm-geodesic"].ratio == pytest.approx(1.0, abs=0.01)
+
+
+def test_skipped_frames_do_not_count(motion: Motion) -> None:
+    spoiled = replace(motion, root_positions=motion.root_positions.clone())
+    spoiled.root_positions[:20, 0] += 500.0
+    assert evaluate_motion(spoiled, motion).value("path-mean") > 50.0
+    report = evaluate_motion(spoiled, motion, skip=20)
+    assert report.frames == 100 and report.value("path-mean") == 0.0
+    assert report.value("jerk") == pytest.approx(values(evaluate_motion(motion.cut(20, 120)))["jerk"])
+
+
+def test_a_given_floor_is_used(motion: Motion) -> None:
+    report = evaluate_motion(motion, settings=MetricSettings(floor=200.0))
+    assert report.value("floor-height") == 200.0
+    assert report.value("penetration-max") > 100.0
+    assert report.rows[-1].motion.parameters == {"floor": "given"}
+
+
+def test_short_motions_keep_what_they_can_give_and_say_why_not(motion: Motion) -> None:
+    report = evaluate_motion(motion.cut(0, 5), motion)
+    rows = {row.id: row for row in report.rows}
+    assert rows["ssim-window"].motion.value is None
+    assert rows["ssim-window"].motion.reason == "SSIM needs at least 12 frames, found 5"
+    assert rows["mpjpe"].motion.value == 0.0
+
+
+def test_other_bodies_are_remarked(motion: Motion) -> None:
+    small = replace(motion, skeleton=canonical_skeleton(canonical_skeleton().offsets * 0.8))
+    assert any("bodies differ" in note for note in evaluate_motion(small, motion).notes)
+
+
+def test_numbers_are_plain(motion: Motion) -> None:
+    out = evaluate_motion(motion, motion).as_dict()
+    assert out["frames"] == 120 and out["fps"] == 60.0
+    first = out["metrics"][0]
+    assert first["id"] == "bm-euler" and first["ratio"] == 1.0 and first["value"] == first["ground_truth"]
+
+
+def test_refusals(motion: Motion) -> None:
+    with pytest.raises(
+        MotionkitError, match="nothing to compare: 120 and 80 frames at 60 fps with 80 skipped"
+    ):
+        evaluate_motion(motion.cut(0, 80), motion, skip=80)
+    with pytest.raises(MotionkitError, match="nothing to compare"):
+        evaluate_motion(motion.cut(0, 1))
+    with pytest.raises(MotionkitError, match="no metric 'fid'"):
+        evaluate_motion(motion).value("fid")
+    with pytest.raises(SkeletonError, match="the ground truth has 1"):
+        bone = Skeleton(("Hips",), (-1,), torch.zeros(1, 3))
+        evaluate_motion(motion, Motion(bone, motion.local_rotations[:, :1], motion.root_positions, 60.0))
+    broken = replace(motion, root_positions=motion.root_positions.clone())
+    broken.root_positions[7, 1] = float("nan")
+    with pytest.raises(MotionkitError, match="not finite in frame 7"):
+        evaluate_motion(broken)
+    with pytest.raises(MotionkitError, match="rate above 0"):
+        evaluate_motion(replace(motion, fps=0.0))

@@ -1,0 +1,53 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from motionkit.errors import MotionkitError
+from motionkit.metrics.smoothness import mean_jerk, positions_at_rate
+
+
+def polynomial(fps: float, power: int, seconds: float = 2.0) -> Tensor:
+    """A joint at 100 t^power cm along Y; (T, 1, 3)."""
+    time = torch.arange(int(seconds * fps) + 1, dtype=torch.float64) / fps
+    positions = torch.zeros(len(time), 1, 3, dtype=torch.float64)
+    positions[:, 0, 1] = 100.0 * time**power
+    return positions
+
+
+def test_a_cubic_has_a_constant_jerk_and_a_fall_has_none() -> None:
+    assert mean_jerk(polynomial(60.0, 3)).value == pytest.approx(6.0, rel=1e-6)  # m/s^3
+    assert mean_jerk(polynomial(60.0, 2)).value == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize("fps", [120.0, 100.0, 72.0])
+def test_other_rates_are_brought_over_without_corners(fps: float) -> None:
+    assert mean_jerk(polynomial(fps, 3), fps).value == pytest.approx(6.0, rel=1e-5)
+
+
+def test_whole_ratios_take_the_frames_themselves() -> None:
+    positions = torch.randn(41, 2, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    assert positions_at_rate(positions, 120.0, 60.0) == pytest.approx(positions[::2], abs=1e-12)
+    assert positions_at_rate(positions, 60.0, 60.0) is positions
+
+
+def test_a_swing_between_frames_is_met_closely() -> None:
+    time = torch.arange(201, dtype=torch.float64) / 100.0
+    swing = torch.sin(2 * math.pi * 2.0 * time)[:, None, None].expand(-1, 1, 3)
+    there = positions_at_rate(swing, 100.0, 60.0)
+    expected = torch.sin(2 * math.pi * 2.0 * torch.arange(len(there)) / 60.0)
+    assert float((there[:, 0, 0] - expected).abs().max()) < 2e-5
+
+
+def test_trembling_raises_it() -> None:
+    smooth = polynomial(60.0, 3)
+    noise = 0.1 * torch.randn(smooth.shape, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    assert mean_jerk(smooth + noise).value > 50 * mean_jerk(smooth).value
+
+
+def test_three_frames_are_refused() -> None:
+    with pytest.raises(MotionkitError, match="at least 4 frames"):
+        mean_jerk(torch.zeros(3, 23, 3))

@@ -1,0 +1,96 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from motionkit.errors import MotionkitError
+from motionkit.metrics import trajectory
+from motionkit.metrics.trajectory import distance_to_path, ground_track, trajectory_distance
+
+
+def line(points: int, length: float = 500.0, sideways: float = 0.0) -> Tensor:
+    z = torch.linspace(0.0, length, points, dtype=torch.float64)
+    return torch.stack([torch.full_like(z, sideways), z], dim=-1)
+
+
+def circle(radius: float, share: float = 1.0, points: int = 400) -> Tensor:
+    angle = torch.linspace(0.0, 2 * math.pi * share, points, dtype=torch.float64)
+    return radius * torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
+
+
+def test_a_path_moved_sideways_is_that_far_away() -> None:
+    result = trajectory_distance(line(100, sideways=7.0), line(100))
+    assert (result.mean, result.max, result.coverage) == pytest.approx((7.0, 7.0, 1.0))
+    assert [value.id for value in result.values()] == ["path-mean", "path-max", "path-coverage"]
+
+
+def test_distance_is_to_segments_so_sampling_does_not_matter() -> None:
+    track = line(97, sideways=3.0)
+    for points in (2, 5, 1000):
+        assert trajectory_distance(track, line(points)).mean == pytest.approx(3.0)
+
+
+def test_beyond_the_end_the_distance_is_to_the_end_point() -> None:
+    beyond = torch.tensor([[3.0, 504.0], [0.0, -2.0], [1.0, 20.0]])
+    assert distance_to_path(beyond, line(2)).tolist() == pytest.approx([5.0, 2.0, 1.0])
+
+
+def test_concentric_circles() -> None:
+    result = trajectory_distance(circle(205.0), circle(200.0, points=4000))
+    assert (result.mean, result.max) == pytest.approx((5.0, 5.0), abs=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.25, 0.5, 0.8])
+def test_half_a_circle_covers_half_of_it(share: float) -> None:
+    result = trajectory_distance(circle(200.0, share), circle(200.0), tolerance=1.0)
+    assert result.mean == pytest.approx(0.0, abs=0.02)
+    assert result.coverage == pytest.approx(share, abs=0.01)
+
+
+def test_standing_still_on_the_path_covers_hardly_any_of_it() -> None:
+    result = trajectory_distance(torch.zeros(300, 2), line(2), tolerance=10.0)
+    assert result.mean == 0.0 and result.coverage == pytest.approx(10.0 / 500.0, abs=0.005)
+
+
+def test_coverage_does_not_depend_on_the_spacing_of_frames() -> None:
+    assert trajectory_distance(line(3), line(50), tolerance=0.5).coverage == 1.0
+
+
+def test_a_path_that_is_one_point() -> None:
+    for path in (torch.zeros(1, 2), torch.zeros(5, 2)):
+        result = trajectory_distance(torch.tensor([[3.0, 4.0]]), path)
+        assert (result.mean, result.coverage) == (5.0, 1.0)
+
+
+def test_large_inputs_in_blocks_equal_one_block(monkeypatch: pytest.MonkeyPatch) -> None:
+    track, path = circle(150.0, points=301), circle(140.0, points=77)
+    whole = distance_to_path(track, path)
+    monkeypatch.setattr(trajectory, "_CHUNK", 500)
+    assert torch.equal(distance_to_path(track, path), whole)
+
+
+def test_turning_and_moving_both_changes_nothing() -> None:
+    track, path = circle(150.0, 0.7), line(30)
+    c, s = math.cos(1.0), math.sin(1.0)
+    turn = torch.tensor([[c, s], [-s, c]], dtype=torch.float64)
+    first = trajectory_distance(track, path)
+    second = trajectory_distance(track @ turn + 40.0, path @ turn + 40.0)
+    assert (second.mean, second.max) == pytest.approx((first.mean, first.max))
+    assert second.coverage == pytest.approx(first.coverage, abs=0.005)
+
+
+def test_the_ground_track_leaves_the_height_out() -> None:
+    assert ground_track(torch.tensor([[1.0, 92.0, 3.0]])).tolist() == [[1.0, 3.0]]
+
+
+def test_refusals() -> None:
+    with pytest.raises(MotionkitError, match="expected a path of shape"):
+        trajectory_distance(line(3), torch.zeros(0, 2))
+    with pytest.raises(MotionkitError, match="expected a track of shape"):
+        trajectory_distance(torch.zeros(4, 3), line(3))
+    for tolerance in (0.0, -1.0, math.nan):
+        with pytest.raises(MotionkitError, match="tolerance"):
+            trajectory_distance(line(3), line(3), tolerance)
