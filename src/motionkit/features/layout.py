@@ -7,7 +7,7 @@ Each of the 23 joints owns 12 of the numbers; the root's 12 are the data both bo
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cache
 
 import torch
 from torch import Tensor
@@ -65,7 +65,7 @@ def _block(name: str, joints: range | list[int], signs: tuple[float, ...]) -> li
     return [Column(name, joint, k, sign) for joint in joints for k, sign in enumerate(signs)]
 
 
-@lru_cache(maxsize=None)
+@cache
 def feature_layout(version: str = DEFAULT_LAYOUT) -> FeatureLayout:
     """The layout of a version; raises ModelError for one this release does not know.
 

@@ -1,0 +1,154 @@
+"""The dataset folder: memory-mapped arrays beside a JSON manifest.
+
+manifest.json   clips, types, splits, skeleton, scaling, references, what was done to each file
+features.npy    (N, 276) float32, unnormalised
+contacts.npy    (N, 4) uint8
+ground.npy      (N, 3) float32: root x, z (cm), heading (radians)
+types.npy       (N,) int16, index into the manifest's types
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.data.labels import mirrored_type
+from motionkit.errors import DatasetError
+from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
+from motionkit.features.normalize import Scaling
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+
+FORMAT = 1
+ARRAYS = ("features", "contacts", "ground", "types")
+
+
+@dataclass(frozen=True)
+class Clip:
+    """Frames start to start + frames of the arrays: consecutive motion of one recording.
+
+    A mirrored clip names the same rows and is reflected as it is read.
+    """
+
+    name: str
+    start: int
+    frames: int
+    split: str
+    subject: str
+    body: int
+    mirrored: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class ClipData:
+    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids (T,)."""
+
+    features: Tensor
+    contacts: Tensor
+    ground: Tensor
+    types: Tensor
+
+
+class Dataset:
+    """A dataset folder, opened for reading; nothing is loaded until a clip is asked for."""
+
+    def __init__(self, folder: str | Path) -> None:
+        self.folder = Path(folder)
+        path = self.folder / "manifest.json"
+        if not path.is_file():
+            raise DatasetError(
+                f"{self.folder}: not a dataset folder (no manifest.json); make one with preprocess"
+            )
+        try:
+            self.manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{path}: cannot be read ({error})") from None
+        if self.manifest.get("format") != FORMAT:
+            raise DatasetError(f"{path}: dataset format {self.manifest.get('format')!r}, expected {FORMAT}")
+        self.types: tuple[str, ...] = tuple(self.manifest["types"])
+        self.fps: float = self.manifest["fps"]
+        self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
+        self.layout: FeatureLayout = feature_layout(self.manifest["layout"])
+        self._arrays = {name: self._open(name) for name in ARRAYS}
+
+    def _open(self, name: str) -> np.ndarray:
+        path = self.folder / f"{name}.npy"
+        try:
+            return np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError) as error:
+            raise DatasetError(f"{path}: cannot be read ({error})") from None
+
+    @cached_property
+    def scaling(self) -> Scaling:
+        """Per-column scaling of the features, over the training clips."""
+        return _scaling(self.manifest["feature_scaling"])
+
+    @cached_property
+    def trajectory_scaling(self) -> Scaling:
+        """Per-column scaling of the trajectory numbers."""
+        return _scaling(self.manifest["trajectory_scaling"])
+
+    @cached_property
+    def references(self) -> Tensor:
+        """(23, 4) rotations the exponential maps are relative to."""
+        return torch.tensor(self.manifest["references"], dtype=torch.float32)
+
+    @cached_property
+    def bodies(self) -> tuple[Tensor, ...]:
+        """(23, 3) offsets of every body in the data; clips index it."""
+        return tuple(torch.tensor(body, dtype=torch.float32) for body in self.manifest["bodies"])
+
+    def skeleton(self, clip: Clip) -> Skeleton:
+        """The skeleton a clip's features are on."""
+        return canonical_skeleton(self.bodies[clip.body])
+
+    @cached_property
+    def mirrored_type_ids(self) -> Tensor:
+        """For each type the id of the type its mirror image shows."""
+        names = [mirrored_type(name) for name in self.types]
+        return torch.tensor(
+            [self.types.index(n) if n in self.types else i for i, n in enumerate(names)], dtype=torch.long
+        )
+
+    def select(self, split: str) -> list[Clip]:
+        """The clips of a split, "train" or "test"."""
+        return [clip for clip in self.clips if clip.split == split]
+
+    def clip_types(self, clip: Clip) -> Tensor:
+        """Type ids (T,) of a clip without reading its features."""
+        rows = slice(clip.start, clip.start + clip.frames)
+        types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
+        return self.mirrored_type_ids[types] if clip.mirrored else types
+
+    def read(self, clip: Clip, start: int = 0, end: int | None = None) -> ClipData:
+        """Frames start to end of a clip, mirrored where the clip says so."""
+        stop = clip.frames if end is None else min(end, clip.frames)
+        rows = slice(clip.start + start, clip.start + stop)
+        features = torch.from_numpy(np.array(self._arrays["features"][rows]))
+        contacts = torch.from_numpy(self._arrays["contacts"][rows].astype(np.float32))
+        ground = torch.from_numpy(np.array(self._arrays["ground"][rows]))
+        types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
+        data = ClipData(features, contacts, ground, types)
+        return mirror_clip(data, self.layout, self.mirrored_type_ids) if clip.mirrored else data
+
+
+def mirror_clip(data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor) -> ClipData:
+    """The mirror image: in features it is a permutation with signs, since references are symmetric."""
+    columns, signs = layout.mirror_map()
+    ground = data.ground * torch.tensor([-1.0, 1.0, -1.0])
+    return ClipData(
+        data.features[:, columns] * signs,
+        data.contacts[:, contact_mirror()],
+        ground,
+        mirrored_type_ids[data.types],
+    )
+
+
+def _scaling(values: dict[str, list[float]]) -> Scaling:
+    return Scaling(torch.tensor(values["mean"]), torch.tensor(values["std"]))

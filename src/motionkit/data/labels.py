@@ -1,0 +1,159 @@
+"""Which frames of which file show what: from a labels.csv, else from folder or file names."""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from motionkit.errors import DatasetError
+
+REQUIRED_COLUMNS = ("file", "start_frame", "end_frame", "type")
+SPLITS = ("train", "test", "")
+
+
+@dataclass(frozen=True)
+class Segment:
+    """Frames start to end (exclusive, -1: to the end) of a file, in its own frames, of one type.
+
+    split is "train", "test" or "" (to be decided); fps overrides the file's header where it lies.
+    """
+
+    start: int
+    end: int
+    type: str
+    subject: str = ""
+    fps: float | None = None
+    split: str = ""
+
+
+@dataclass(frozen=True)
+class SourceFile:
+    """A BVH file with its segments; without any it is to be skipped for the reason given."""
+
+    path: Path
+    name: str
+    segments: tuple[Segment, ...]
+    skip_reason: str = ""
+
+
+def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[list[SourceFile], Path | None]:
+    """All BVH files under the folders with their segments, and the label table used, if any.
+
+    Without an explicit table a labels.csv in one of the folders or just above it is taken; without
+    any, the type is the name of the folder a file lies in, or, for files directly in the folder
+    given, the file's name without its number.
+
+    Raises:
+        DatasetError: no BVH files, or a label table that is broken.
+    """
+    found: list[tuple[Path, Path]] = []
+    for folder in folders:
+        if folder.is_file():
+            found.append((folder, folder.parent))
+            continue
+        found.extend((path, folder) for path in sorted(folder.rglob("*")) if path.suffix.lower() == ".bvh")
+    if not found:
+        raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh files found")
+    table = labels if labels is not None else _nearby_labels(folders)
+    if table is None:
+        return [_by_name(path, folder) for path, folder in found], None
+    rows = read_labels(table)
+    by_path = {(table.parent / name).resolve(): segments for name, segments in rows.items()}
+    by_name = _unique_basenames(rows)
+    sources = []
+    for path, folder in found:
+        segments = by_path.get(path.resolve()) or by_name.get(path.name.lower())
+        name = str(path.relative_to(folder.parent)) if path.is_relative_to(folder.parent) else path.name
+        reason = "" if segments else f"not in {table.name}"
+        sources.append(SourceFile(path, name, tuple(segments or ()), reason))
+    return sources, table
+
+
+def _nearby_labels(folders: Sequence[Path]) -> Path | None:
+    for folder in folders:
+        base = folder if folder.is_dir() else folder.parent
+        for place in (base, base.resolve().parent):
+            if (place / "labels.csv").is_file():
+                return place / "labels.csv"
+    return None
+
+
+def _unique_basenames(rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
+    names = [Path(name).name.lower() for name in rows]
+    return {Path(n).name.lower(): s for n, s in rows.items() if names.count(Path(n).name.lower()) == 1}
+
+
+def _by_name(path: Path, folder: Path) -> SourceFile:
+    inside = path.relative_to(folder)
+    kind = inside.parent.name if inside.parent.name else type_from_file_name(path.stem)
+    return SourceFile(path, str(inside), (Segment(0, -1, kind),))
+
+
+def type_from_file_name(stem: str) -> str:
+    """The motion type a file name suggests: "Walk_Fast-02" gives "walk-fast"."""
+    words = [word for word in re.split(r"[\s_\-.]+", stem) if word]
+    words = [re.sub(r"\d+$", "", word) for word in words]
+    return "-".join(word.lower() for word in words if word) or "motion"
+
+
+def read_labels(path: Path) -> dict[str, list[Segment]]:
+    """Segments by file name as written in a label table, sorted by start.
+
+    Raises:
+        DatasetError: naming the line, for missing columns, numbers that are none, or overlaps.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise DatasetError(f"{path}: cannot be read as a label table ({error})") from None
+    reader = csv.DictReader(text.splitlines())
+    missing = [name for name in REQUIRED_COLUMNS if name not in (reader.fieldnames or [])]
+    if missing:
+        raise DatasetError(f"{path}:1: label table lacks the columns {', '.join(missing)}")
+    out: dict[str, list[Segment]] = {}
+    for row in reader:
+        segment = _segment(path, reader.line_num, row)
+        out.setdefault(row["file"].strip(), []).append(segment)
+    for name, segments in out.items():
+        segments.sort(key=lambda s: s.start)
+        for a, b in zip(segments, segments[1:], strict=False):
+            if a.end == -1 or a.end > b.start:
+                raise DatasetError(f"{path}: segments of {name} overlap at frame {b.start}")
+    return out
+
+
+def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
+    def number(key: str) -> float | None:
+        word = (row.get(key) or "").strip()
+        if not word:
+            return None
+        try:
+            return float(word)
+        except ValueError:
+            raise DatasetError(f"{path}:{line}: expected a number for {key}, found {word!r}") from None
+
+    start, end, fps = number("start_frame"), number("end_frame"), number("fps")
+    kind = (row["type"] or "").strip()
+    split = (row.get("split") or "").strip().lower()
+    if not kind:
+        raise DatasetError(f"{path}:{line}: expected a motion type, found none")
+    if split not in SPLITS:
+        raise DatasetError(f"{path}:{line}: expected train, test or nothing for split, found {split!r}")
+    first, last = int(start or 0), -1 if end is None else int(end)
+    if first < 0 or (last != -1 and last <= first):
+        raise DatasetError(f"{path}:{line}: expected start_frame < end_frame, found {first} and {last}")
+    if fps is not None and not 1 <= fps <= 1000:
+        raise DatasetError(f"{path}:{line}: expected fps between 1 and 1000, found {fps:g}")
+    return Segment(first, last, kind, (row.get("subject") or "").strip(), fps, split)
+
+
+_SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}
+
+
+def mirrored_type(kind: str) -> str:
+    """The type a mirrored motion shows: jumping-l becomes jumping-r, walking stays walking."""
+    words = re.split(r"([\s_\-.]+)", kind)
+    return "".join(_SIDES.get(word.lower(), word) for word in words)

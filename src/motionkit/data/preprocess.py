@@ -1,0 +1,459 @@
+"""A folder of BVH files to a dataset folder, in two passes of constant memory.
+
+Pass one reads, maps, cleans and resamples each file and gathers the mean rotation of every joint. Pass
+two encodes against those means and writes the arrays. Both spread over processes by file.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import tempfile
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit import __version__
+from motionkit.data.cleaning import clean
+from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
+from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
+from motionkit.errors import DatasetError, MotionkitError
+from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
+from motionkit.features.encode import encode_motion
+from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
+from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.retarget import retarget_file
+from motionkit.motion.rotations import mean_rotation
+from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skeleton
+
+FPS = 60.0
+MIN_CLIP_FRAMES = 16
+TEST_SHARE = 0.15  # of the clips of a type, where the labels do not say
+
+
+@dataclass(frozen=True)
+class PreprocessOptions:
+    """What a user can choose; see the command's help."""
+
+    labels: Path | None = None
+    fps: float | None = None
+    scale: float | None = None
+    mirror: bool = True
+    own_bodies: bool = False
+    layout: str = DEFAULT_LAYOUT
+    jobs: int = 0
+    strict: bool = False
+
+
+@dataclass
+class FileReport:
+    """What became of one file."""
+
+    name: str
+    clips: int = 0
+    frames: int = 0
+    skipped: str = ""
+    mapping: dict[str, Any] = field(default_factory=dict)
+    cleaning: dict[str, Any] = field(default_factory=dict)
+    sha256: str = ""
+
+
+@dataclass
+class PreprocessReport:
+    """What preprocess() did, for printing."""
+
+    folder: Path
+    labels: Path | None
+    files: list[FileReport]
+    types: dict[str, dict[str, float]]
+    clips: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Prepared:
+    """Pass one's result for a file: arrays on disk, small facts in hand."""
+
+    report: FileReport
+    motion_file: str
+    runs: tuple[
+        tuple[int, int, tuple[tuple[int, int, str], ...], str, str], ...
+    ]  # start, end, spans, split, subject
+    body: list[list[float]]
+    moment: np.ndarray | None
+
+
+def preprocess(
+    folders: Sequence[str | Path],
+    output: str | Path,
+    options: PreprocessOptions | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> PreprocessReport:
+    """Make a dataset folder from BVH files; it appears whole or not at all.
+
+    Args:
+        folders: folders (or files) to walk.
+        output: the dataset folder; an old dataset there is replaced.
+        progress: called with a stage name, files done and files in all.
+
+    Raises:
+        DatasetError: no usable file, or, with strict, the first file that cannot be used.
+    """
+    options = options or PreprocessOptions()
+    output = Path(output)
+    if (
+        output.exists()
+        and not (output / "manifest.json").is_file()
+        and any(output.iterdir() if output.is_dir() else [1])
+    ):
+        raise DatasetError(f"{output}: exists and is not a dataset folder; choose another place")
+    sources, table = find_sources([Path(f) for f in folders], options.labels)
+    output.parent.mkdir(parents=True, exist_ok=True)
+    staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
+    try:
+        prepared = _pass_one(sources, staging, options, progress)
+        clips, manifest, report = _pass_two(prepared, staging, options, progress)
+        report.folder, report.labels = output, table
+        (staging / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
+        shutil.rmtree(staging / "motions")
+        os.chmod(staging, 0o755)
+        if output.exists():
+            shutil.rmtree(output)
+        staging.rename(output)
+        return report
+    except OSError as error:
+        raise DatasetError(f"{output}: cannot be written ({error.strerror or error})") from None
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+
+
+def _workers(jobs: int) -> int:
+    return jobs if jobs > 0 else max(1, os.cpu_count() or 1)
+
+
+def _single_thread() -> None:
+    torch.set_num_threads(1)
+
+
+def _map(function: Callable, items: list, jobs: int) -> Iterator:
+    """Results in order, by processes where more than one is wanted and worth it."""
+    if _workers(jobs) == 1 or len(items) < 4:
+        yield from map(function, items)
+        return
+    import multiprocessing
+
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(_workers(jobs), mp_context=context, initializer=_single_thread) as pool:
+        try:
+            yield from pool.map(function, items, chunksize=1)
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            raise
+
+
+# ---- pass one: read, map, clean, resample, cut ----
+
+
+def _pass_one(
+    sources: list[SourceFile],
+    staging: Path,
+    options: PreprocessOptions,
+    progress: Callable[[str, int, int], None] | None,
+) -> list[_Prepared]:
+    (staging / "motions").mkdir()
+    items = [(source, str(staging / "motions" / f"{i}.npz"), options) for i, source in enumerate(sources)]
+    prepared = []
+    for done, result in enumerate(_map(_prepare_file, items, options.jobs), 1):
+        if options.strict and result.report.skipped and not result.report.skipped.startswith("not in "):
+            raise DatasetError(f"{result.report.skipped} (stopped: --strict)")
+        prepared.append(result)
+        if progress:
+            progress("reading", done, len(items))
+    if not any(p.runs for p in prepared):
+        reasons = Counter(p.report.skipped for p in prepared)
+        raise DatasetError(
+            f"none of the {len(prepared)} files can be used; most common: {reasons.most_common(1)[0][0]}"
+        )
+    return prepared
+
+
+def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
+    source, motion_file, options = item
+    report = FileReport(source.name)
+    nothing: tuple = ()
+    if source.skip_reason:
+        report.skipped = source.skip_reason
+        return _Prepared(report, motion_file, nothing, [], None)
+    try:
+        fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
+        motion, mapping = retarget_file(source.path, options.scale, fps, own_body=options.own_bodies)
+        motion, cleaning = clean(motion)
+        native_fps = motion.fps
+        motion = resample(motion, FPS)
+    except MotionkitError as error:
+        report.skipped = str(error)
+        return _Prepared(report, motion_file, nothing, [], None)
+    report.mapping = {
+        "source_joints": mapping.source_joints,
+        "missing": list(mapping.missing),
+        "scale": mapping.scale,
+        "scale_source": mapping.scale_source,
+        "leg_length": mapping.leg_length,
+        "notes": list(mapping.notes),
+    }
+    report.cleaning = asdict(cleaning)
+    report.sha256 = hashlib.sha256(source.path.read_bytes()).hexdigest()
+    runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion))
+    if not runs:
+        report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
+        return _Prepared(report, motion_file, nothing, [], None)
+    np.savez(motion_file, rotations=motion.local_rotations.numpy(), root=motion.root_positions.numpy())
+    rows = np.concatenate([np.arange(start, end) for start, end, *_ in runs])
+    quats = motion.local_rotations.double().numpy()[rows]
+    moment = np.einsum("tja,tjb->jab", quats, quats)
+    return _Prepared(report, motion_file, runs, motion.skeleton.offsets.tolist(), moment)
+
+
+def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int) -> tuple:
+    """Stretches of 60 fps frames without a gap, each with its typed spans, split and subject.
+
+    Segments that touch stay together, so that real transitions are learnt from.
+    """
+    out: list[tuple[int, int, list[tuple[int, int, str]], str, str]] = []
+    for segment in segments:
+        start = max(0, int(np.ceil((segment.start - lead_in) * FPS / fps - 1e-6)))
+        end = (
+            frames
+            if segment.end < 0
+            else min(frames, int(np.floor((segment.end - lead_in) * FPS / fps + 1e-6)))
+        )
+        if end - start < 2:
+            continue
+        if out and out[-1][1] >= start - 1 and out[-1][3] == segment.split:
+            start = out[-1][1]
+            out[-1][2].append((start, end, segment.type))
+            out[-1] = (out[-1][0], end, *out[-1][2:])
+        else:
+            out.append((start, end, [(start, end, segment.type)], segment.split, segment.subject))
+    return tuple(
+        (a, b, tuple(spans), split, subject)
+        for a, b, spans, split, subject in out
+        if b - a >= MIN_CLIP_FRAMES
+    )
+
+
+# ---- splits ----
+
+
+def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, int], str]:
+    """A split for each (file, run) that has none: whole clips held out, spread evenly over each type.
+
+    A type with a single clip gets the value "mirror": the clip trains and its mirror image tests, or,
+    for every other such clip, the other way round (paper section 3).
+    """
+    open_runs: dict[str, list[tuple[int, int]]] = defaultdict(list)
+    for i, item in enumerate(prepared):
+        for r, (_, _, spans, split, _) in enumerate(item.runs):
+            if not split:
+                longest = max(spans, key=lambda s: s[1] - s[0])
+                open_runs[longest[2]].append((i, r))
+    out: dict[tuple[int, int], str] = {}
+    for kind in sorted(open_runs):
+        keys = sorted(
+            open_runs[kind],
+            key=lambda k: hashlib.sha256(f"{prepared[k[0]].report.name}{k[1]}".encode()).digest(),
+        )
+        if len(keys) == 1:
+            out[keys[0]] = "mirror" if mirror else "train"
+            continue
+        held = max(1, round(TEST_SHARE * len(keys)))
+        out.update({key: "test" if n < held else "train" for n, key in enumerate(keys)})
+    return out
+
+
+# ---- pass two: encode and write ----
+
+
+def _pass_two(
+    prepared: list[_Prepared],
+    staging: Path,
+    options: PreprocessOptions,
+    progress: Callable[[str, int, int], None] | None,
+) -> tuple[list[Clip], dict[str, Any], PreprocessReport]:
+    references = _references(prepared)
+    types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
+    splits = _decide_splits(prepared, options.mirror)
+    total = sum(end - start for p in prepared for start, end, *_ in p.runs)
+    arrays = {
+        "features": _create(staging, "features", (total, FEATURE_COUNT), np.float32),
+        "contacts": _create(staging, "contacts", (total, 4), np.uint8),
+        "ground": _create(staging, "ground", (total, 3), np.float32),
+        "types": _create(staging, "types", (total,), np.int16),
+    }
+    layout = feature_layout(options.layout)
+    moments, trajectory_moments = RunningMoments(FEATURE_COUNT), RunningMoments(TRAJECTORY_COUNT)
+    clips: list[Clip] = []
+    bodies: list[list[list[float]]] = []
+    row = 0
+    items = [(p, references, options.layout) for p in prepared if p.runs]
+    indices = [i for i, p in enumerate(prepared) if p.runs]
+    for done, (index, encoded) in enumerate(
+        zip(indices, _map(_encode_file, items, options.jobs), strict=True), 1
+    ):
+        item = prepared[index]
+        if item.body not in bodies:
+            bodies.append(item.body)
+        for r, ((start, end, spans, split, subject), data) in enumerate(zip(item.runs, encoded, strict=True)):
+            frames = end - start
+            rows = slice(row, row + frames)
+            kinds = np.concatenate([np.full(b - a, types.index(kind), np.int16) for a, b, kind in spans])
+            for name, values in zip(("features", "contacts", "ground"), data, strict=True):
+                arrays[name][rows] = values
+            arrays["types"][rows] = kinds
+            name = f"{item.report.name}:{r}" if len(item.runs) > 1 else item.report.name
+            clip = Clip(name, row, frames, split or splits[index, r], subject, bodies.index(item.body))
+            twins = _with_twin(clip, spans, types, options.mirror)
+            clips.extend(twins)
+            _add_moments(twins, data, kinds, layout, moments, trajectory_moments)
+            row += frames
+            item.report.clips += 1
+            item.report.frames += frames
+        if progress:
+            progress("encoding", done, len(items))
+    for array in arrays.values():
+        array.flush()
+    manifest = {
+        "format": FORMAT,
+        "motionkit": __version__,
+        "fps": FPS,
+        "layout": options.layout,
+        "types": list(types),
+        "bodies": bodies,
+        "references": references.tolist(),
+        "feature_scaling": _plain(feature_scaling(moments, layout)),
+        "trajectory_scaling": _plain(trajectory_scaling(trajectory_moments)),
+        "clips": [asdict(clip) for clip in clips],
+        "files": [asdict(p.report) for p in prepared],
+    }
+    report = PreprocessReport(
+        staging,
+        None,
+        [p.report for p in prepared],
+        _type_table(clips, arrays["types"], types),
+        len(clips),
+        total / FPS,
+    )
+    return clips, manifest, report
+
+
+def _references(prepared: list[_Prepared]) -> Tensor:
+    """Mean rotation of each joint over the data and its mirror image, so that twins share references."""
+    moment = sum(p.moment for p in prepared if p.moment is not None)
+    flip = np.diag([1.0, 1.0, -1.0, -1.0])
+    moment = moment + flip @ moment[list(MIRROR_JOINTS)] @ flip
+    references = mean_rotation(torch.from_numpy(moment)).float()
+    assert references.shape == (JOINT_COUNT, 4)
+    return references
+
+
+def _create(folder: Path, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
+
+
+def _encode_file(item: tuple[_Prepared, Tensor, str]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Features, contacts and ground of each run; encoded in the whole recording, so ends have real neighbours."""
+    prepared, references, layout = item
+    with np.load(prepared.motion_file, allow_pickle=False) as arrays:
+        rotations, root = torch.from_numpy(arrays["rotations"]), torch.from_numpy(arrays["root"])
+    skeleton = canonical_skeleton(torch.tensor(prepared.body))
+    encoded = encode_motion(Motion(skeleton, rotations, root, FPS), references, layout)
+    return [
+        (
+            encoded.features[start:end].numpy(),
+            encoded.contacts[start:end].numpy().astype(np.uint8),
+            encoded.ground[start:end].numpy(),
+        )
+        for start, end, *_ in prepared.runs
+    ]
+
+
+def _with_twin(
+    clip: Clip, spans: Sequence[tuple[int, int, str]], types: Sequence[str], mirror: bool
+) -> list[Clip]:
+    """The clip and its mirrored twin, where it has one."""
+    base = asdict(clip)
+    twin = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
+    if clip.split == "mirror":
+        trains, tests = {**base, "split": "train"}, {**twin, "split": "test"}
+        if hashlib.sha256(clip.name.encode()).digest()[0] % 2:
+            trains, tests = {**twin, "split": "train"}, {**base, "split": "test"}
+        return [Clip(**trains), Clip(**tests)]
+    # A one-sided type whose other side the data does not know has no honest label for its mirror image.
+    known = all(mirrored_type(kind) in types for _, _, kind in spans)
+    if clip.split == "train" and mirror and known:
+        return [clip, Clip(**twin)]
+    return [clip]
+
+
+def _add_moments(
+    clips: list[Clip],
+    data: tuple[np.ndarray, np.ndarray, np.ndarray],
+    kinds: np.ndarray,
+    layout: Any,
+    moments: RunningMoments,
+    trajectory_moments: RunningMoments,
+) -> None:
+    features, contacts, ground = data
+    plain = ClipData(
+        torch.from_numpy(features),
+        torch.from_numpy(contacts.astype(np.float32)),
+        torch.from_numpy(ground),
+        torch.from_numpy(kinds.astype(np.int64)),
+    )
+    for clip in clips:
+        if clip.split != "train":
+            continue
+        shown = mirror_clip(plain, layout, torch.arange(int(kinds.max()) + 1)) if clip.mirrored else plain
+        moments.add(shown.features.numpy())
+        trajectory_moments.add(future_trajectory(shown.ground, torch.arange(clip.frames)).numpy())
+
+
+def _plain(scaling: Scaling) -> dict[str, list[float]]:
+    return {"mean": scaling.mean.tolist(), "std": scaling.std.tolist()}
+
+
+def _type_table(
+    clips: list[Clip], types_array: np.ndarray, types: Sequence[str]
+) -> dict[str, dict[str, float]]:
+    """For each type: clips, twins, test clips, and seconds of recorded motion in train and test."""
+    table = {
+        k: {"clips": 0, "mirrored": 0, "test_clips": 0, "train_seconds": 0.0, "test_seconds": 0.0}
+        for k in types
+    }
+    for clip in clips:
+        kinds, counts = np.unique(types_array[clip.start : clip.start + clip.frames], return_counts=True)
+        for kind, count in zip(kinds, counts, strict=True):
+            name = types[kind]
+            if clip.mirrored:
+                shown = mirrored_type(name)
+                row = table[shown if shown in table else name]
+                row["mirrored"] += 1
+            else:
+                row = table[name]
+                row["clips"] += 1
+            if clip.split == "test":
+                row["test_clips"] += 1
+                row["test_seconds"] += count / FPS
+            elif not clip.mirrored:
+                row["train_seconds"] += count / FPS
+    return table

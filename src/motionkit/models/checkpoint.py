@@ -1,0 +1,187 @@
+"""A trained model as one safetensors file that needs nothing else to run. No pickle anywhere.
+
+Tensors: the network's weights under "network.", scaling, references, bodies and seed frames. The
+header's metadata holds one JSON document with config, types, rate, characters and the data card.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save
+from torch import Tensor
+
+from motionkit import __version__
+from motionkit.errors import ControlError, ModelError
+from motionkit.features.control import ControlLayout
+from motionkit.features.normalize import Scaling
+from motionkit.files import atomic_write
+from motionkit.models.config import ModelConfig
+from motionkit.models.network import PartTransformer
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+
+FORMAT = "motionkit-model-1"
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """Real frames to start from: features (T, 276) unnormalised, contacts (T, 4), ground (T, 3)."""
+
+    features: Tensor
+    contacts: Tensor
+    ground: Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """A network with everything needed to run it.
+
+    Attributes:
+        seeds: for each type name a few starts, real frames of the training data.
+        characters: name to rest-pose offsets (23, 3) in cm; "default" is always there.
+        card: where it comes from: data, settings, time, scores; shown, never needed.
+    """
+
+    network: PartTransformer
+    types: tuple[str, ...]
+    fps: float
+    scaling: Scaling
+    trajectory_scaling: Scaling
+    references: Tensor
+    characters: dict[str, Tensor]
+    seeds: dict[str, list[Seed]]
+    card: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def config(self) -> ModelConfig:
+        """The network's configuration."""
+        return self.network.config
+
+    @property
+    def controls(self) -> ControlLayout:
+        """Where each signal stands in a control vector."""
+        return ControlLayout(self.types)
+
+    def type_id(self, name: str) -> int:
+        """The index of a motion type; raises ControlError that lists the known ones and the nearest."""
+        if name in self.types:
+            return self.types.index(name)
+        raise ControlError(unknown_name("motion type", name, self.types))
+
+    def character(self, name: str) -> Skeleton:
+        """A character's skeleton; raises ControlError for an unknown name."""
+        if name not in self.characters:
+            raise ControlError(unknown_name("character", name, tuple(self.characters)))
+        return canonical_skeleton(self.characters[name])
+
+
+def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
+    """The line for a name nobody knows, with the nearest one."""
+    import difflib
+
+    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"
+
+
+def model_tensors(model: MotionModel, half: bool) -> dict[str, Tensor]:
+    """All tensors of a model by the names they have in its file."""
+    tensors = {f"network.{name}": t for name, t in model.network.state_dict().items()}
+    if half:
+        tensors = {name: t.half() if t.is_floating_point() else t for name, t in tensors.items()}
+    tensors["scaling.mean"], tensors["scaling.std"] = model.scaling.mean, model.scaling.std
+    tensors["trajectory.mean"], tensors["trajectory.std"] = (
+        model.trajectory_scaling.mean,
+        model.trajectory_scaling.std,
+    )
+    tensors["references"] = model.references
+    for name, offsets in model.characters.items():
+        tensors[f"character.{name}"] = offsets
+    for kind, seeds in model.seeds.items():
+        for i, seed in enumerate(seeds):
+            key = f"seed.{i}.{kind}"
+            tensors[f"{key}:features"] = seed.features.half() if half else seed.features
+            tensors[f"{key}:contacts"] = seed.contacts.to(torch.uint8)
+            tensors[f"{key}:ground"] = seed.ground
+    return {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
+
+
+def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None:
+    """Write a model file, whole or not at all; half stores the weights in 16 bits."""
+    header = {
+        "format": FORMAT,
+        "motionkit": __version__,
+        "config": model.config.to_dict(),
+        "types": list(model.types),
+        "fps": model.fps,
+        "characters": list(model.characters),
+        "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
+        "card": model.card,
+    }
+    data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})
+    with atomic_write(path, "wb") as file:
+        file.write(data)
+
+
+def read_header(path: str | Path) -> dict[str, Any]:
+    """A model file's metadata without its weights; raises ModelError if it is not one."""
+    path = Path(path)
+    if not path.is_file():
+        raise ModelError(f"{path}: no such model file")
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            metadata = file.metadata() or {}
+    except (SafetensorError, OSError) as error:
+        raise ModelError(f"{path}: not a motionkit model ({error})") from None
+    try:
+        header = json.loads(metadata["motionkit"])
+    except (KeyError, ValueError):
+        raise ModelError(f"{path}: a safetensors file, but not a motionkit model") from None
+    if header.get("format") != FORMAT:
+        raise ModelError(f"{path}: format {header.get('format')!r}, expected {FORMAT!r}")
+    return header
+
+
+def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionModel:
+    """Read a model file, ready to synthesize; raises ModelError if it is not one or is damaged."""
+    header = read_header(path)
+    with safe_open(str(path), framework="pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}
+    try:
+        types = tuple(header["types"])
+        network = PartTransformer(ModelConfig.from_dict(header["config"]), ControlLayout(types).size)
+        weights = {
+            n.removeprefix("network."): t.float() for n, t in tensors.items() if n.startswith("network.")
+        }
+        network.load_state_dict(weights)
+        seeds = {
+            kind: [_read_seed(tensors, f"seed.{i}.{kind}") for i in range(count)]
+            for kind, count in header["seeds"].items()
+        }
+        return MotionModel(
+            network.to(device).eval(),
+            types,
+            float(header["fps"]),
+            Scaling(tensors["scaling.mean"], tensors["scaling.std"]),
+            Scaling(tensors["trajectory.mean"], tensors["trajectory.std"]),
+            tensors["references"],
+            {name: tensors[f"character.{name}"] for name in header["characters"]},
+            seeds,
+            header.get("card", {}),
+        )
+    except (KeyError, RuntimeError, TypeError) as error:
+        message = str(error).splitlines()[0]
+        raise ModelError(f"{path}: the model file is damaged or of another release ({message})") from None
+
+
+def _read_seed(tensors: dict[str, Tensor], key: str) -> Seed:
+    return Seed(
+        tensors[f"{key}:features"].float(),
+        tensors[f"{key}:contacts"].float(),
+        tensors[f"{key}:ground"].float(),
+    )

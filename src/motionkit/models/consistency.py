@@ -1,0 +1,47 @@
+"""Consistency modules: they decode shared features back to the shared data; training only (paper 4.1)."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from motionkit.models.config import ModelConfig
+from motionkit.models.layers import FeedForward
+from motionkit.models.network import PartTransformer
+
+
+class ConsistencyModules(nn.Module):
+    """One two-layer network per part and level, from the shared channels to the shared joints' data."""
+
+    def __init__(self, network: PartTransformer) -> None:
+        super().__init__()
+        config: ModelConfig = network.config
+        self.parts = len(network.body.parts)
+        self.channels = config.shared_channels
+        self.outputs = 12 * len(network.body.shared)
+        sizes = (self.parts, self.channels, config.consistency_hidden, self.outputs)
+        self.shallow, self.deep = FeedForward(*sizes), FeedForward(*sizes)
+
+    def forward(self, shallow: Tensor, deep: Tensor) -> tuple[Tensor, Tensor]:
+        """Decoded data (P, B, T, 12 S) of both levels from features (P, B, T, D)."""
+        return self.shallow(shallow[..., : self.channels]), self.deep(deep[..., : self.channels])
+
+
+def shared_data(network: PartTransformer, x_BTF: Tensor) -> Tensor:
+    """The shared joints' columns (B, T, 12 S) of features, in the order every part takes them in."""
+    columns = network.part_columns[0, : 12 * len(network.body.shared)]
+    return x_BTF[..., columns]
+
+
+def feature_difference(features: Tensor, channels: int) -> Tensor:
+    """Mean over pairs of parts of the distance between their shared channels (paper L_feat), a scalar."""
+    shared = features[..., :channels]
+    pairs = [(p, q) for p in range(len(shared)) for q in range(p)]
+    if not pairs:
+        return torch.zeros((), device=features.device)
+    return torch.stack([safe_norm(shared[p] - shared[q]).mean() for p, q in pairs]).mean()
+
+
+def safe_norm(x: Tensor) -> Tensor:
+    """Euclidean norm over the last dimension with a gradient at zero."""
+    return torch.sqrt(x.float().square().sum(-1) + 1e-8)

@@ -1,0 +1,93 @@
+"""The network one frame at a time: constant work per frame, equal to the batch forward.
+
+Each attention layer keeps a ring of the last W keys and values, the shallow convolution its last
+inputs. Absolute (sinusoidal) positions change with every frame, so that option recomputes the whole
+receptive field instead, as the paper does.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.models.network import AutoRegressiveModule, PartTransformer, Prediction
+
+
+class _ModuleRings:
+    """Keys and values (L, P, B, H, W, E) of one auto-regressive module."""
+
+    def __init__(self, module: AutoRegressiveModule, parts: int, batch: int) -> None:
+        config = module.config
+        shape = (config.layers, parts, batch, config.heads, config.window, config.width // config.heads)
+        device = module.embed.weight.device
+        self.keys = torch.zeros(shape, device=device)
+        self.values = torch.zeros(shape, device=device)
+
+
+class NetworkStream:
+    """A batch of independent characters, fed frame by frame."""
+
+    def __init__(self, network: PartTransformer, batch: int) -> None:
+        self.network, self.batch = network, batch
+        self.recomputes = network.config.position == "sinusoidal"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all frames."""
+        network, config = self.network, self.network.config
+        P, B, device = len(network.body.parts), self.batch, network.aggregate.weight.device
+        self.frame = 0
+        if self.recomputes:
+            size = FEATURE_COUNT + CONTACT_COUNT + network.control_size
+            self.past = torch.zeros(B, 0, size, device=device)
+            return
+        inputs = network.part_columns.shape[1]
+        self.recent = torch.zeros(P, B, config.kernel, inputs, device=device)
+        self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
+
+    @torch.inference_mode()
+    def step(self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor) -> Prediction:
+        """Take in one frame and predict the next; shapes as PartTransformer.forward without T."""
+        if self.recomputes:
+            return self._recompute(x_BF, contacts_B4, controls_BC)
+        network = self.network
+        inputs = network.split_parts(x_BF, contacts_B4)
+        self.recent = torch.cat([self.recent[:, :, 1:], inputs[:, :, None]], dim=2)
+        shallow = self._module(network.shallow, self.rings[0], self.recent.flatten(2), controls_BC)
+        deep = self._module(network.deep, self.rings[1], network.fuse(shallow), controls_BC)
+        self.frame += 1
+        return network.predict(x_BF, shallow, deep)
+
+    def _module(
+        self, module: AutoRegressiveModule, rings: _ModuleRings, x: Tensor, controls: Tensor
+    ) -> Tensor:
+        motion = module.embed_motion(x)
+        controls = module.embed_controls(controls.expand(motion.shape[0], *controls.shape))
+        x = torch.cat([motion, controls], dim=-1)
+        slot = self.frame % module.config.window
+        for i, layer in enumerate(module.layers):
+            bias = layer.attention.ring_bias(self.frame, x.device)
+            x = layer.step(x, controls, rings.keys[i], rings.values[i], slot, bias)
+        return x if module.final_norm is None else module.final_norm(x)
+
+    def _recompute(self, x: Tensor, contacts: Tensor, controls: Tensor) -> Prediction:
+        row = torch.cat([x, contacts, controls], dim=-1)[:, None]
+        self.past = torch.cat([self.past, row], dim=1)[:, -self.network.config.receptive_field :]
+        self.frame += 1
+        sizes = [FEATURE_COUNT, CONTACT_COUNT, self.network.control_size]
+        prediction = self.network(*self.past.split(sizes, dim=-1))
+        return Prediction(
+            prediction.mean[:, -1],
+            prediction.log_sigma[:, -1],
+            prediction.trajectory_mean[:, -1],
+            prediction.trajectory_log_sigma[:, -1],
+            prediction.contact_logits[:, -1],
+            prediction.shallow[:, :, -1],
+            prediction.deep[:, :, -1],
+        )
+
+    def prime(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> None:
+        """Take in frames whose predictions are not needed."""
+        for t in range(x_BTF.shape[1]):
+            self.step(x_BTF[:, t], contacts_BT4[:, t], controls_BTC[:, t])

@@ -1,0 +1,161 @@
+"""The six losses of the paper (section 4.2), each a function, each logged by its name.
+
+All norms are over normalised features, except the FK loss, whose foot positions are in units of
+20 cm (about the deviation of foot positions). mask is (B, T): 0 where a
+window has ended, else such that every window weighs the same; means divide by B T, so that the mean over
+equal shares of a batch is the mean over the batch.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from motionkit.features.decode import decode_rotations, root_height
+from motionkit.features.layout import feature_layout
+from motionkit.features.normalize import Scaling
+from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
+from motionkit.models.network import PartTransformer, Prediction
+from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
+
+FOOT_UNIT = 20.0  # cm
+WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """A batch of windows, normalised; targets are one frame ahead of inputs.
+
+    inputs, targets: (B, T, 276). contacts, next_contacts: (B, T, 4). controls: (B, T, C).
+    trajectory: (B, T, 24) of the target frame. offsets: (B, 23, 3) cm. mask: (B, T).
+    """
+
+    inputs: Tensor
+    targets: Tensor
+    contacts: Tensor
+    next_contacts: Tensor
+    controls: Tensor
+    trajectory: Tensor
+    offsets: Tensor
+    mask: Tensor
+
+    def to(self, device: torch.device | str) -> Batch:
+        """The batch on another device."""
+        return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
+
+    def part(self, index: int, count: int) -> Batch:
+        """The index-th of count equal parts."""
+        return Batch(**{name: value.chunk(count)[index] for name, value in vars(self).items()})
+
+
+def _mean(values: Tensor, mask: Tensor) -> Tensor:
+    return (values * mask).sum() / mask.numel()
+
+
+def gaussian_loss(mean: Tensor, log_sigma: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+    """Negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory)."""
+    scaled = (target - mean) * torch.exp(-log_sigma)
+    return _mean((0.5 * scaled.square() + log_sigma + 0.9189385).sum(-1), mask)
+
+
+def smoothness_loss(mean: Tensor, mask: Tensor) -> Tensor:
+    """Norm of the second difference of the predicted means (L_s)."""
+    if mean.shape[1] < 3:
+        return torch.zeros((), device=mean.device)
+    return _mean(safe_norm(mean[:, :-2] + mean[:, 2:] - 2.0 * mean[:, 1:-1]), mask[:, 2:])
+
+
+def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+    """Binary cross-entropy of the four contacts, summed (L_f)."""
+    return _mean(F.binary_cross_entropy_with_logits(logits, target, reduction="none").sum(-1), mask)
+
+
+def foot_positions(features: Tensor, offsets: Tensor, references: Tensor, layout: str) -> Tensor:
+    """Feet (B, T, 4, 3) in cm relative to the root, in the heading frame, from unnormalised features."""
+    rotations = decode_rotations(features, references, layout)
+    feet = []
+    for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
+        chain = [ankle]
+        while PARENTS[chain[0]] > 0:
+            chain.insert(0, PARENTS[chain[0]])
+        turn = rotations[..., 0, :]
+        place = torch.zeros_like(features[..., :3])
+        for joint in (*chain, toe):
+            place = place + quat_rotate(turn, offsets[:, None, joint])
+            turn = quat_multiply(turn, rotations[..., joint, :])
+            if joint in (ankle, toe):
+                feet.append(place)
+    return torch.stack(feet, dim=-2)
+
+
+def fk_loss(
+    prediction: Prediction, batch: Batch, scaling: Scaling, references: Tensor, layout: str, fps: float
+) -> Tensor:
+    """Feet by forward kinematics near the true ones, and still on the ground while in contact (L_FK).
+
+    Paper eq. 9 compares the feet of two frames in the root's space, where a standing foot moves as the
+    body passes over it; here the step the root takes between the frames is taken out first.
+    """
+    features = scaling.denormalize(prediction.mean)
+    predicted = foot_positions(features, batch.offsets, references, layout)
+    with torch.no_grad():
+        true = foot_positions(scaling.denormalize(batch.targets), batch.offsets, references, layout)
+    near = _mean(safe_norm((predicted - true) / FOOT_UNIT).sum(-1), batch.mask)
+    blocks = feature_layout(layout).blocks
+    turn = features[:, 1:, blocks["root_yaw_velocity"]] / fps
+    step = features[:, 1:, blocks["root_xz_velocity"]] / fps
+    lift = (root_height(features[:, 1:], layout) - root_height(features[:, :-1], layout))[..., None]
+    step = torch.stack([step[..., 0], lift[..., 0], step[..., 1]], dim=-1)
+    before = quat_rotate(quat_from_yaw(-turn), predicted[:, :-1])
+    slip = (predicted[:, 1:] + step[:, :, None] - before).abs().sum(-1) / FOOT_UNIT
+    touching = torch.sigmoid(prediction.contact_logits)
+    both = touching[:, 1:] * touching[:, :-1]
+    return near + _mean((both * slip).sum(-1), batch.mask[:, 1:])
+
+
+def consistency_loss(
+    network: PartTransformer, modules: ConsistencyModules, prediction: Prediction, batch: Batch
+) -> Tensor:
+    """Shared channels alike between parts, and decodable to the shared data (L_con = L_feat + 2 L_root)."""
+    channels = network.config.shared_channels
+    alike = feature_difference(prediction.shallow, channels) + feature_difference(prediction.deep, channels)
+    truth = shared_data(network, batch.inputs)
+    root = torch.zeros((), device=truth.device)
+    for decoded in modules(prediction.shallow, prediction.deep):
+        for part in decoded:
+            root = root + _mean(safe_norm(part.float() - truth), batch.mask)
+    return alike + 2.0 * root
+
+
+def training_losses(
+    network: PartTransformer,
+    modules: ConsistencyModules | None,
+    prediction: Prediction,
+    batch: Batch,
+    scaling: Scaling,
+    references: Tensor,
+    fps: float,
+) -> dict[str, Tensor]:
+    """All six terms by name, unweighted."""
+    zero = torch.zeros((), device=prediction.mean.device)
+    consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
+    return {
+        "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask),
+        "smooth": smoothness_loss(prediction.mean, batch.mask),
+        "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
+        "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps),
+        "consistency": consistency,
+        "trajectory": gaussian_loss(
+            prediction.trajectory_mean, prediction.trajectory_log_sigma, batch.trajectory, batch.mask
+        ),
+    }
+
+
+def total_loss(terms: dict[str, Tensor], weights: dict[str, float] | None = None) -> Tensor:
+    """The weighted sum (paper eq. 4)."""
+    weights = WEIGHTS if weights is None else weights
+    return torch.stack([weights[name] * value for name, value in terms.items()]).sum()

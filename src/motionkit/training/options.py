@@ -1,0 +1,44 @@
+"""What a training run is told; every field is in the model card of what comes out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from motionkit.errors import MotionkitError
+from motionkit.training.losses import WEIGHTS
+from motionkit.training.sampler import SamplerOptions
+
+
+@dataclass(frozen=True)
+class TrainOptions:
+    """Settings of a run. steps or minutes says when it ends; with both, whichever comes first."""
+
+    preset: str = "tptn"
+    steps: int | None = None
+    minutes: float | None = None
+    batch: int = 16  # windows per step, over all processes
+    rate: float = 1e-3  # peak learning rate
+    warmup: int = 200  # steps
+    final_rate: float = 0.02  # share of the peak at the end of the cosine
+    weight_decay: float = 0.01
+    betas: tuple[float, float] = (0.9, 0.98)
+    clip_norm: float = 1.0
+    ema: float = 0.998
+    seed: int = 0
+    precision: str = "auto"  # "auto", "float32" or "bfloat16"
+    checkpoint_seconds: float = 40.0
+    score_minutes: float = 10.0  # between roll-out scores
+    score_seconds: float = 10.0  # length of a scored roll-out
+    log_every: int = 20
+    weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))
+    sampler: SamplerOptions = field(default_factory=SamplerOptions)
+    config: dict[str, Any] = field(default_factory=dict)  # fields that differ from the preset
+
+    def __post_init__(self) -> None:
+        if self.steps is None and self.minutes is None:
+            raise MotionkitError("training needs --steps or --minutes to know when to end")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for logs and model cards."""
+        return asdict(self)

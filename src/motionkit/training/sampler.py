@@ -1,0 +1,182 @@
+"""Training windows: balanced over types, from recordings and from spliced transitions.
+
+Every window is drawn from its own generator, seeded by (seed, step, place in the batch), so a run can
+be resumed, or spread over processes, and see the same windows.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.data.dataset import ClipData, Dataset
+from motionkit.data.splice import splice_clips
+from motionkit.errors import DatasetError
+from motionkit.features.control import ControlLayout, blend_types, future_trajectory
+from motionkit.features.layout import FEATURE_COUNT
+from motionkit.motion.skeleton import canonical_skeleton
+from motionkit.synthesis.rollout import control_vector, skeleton_signal
+from motionkit.training.losses import Batch
+
+MIN_SPAN = 12  # frames; shorter stretches of a type are not spliced
+
+
+@dataclass(frozen=True)
+class SamplerOptions:
+    """How windows are drawn."""
+
+    window: int = 96  # frames of a window (paper: 300)
+    balance: float = 0.75  # 0: types as often as they are recorded; 1: all equally often (paper)
+    splices: int = 2000  # spliced transitions made before training; 0 for none
+    splice_share: float = 0.4  # of windows
+    trajectory_dropout: float = 0.5  # windows without a trajectory
+    lead_share: float = 0.5  # windows whose type is announced ahead of the motion
+    lead_frames: int = 30  # by at most this many frames
+    noise: float = 0.05  # deviation of the input noise, normalised (paper: 0.05)
+
+
+@dataclass(frozen=True)
+class Span:
+    """A stretch of one type in a source: a clip, or a splice."""
+
+    source: int
+    start: int
+    end: int
+
+
+class WindowSampler:
+    """Draws windows of normalised features with their controls from a dataset's training clips."""
+
+    def __init__(self, dataset: Dataset, options: SamplerOptions, seed: int = 0) -> None:
+        self.dataset, self.options, self.seed = dataset, options, seed
+        self.clips = dataset.select("train")
+        if not self.clips:
+            raise DatasetError(f"{dataset.folder}: no training clips")
+        self.controls = ControlLayout(dataset.types)
+        self.spans = self._index([dataset.clip_types(clip) for clip in self.clips])
+        self.splices: list[ClipData] = []
+        self.splice_spans: dict[int, list[Span]] = {}
+        self.splice_bodies: list[int] = []
+        self.probabilities = self._probabilities()
+
+    def _index(self, type_tracks: list[Tensor]) -> dict[int, list[Span]]:
+        spans: dict[int, list[Span]] = {}
+        for source, types in enumerate(type_tracks):
+            edges = (torch.nonzero(torch.diff(types)).flatten() + 1).tolist()
+            for start, end in zip([0, *edges], [*edges, len(types)], strict=True):
+                spans.setdefault(int(types[start]), []).append(Span(source, start, end))
+        return spans
+
+    def _probabilities(self) -> Tensor:
+        frames = torch.zeros(len(self.dataset.types), dtype=torch.float64)
+        for kind, spans in self.spans.items():
+            frames[kind] = sum(s.end - s.start for s in spans)
+        weights = torch.where(frames > 0, frames ** (1.0 - self.options.balance), 0.0)
+        return weights / weights.sum()
+
+    def make_splices(self) -> None:
+        """Join ends and starts of training stretches; repeatable for a seed."""
+        generator = torch.Generator().manual_seed(self.seed + 7_919)
+        usable = {k: [s for s in v if s.end - s.start >= MIN_SPAN] for k, v in self.spans.items()}
+        usable = {k: v for k, v in usable.items() if v}
+        weights = torch.zeros_like(self.probabilities)
+        for kind in usable:
+            weights[kind] = self.probabilities[kind]
+        bodies = []
+        for _ in range(self.options.splices if usable else 0):
+            first, second = (self._random_span(usable, weights, generator) for _ in range(2))
+            clip_a, clip_b = self.clips[first.source], self.clips[second.source]
+            if clip_a.body != clip_b.body:
+                continue
+            decay = 20 + int(torch.randint(21, (), generator=generator))
+            spliced = splice_clips(
+                self.dataset,
+                (clip_a, first.start, first.end),
+                (clip_b, second.start, second.end),
+                decay,
+                generator,
+            )
+            self.splices.append(spliced)
+            bodies.append(clip_a.body)
+        self.splice_bodies = bodies
+        self.splice_spans = self._index([data.types for data in self.splices])
+
+    def _random_span(self, spans: dict[int, list[Span]], weights: Tensor, generator: torch.Generator) -> Span:
+        kind = int(torch.multinomial(weights, 1, generator=generator))
+        choices = spans[kind]
+        # Long stretches have more to show, but only their ends meet: the square root lies between.
+        sizes = torch.tensor([(s.end - s.start) ** 0.5 for s in choices])
+        return choices[int(torch.multinomial(sizes, 1, generator=generator))]
+
+    def batch(self, step: int, size: int, first: int = 0, count: int | None = None) -> Batch:
+        """Windows first to first + count of the batch of the given size at a step."""
+        count = size if count is None else count
+        windows = [self._window(self._generator(step, first + i)) for i in range(count)]
+        return Batch(**{name: torch.stack([w[name] for w in windows]) for name in windows[0]})
+
+    def _generator(self, step: int, place: int) -> torch.Generator:
+        words = np.random.SeedSequence([self.seed, step, place]).generate_state(2, np.uint32)
+        return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]))
+
+    def _window(self, generator: torch.Generator) -> dict[str, Tensor]:
+        options = self.options
+        uniform = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
+        kind = int(torch.multinomial(self.probabilities, 1, generator=generator))
+        spliced = self.splice_spans.get(kind) if uniform[0] < options.splice_share else None
+        spans = spliced or self.spans[kind]
+        sizes = torch.tensor([s.end - s.start for s in spans], dtype=torch.float64)
+        span = spans[int(torch.multinomial(sizes, 1, generator=generator))]
+        anchor = span.start + int(uniform[1] * (span.end - span.start))
+        place = int(uniform[2] * options.window)
+        if spliced:
+            data, body = self.splices[span.source], self.splice_bodies[span.source]
+            start = max(0, min(anchor - place, len(data.types) - options.window - 1))
+            shown = slice(start, start + options.window + 62)
+            data = ClipData(data.features[shown], data.contacts[shown], data.ground[shown], data.types[shown])
+        else:
+            clip = self.clips[span.source]
+            body = clip.body
+            start = max(0, min(anchor - place, clip.frames - options.window - 1))
+            data = self.dataset.read(clip, start, start + options.window + 62)
+        return self._assemble(data, body, uniform[3], generator)
+
+    def _assemble(self, data: ClipData, body: int, u: float, generator: torch.Generator) -> dict[str, Tensor]:
+        options, T = self.options, self.options.window
+        frames = min(T, len(data.types) - 1)
+        x = self.dataset.scaling.normalize(data.features[: frames + 1])
+        trajectory = future_trajectory(data.ground, torch.arange(frames + 1))
+        types = data.types
+        if torch.rand((), generator=generator) < options.lead_share:
+            lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
+            types = torch.cat([types[lead:], types[-1:].expand(lead)]) if lead < len(types) else types
+        weights = blend_types(types, len(self.dataset.types))[:frames]
+        given = torch.full((frames,), 0.0 if u < options.trajectory_dropout else 1.0)
+        skeleton = skeleton_signal(canonical_skeleton(self.dataset.bodies[body]))
+        controls = control_vector(
+            self.controls, skeleton, weights, trajectory[:frames], given, self.dataset.trajectory_scaling
+        )
+        noise = torch.randn(frames, FEATURE_COUNT, generator=generator) * options.noise
+        # A short window counts as much as a full one.
+        mask = torch.full((frames,), T / frames)
+        window = {
+            "inputs": x[:frames] + noise,
+            "targets": x[1:],
+            "contacts": data.contacts[:frames],
+            "next_contacts": data.contacts[1 : frames + 1],
+            "controls": controls,
+            "trajectory": self.dataset.trajectory_scaling.normalize(trajectory[1:]),
+            "mask": mask,
+        }
+        padded = {name: _pad(value, T) for name, value in window.items()}
+        padded["offsets"] = self.dataset.bodies[body]
+        return padded
+
+
+def _pad(values: Tensor, frames: int) -> Tensor:
+    """Values (T, ...) continued with zeros to the given number of frames."""
+    if len(values) == frames:
+        return values
+    return torch.cat([values, values.new_zeros(frames - len(values), *values.shape[1:])])

@@ -1,0 +1,136 @@
+"""Roll-out scores: what a model does when left to itself, per type. Losses alone do not tell.
+
+Each type runs closed-loop from its own start without a trajectory; what it does is held against the
+real motion of that type.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionkit.data.dataset import Dataset
+from motionkit.features.layout import FeatureLayout
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.bvh import write_bvh
+from motionkit.motion.skeleton import FOOT_JOINTS
+from motionkit.synthesis.rollout import (
+    FrameControls,
+    Noise,
+    Rollout,
+    RolloutState,
+    rollout_motion,
+    run,
+    seed_batch,
+)
+
+MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
+
+
+@dataclass(frozen=True)
+class TypeScore:
+    """One type's roll-out.
+
+    joint_speed: mean joint speed against the real one (0: frozen, 1: as real). pose_distance: mean distance
+    per joint (cm) to the nearest real pose of any training clip of the type. slide: horizontal speed of
+    low feet against the real one. height: lowest and highest root height (cm).
+    """
+
+    type: str
+    joint_speed: float
+    pose_distance: float
+    slide: float
+    height: tuple[float, float]
+
+    def to_dict(self) -> dict:
+        """Rounded plain values, for logs."""
+        return {k: [round(x, 3) for x in v] if isinstance(v, tuple) else v if isinstance(v, str) else round(v, 3)
+                for k, v in asdict(self).items()}  # fmt: skip
+
+
+def score_rollouts(
+    model: MotionModel, dataset: Dataset, frames: int, samples: Path | None = None, seed: int = 0
+) -> tuple[TypeScore, ...]:
+    """Score a roll-out of every type; with samples given, a predicted and a true BVH of each are written there."""
+    torch.set_num_threads(1)
+    rollout = rollout_types(model, frames, seed)
+    scores = []
+    for i, kind in enumerate(model.types):
+        real = _real_frames(dataset, i)
+        if len(real):
+            scores.append(_score(kind, rollout.features[i], real, dataset.layout))
+    if samples is not None:
+        _write_samples(model, dataset, rollout, samples)
+    return tuple(scores)
+
+
+def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise | None = None) -> Rollout:
+    """All types side by side, each from its own first seed frames, no trajectory."""
+    count = len(model.types)
+    state = RolloutState(model, count, noise or Noise(), seed)
+    weights = torch.eye(count)
+    features, contacts = seed_batch([model.seeds[kind][0] for kind in model.types])
+    state.start(features, contacts, weights)
+    asked = FrameControls(weights, torch.zeros(count, 24), torch.zeros(count))
+    return run(state, frames, lambda t, ground: asked)
+
+
+def _real_frames(dataset: Dataset, kind: int) -> Tensor:
+    parts, taken = [], 0
+    for clip in dataset.select("train"):
+        chosen = dataset.clip_types(clip) == kind
+        if bool(chosen.any()) and taken < MAX_REAL_FRAMES:
+            parts.append(dataset.read(clip).features[chosen][: MAX_REAL_FRAMES - taken])
+            taken += len(parts[-1])
+    return torch.cat(parts) if parts else torch.zeros(0, 276)
+
+
+def _score(kind: str, made: Tensor, real: Tensor, layout: FeatureLayout) -> TypeScore:
+    positions = layout.blocks["joint_positions"]
+    distance = torch.cdist(made[::4, positions], real[:, positions]).min(dim=1).values.mean() / 23**0.5
+    height = made[:, layout.joint_columns(0)][:, -3 if layout.version.startswith("sixd") else -5]
+    return TypeScore(
+        kind,
+        float(_joint_speed(made, layout) / _joint_speed(real, layout).clamp(min=1e-3)),
+        float(distance),
+        float(_slide(made, layout) / _slide(real, layout).clamp(min=0.5)),
+        (float(height.min()), float(height.max())),
+    )
+
+
+def _joint_speed(features: Tensor, layout: FeatureLayout) -> Tensor:
+    turns = features[:, layout.blocks["joint_angular_velocities"]]
+    return turns.reshape(len(features), 22, 3).norm(dim=-1).mean()
+
+
+def _slide(features: Tensor, layout: FeatureLayout) -> Tensor:
+    """Mean horizontal speed (cm/s) of toes lower than 5 cm."""
+    names = [(c.block, c.joint, c.component) for c in layout.columns]
+    toes = [j for j in FOOT_JOINTS if j in (FOOT_JOINTS[1], FOOT_JOINTS[3])]
+    heights = features[:, [names.index(("joint_positions", j, 1)) for j in toes]]
+    speeds = torch.stack(
+        [features[:, [names.index(("joint_velocities", j, k)) for k in (0, 2)]].norm(dim=-1) for j in toes],
+        -1,
+    )
+    low = (heights < 5.0).float()
+    return (speeds * low).sum() / low.sum().clamp(min=1.0)
+
+
+def _write_samples(model: MotionModel, dataset: Dataset, rollout: Rollout, folder: Path) -> None:
+    from motionkit.features.decode import decode_motion
+
+    folder.mkdir(parents=True, exist_ok=True)
+    skeleton = model.character("default")
+    for i, kind in enumerate(model.types):
+        write_bvh(folder / f"{kind}-predicted.bvh", rollout_motion(model, rollout, i, skeleton))
+        clip = next((c for c in dataset.select("train") if bool((dataset.clip_types(c) == i).any())), None)
+        if clip is not None:
+            data = dataset.read(clip)
+            real = data.features[dataset.clip_types(clip) == i]
+            motion = decode_motion(
+                real, skeleton, dataset.fps, None, dataset.references, dataset.layout.version
+            )
+            write_bvh(folder / f"{kind}-true.bvh", motion)

@@ -1,0 +1,350 @@
+"""The training loop: windows in, a model file out; stops and goes on without a trace."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import time
+from collections.abc import Callable
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import torch
+import torch.distributed as dist
+from torch import Tensor, nn
+from torch.nn.parallel import DistributedDataParallel
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError
+from motionkit.features.control import ControlLayout
+from motionkit.models.checkpoint import MotionModel, save_model
+from motionkit.models.config import ModelConfig
+from motionkit.models.consistency import ConsistencyModules
+from motionkit.models.network import PartTransformer, parameter_count
+from motionkit.models.presets import preset
+from motionkit.training.bundle import bundle_model
+from motionkit.training.losses import Batch, total_loss, training_losses
+from motionkit.training.options import TrainOptions
+from motionkit.training.run_state import load_run, save_run
+from motionkit.training.sampler import WindowSampler
+from motionkit.training.scores import TypeScore, score_rollouts
+
+# The paper's sum counts 276 columns; per column the gradient norm does not depend on their number.
+LOSS_SCALE = 1.0 / 276.0
+
+
+class TrainingModule(nn.Module):
+    """Network, consistency modules and losses as one module, so that DistributedDataParallel sees all of it."""
+
+    def __init__(self, config: ModelConfig, dataset: Dataset) -> None:
+        super().__init__()
+        self.network = PartTransformer(config, ControlLayout(dataset.types).size)
+        self.consistency = ConsistencyModules(self.network) if config.consistency else None
+        self.fps = dataset.fps
+        self.scaling = dataset.scaling
+        self.references = dataset.references
+
+    def to_device(self, device: torch.device) -> TrainingModule:
+        """Weights, scaling and references moved to a device."""
+        self.to(device)
+        self.scaling = replace(
+            self.scaling, mean=self.scaling.mean.to(device), std=self.scaling.std.to(device)
+        )
+        self.references = self.references.to(device)
+        return self
+
+    def forward(self, batch: Batch, autocast: bool) -> dict[str, Tensor]:
+        kind = batch.inputs.device.type
+        with torch.autocast(kind, torch.bfloat16) if autocast else nullcontext():
+            prediction = self.network(batch.inputs, batch.contacts, batch.controls)
+            prediction = replace(prediction, shallow=prediction.shallow, deep=prediction.deep)
+        return training_losses(
+            self.network, self.consistency, prediction, batch, self.scaling, self.references, self.fps
+        )
+
+
+@dataclass(frozen=True)
+class TrainEvent:
+    """What a run reports: kind is "log", "score", "checkpoint" or "note"."""
+
+    kind: str
+    step: int
+    seconds: float
+    losses: dict[str, float]
+    scores: tuple[TypeScore, ...] = ()
+    text: str = ""
+
+
+@dataclass(frozen=True)
+class TrainResult:
+    """How a run ended."""
+
+    model: Path
+    steps: int
+    seconds: float
+    finished: bool
+    losses: dict[str, float]
+
+
+def train(
+    dataset_folder: str | Path,
+    output: str | Path,
+    options: TrainOptions,
+    resume: bool = False,
+    run_folder: str | Path | None = None,
+    device: str = "auto",
+    on_event: Callable[[TrainEvent], None] | None = None,
+) -> TrainResult:
+    """Train on a dataset folder and write one model file.
+
+    Args:
+        output: the model file; written at the end and on Ctrl-C.
+        resume: go on from the run folder's checkpoint, with the same losses as an unbroken run.
+        run_folder: checkpoint and log.jsonl; output with ".run" for its ending by default.
+        on_event: called with everything worth showing, in the first process only.
+
+    Raises:
+        DatasetError, ModelError: for a dataset or checkpoint that does not fit.
+    """
+    run = _Run(Dataset(dataset_folder), Path(output), options, run_folder, device, on_event)
+    if resume:
+        run.resume()
+    return run.go()
+
+
+def resolve_device(name: str) -> torch.device:
+    """The device "auto" means: CUDA where there is one."""
+    if name == "auto":
+        name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
+    return torch.device(name)
+
+
+def _use_bfloat16(precision: str, device: torch.device) -> bool:
+    """bf16 pays where the processor has instructions for it; elsewhere it is emulated, and slower."""
+    if precision == "auto":
+        if device.type == "cuda":
+            return torch.cuda.is_bf16_supported()
+        supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)
+        return bool(supported())
+    return precision == "bfloat16"
+
+
+class _Stop(Exception):
+    pass
+
+
+class _Run:
+    def __init__(
+        self,
+        dataset: Dataset,
+        output: Path,
+        options: TrainOptions,
+        run_folder: str | Path | None,
+        device: str,
+        on_event: Callable[[TrainEvent], None] | None,
+    ) -> None:
+        self.dataset, self.output, self.options = dataset, output, options
+        self.folder = Path(run_folder) if run_folder else output.with_suffix(".run")
+        self.device = resolve_device(device)
+        self.rank, self.world = _join_processes(self.device)
+        if options.batch % self.world:
+            raise DatasetError(f"batch {options.batch} does not divide over {self.world} processes")
+        self.on_event = on_event if self.rank == 0 else None
+        torch.manual_seed(options.seed)
+        config = replace(preset(options.preset), **options.config)
+        if config.layout != dataset.layout.version:
+            raise DatasetError(
+                f"{dataset.folder} has feature layout {dataset.layout.version}, preset {options.preset} needs "
+                f"{config.layout}: run preprocess with --layout {config.layout}"
+            )
+        self.module = TrainingModule(config, dataset).to_device(self.device)
+        self.trainable: nn.Module = self.module
+        if self.world > 1:
+            ids = [self.device.index] if self.device.type == "cuda" else None
+            self.trainable = DistributedDataParallel(self.module, device_ids=ids)
+        # Dropout must differ between processes, weights must not.
+        torch.manual_seed(options.seed + 1 + self.rank)
+        self.optimizer = torch.optim.AdamW(
+            self.module.parameters(), lr=options.rate, betas=options.betas, weight_decay=options.weight_decay
+        )
+        self.average = {n: p.detach().clone() for n, p in self.module.network.state_dict().items()}
+        self.autocast = _use_bfloat16(options.precision, self.device)
+        self.step, self.seconds = 0, 0.0
+        self.losses: dict[str, float] = {}
+        self.scores: tuple[TypeScore, ...] = ()
+        self.sampler = WindowSampler(dataset, options.sampler, options.seed)
+
+    @property
+    def checkpoint(self) -> Path:
+        return self.folder / "checkpoint.safetensors"
+
+    def resume(self) -> None:
+        """Load the checkpoint, whose options must be those of this run, but for how long it goes on."""
+        if not self.checkpoint.is_file():
+            raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
+        facts = load_run(self.checkpoint, self.module, self.average, self.optimizer)
+        self.step, self.seconds = int(facts["step"]), float(facts["seconds"])
+
+    def progress(self) -> float:
+        """How much of the run is done, 0 to 1."""
+        shares = [0.0]
+        if self.options.steps:
+            shares.append(self.step / self.options.steps)
+        if self.options.minutes:
+            shares.append(self.seconds / (60.0 * self.options.minutes))
+        return min(1.0, max(shares))
+
+    def learning_rate(self) -> float:
+        """Linear warm-up, then a cosine down to a small share of the peak."""
+        options = self.options
+        warm = min(1.0, (self.step + 1) / max(1, options.warmup))
+        cosine = 0.5 * (1.0 + math.cos(math.pi * self.progress()))
+        return options.rate * warm * (options.final_rate + (1.0 - options.final_rate) * cosine)
+
+    def go(self) -> TrainResult:
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
+        self.sampler.make_splices()
+        self._note(f"{len(self.sampler.splices)} spliced transitions")
+        previous = self._catch_signals()
+        finished = False
+        try:
+            self._loop()
+            finished = True
+        except (KeyboardInterrupt, _Stop):
+            self._note("stopped; the checkpoint holds everything, go on with --resume")
+        finally:
+            for number, handler in previous.items():
+                signal.signal(number, handler)
+        if self.rank == 0:
+            self._save_checkpoint()
+            save_model(self.output, self.model())
+        if dist.is_initialized() and self.world > 1:
+            dist.barrier()
+        return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
+
+    def _catch_signals(self) -> dict[int, Any]:
+        def stop(number: int, frame: Any) -> None:
+            raise _Stop
+
+        try:
+            return {signal.SIGTERM: signal.signal(signal.SIGTERM, stop)}
+        except ValueError:  # not in the main thread
+            return {}
+
+    def _loop(self) -> None:
+        saved = scored = time.monotonic()
+        clock = time.monotonic()
+        while self.progress() < 1.0:
+            self.losses = self._train_step()
+            now = time.monotonic()
+            self.seconds, clock = self.seconds + now - clock, now
+            if self.world > 1 and self.options.minutes:
+                self.seconds = self._agree(self.seconds)
+            if self.step % self.options.log_every == 0 or self.progress() >= 1.0:
+                self._emit("log")
+            if self.rank == 0 and now - saved > self.options.checkpoint_seconds:
+                self._save_checkpoint()
+                saved = time.monotonic()
+            if self.rank == 0 and now - scored > 60.0 * self.options.score_minutes:
+                self._score()
+                scored = time.monotonic()
+        if self.rank == 0:
+            self._score()
+
+    def _agree(self, seconds: float) -> float:
+        """The first process's clock, so that all processes stop at the same step."""
+        value = torch.tensor([seconds], device=self.device, dtype=torch.float64)
+        dist.broadcast(value, 0)
+        return float(value)
+
+    def _train_step(self) -> dict[str, float]:
+        options = self.options
+        self.trainable.train()
+        share = options.batch // self.world
+        batch = self.sampler.batch(self.step, options.batch, self.rank * share, share).to(self.device)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.learning_rate()
+        terms = self.trainable(batch, self.autocast)
+        loss = total_loss(terms, options.weights) * LOSS_SCALE
+        self.optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.clip_norm)
+        if bool(torch.isfinite(norm)):
+            self.optimizer.step()
+            self._update_average()
+        self.step += 1
+        names = list(terms)
+        values = torch.stack([terms[n].detach() for n in names] + [loss.detach() / LOSS_SCALE, norm.detach()])
+        if self.world > 1:
+            dist.all_reduce(values)
+            values = values / self.world
+        return dict(zip([*names, "total", "gradient"], values.tolist(), strict=True))
+
+    @torch.no_grad()
+    def _update_average(self) -> None:
+        # Early on the average follows quickly, so that it does not remember the random start.
+        decay = min(self.options.ema, (1.0 + self.step) / (10.0 + self.step))
+        state = self.module.network.state_dict()
+        averages = list(self.average.values())
+        torch._foreach_lerp_(averages, [state[n] for n in self.average], 1.0 - decay)
+
+    def _save_checkpoint(self) -> None:
+        facts = {"step": self.step, "seconds": self.seconds, "options": self.options.to_dict()}
+        save_run(self.checkpoint, self.module, self.average, self.optimizer, facts)
+        self._emit("checkpoint")
+
+    def model(self) -> MotionModel:
+        """The model as it would ship: averaged weights, on the CPU."""
+        network = PartTransformer(self.module.network.config, self.module.network.control_size)
+        network.load_state_dict({n: t.cpu() for n, t in self.average.items()})
+        card = {
+            "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},
+            "options": self.options.to_dict(),
+            "steps": self.step,
+            "seconds": round(self.seconds, 1),
+            "losses": {n: round(v, 5) for n, v in self.losses.items()},
+            "scores": {s.type: s.to_dict() for s in self.scores},
+        }
+        return bundle_model(network.eval(), self.dataset, card)
+
+    def _score(self) -> None:
+        threads, random_state = torch.get_num_threads(), torch.get_rng_state()
+        frames = int(self.options.score_seconds * self.dataset.fps)
+        if frames > 0:
+            self.scores = score_rollouts(self.model(), self.dataset, frames, self.folder / "samples")
+            self._emit("score")
+        torch.set_num_threads(threads)
+        torch.set_rng_state(random_state)
+
+    def _note(self, text: str) -> None:
+        self._emit("note", text)
+
+    def _emit(self, kind: str, text: str = "") -> None:
+        if self.rank != 0:
+            return
+        event = TrainEvent(
+            kind, self.step, self.seconds, self.losses, self.scores if kind == "score" else (), text
+        )
+        if kind in ("log", "score"):
+            line: dict[str, Any] = {"kind": kind, "step": self.step, "seconds": round(self.seconds, 2)}
+            line |= {"rate": self.learning_rate()} | self.losses if kind == "log" else {}
+            if kind == "score":
+                line["scores"] = {s.type: s.to_dict() for s in self.scores}
+            with (self.folder / "log.jsonl").open("a", encoding="utf-8") as file:
+                file.write(json.dumps(line) + "\n")
+        if self.on_event:
+            self.on_event(event)
+
+
+def _join_processes(device: torch.device) -> tuple[int, int]:
+    """Rank and number of processes; joins the group torchrun has set up, if it has."""
+    if "RANK" not in os.environ or int(os.environ.get("WORLD_SIZE", "1")) < 2:
+        return 0, 1
+    if not dist.is_initialized():
+        dist.init_process_group("nccl" if device.type == "cuda" else "gloo")
+    return dist.get_rank(), dist.get_world_size()
