@@ -1,0 +1,350 @@
+"""How a source rig's rest pose differs from the canonical one, as one constant rotation per joint.
+
+A canonical joint's global rotation is that of its source joint times this difference D, which turns
+canonical rest directions onto source rest directions. Two ways lead to it: from the rest pose, when
+that shows a standing human, or from the recorded poses, when the rest pose is only a construction
+(all bones along one axis, as in some exports).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from motionkit.motion.rig_names import RigMap
+from motionkit.motion.rotations import (
+    matrix_to_quat,
+    mean_rotation,
+    quat_between,
+    quat_from_yaw,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+    quat_to_matrix,
+)
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
+
+SIDES = ("Left", "Right")
+# Where a bone points: the first of these that the source has.
+_AHEAD: dict[str, tuple[str, ...]] = {
+    "LowerBack": ("Spine", "Spine1", "Neck"),
+    "Spine": ("Spine1", "Neck"),
+    "Spine1": ("Neck", "Head"),
+    "Neck": ("Neck1", "Head"),
+    "Neck1": ("Head",),
+} | {
+    f"{side}{part}": (f"{side}{ahead}",)
+    for side in SIDES
+    for part, ahead in (
+        ("UpLeg", "Leg"), ("Leg", "Foot"), ("Foot", "ToeBase"),
+        ("Shoulder", "Arm"), ("Arm", "ForeArm"), ("ForeArm", "Hand"),
+    )
+}  # fmt: skip
+# Limb bones follow the source exactly. Elsewhere joints sit at different spots inside the body from rig
+# to rig (a collar bone's root, a spine's curve); up to these angles that is anatomy, not posture.
+_TOLERANCE = {"Shoulder": 60.0, "Hand": 30.0, "Neck": 45.0, "Neck1": 45.0, "Head": 60.0}
+_TOLERANCE_ELSEWHERE = 40.0
+_LIMBS = ("UpLeg", "Leg", "Arm", "ForeArm")
+# The axis knees and elbows bend about, in the canonical rest pose (as in every CMU recording).
+_HINGES: dict[str, tuple[float, float, float]] = {
+    "LeftLeg": (0.93969, 0.34202, 0.0),
+    "RightLeg": (0.93969, -0.34202, 0.0),
+    "LeftForeArm": (0.0, -0.86603, 0.5),
+    "RightForeArm": (0.0, 0.86603, -0.5),
+}
+_BENT = math.radians(25.0)  # a joint bent this much shows its hinge
+_UPRIGHT = math.radians(25.0)
+_REFERENCE_FRAMES = 256
+
+
+@dataclass(frozen=True, eq=False)
+class SourceRig:
+    """A source skeleton with its canonical joints found: rest positions (J, 3) and free bone ends."""
+
+    skeleton: Skeleton
+    rig: RigMap
+    rest: Tensor
+
+    def place(self, name: str) -> Tensor | None:
+        """Rest position (3,) of a canonical joint, or None."""
+        joint = self.rig.places.get(name)
+        return None if joint is None else self.rest[joint]
+
+    def bone(self, name: str) -> tuple[Tensor, Tensor] | None:
+        """The bone from a joint on, canonical and source rest vectors (3,), or None if it has no end."""
+        joint = self.rig.places.get(name)
+        if joint is None:
+            return None
+        canonical = canonical_skeleton()
+        own, tiny = JOINT_NAMES.index(name), tiny_length(self.skeleton)
+        rest = canonical.rest_positions()
+        for ahead in _AHEAD.get(name, ()):
+            place = self.place(ahead)
+            if place is not None and float((place - self.rest[joint]).norm()) > tiny:
+                return rest[JOINT_NAMES.index(ahead)] - rest[own], place - self.rest[joint]
+        end = bone_end(self.skeleton, joint, tiny)
+        if end is None:
+            return None
+        if own in canonical.end_sites:
+            return torch.tensor(canonical.end_sites[own]), end
+        children = canonical.children(own)
+        return rest[children[0]] - rest[own], end
+
+
+def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Tensor | None:
+    """Where a joint's bone ends (3,), from End Sites and the joints below: the mean, thumbs left out."""
+    end = skeleton.end_sites.get(joint)
+    if end is not None and math.hypot(*end) > tiny:
+        return torch.tensor(end, dtype=torch.float32)
+    ends = []
+    for child in skeleton.children(joint):
+        offset = skeleton.offsets[child]
+        if "thumb" in skeleton.names[child].lower():
+            continue
+        if float(offset.norm()) > tiny:
+            ends.append(offset)
+        elif (further := bone_end(skeleton, child, tiny)) is not None:
+            ends.append(offset + further)
+    return torch.stack(ends).mean(0) if ends else None
+
+
+def tiny_length(skeleton: Skeleton) -> float:
+    """What counts as no length at all in this skeleton's unit."""
+    return 1e-3 * float(skeleton.offsets[1:].norm(dim=-1).max())
+
+
+def frame_from(lateral: Tensor, up: Tensor) -> Tensor:
+    """Rotations (..., 4) whose Y axis is up (..., 3) and whose X axis is as near lateral as can be."""
+    y = F.normalize(up, dim=-1)
+    x = F.normalize(lateral - (lateral * y).sum(-1, keepdim=True) * y, dim=-1)
+    return matrix_to_quat(torch.stack([x, y, torch.linalg.cross(x, y)], dim=-1))
+
+
+def body_frame(source: SourceRig) -> Tensor:
+    """Which way the rest pose stands and faces (4,): snapped to the axes when it is near them."""
+    hips, arms = (_pair(source, part) for part in ("UpLeg", "Arm"))
+    frame = frame_from(hips[0] - hips[1], (arms[0] + arms[1] - hips[0] - hips[1]) / 2)
+    matrix = quat_to_matrix(frame)
+    snapped = matrix.round()
+    aligned = bool((snapped.abs().sum(0) == 1).all() and (matrix - snapped).abs().max() < 0.35)
+    return matrix_to_quat(snapped) if aligned else frame
+
+
+def _pair(source: SourceRig, part: str) -> tuple[Tensor, Tensor]:
+    left, right = (source.place(f"{side}{part}") for side in SIDES)
+    assert left is not None and right is not None
+    return left, right
+
+
+def angle_between(a: Tensor, b: Tensor) -> Tensor:
+    """The angle (...) in degrees between vectors (..., 3)."""
+    cross = torch.linalg.cross(a, b).norm(dim=-1)
+    return torch.rad2deg(torch.atan2(cross, (a * b).sum(-1)))
+
+
+def stands(source: SourceRig, frame: Tensor) -> bool:
+    """Whether the rest pose is a standing human: legs down, spine up, arms not across, limbs straight."""
+    down, up = torch.tensor([0.0, -1.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])
+    limits: list[tuple[str, Tensor, float]] = [(name, up, 60.0) for name in ("LowerBack", "Spine")]
+    for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+        outward = torch.tensor([sign, 0.0, 0.0])
+        limits += [(f"{side}UpLeg", down, 60.0), (f"{side}Leg", down, 60.0)]
+        limits += [(f"{side}Arm", outward, 105.0), (f"{side}ForeArm", outward, 120.0)]
+    for name, direction, limit in limits:
+        bone = source.bone(name)
+        # Written so that a frame that could not be built (NaN) does not stand either.
+        if bone is not None and not float(angle_between(quat_rotate(frame, direction), bone[1])) <= limit:
+            return False
+    return True
+
+
+def rest_differences(source: SourceRig, frame: Tensor) -> Tensor:
+    """The differences D (23, 4) from a standing rest pose."""
+    out = frame.expand(len(JOINT_NAMES), 4).clone()
+    for joint, name in enumerate(JOINT_NAMES):
+        part = name.removeprefix("Left").removeprefix("Right")
+        bone = source.bone(name)
+        if part == "ToeBase":
+            out[joint] = out[PARENTS[joint]]
+        elif part == "Foot" and bone is not None:
+            out[joint] = _foot_difference(frame, *bone)
+        elif part in _LIMBS or part == "Hand":
+            parent = out[PARENTS[joint]]
+            if part == "Arm":  # collar bones may lie anywhere: arms are measured against the chest
+                parent = frame
+            out[joint] = _turned(parent, bone, 0.0 if part in _LIMBS else _TOLERANCE["Hand"])
+        elif name != "Hips" and part != "Foot":
+            out[joint] = _turned(frame, bone, _TOLERANCE.get(part, _TOLERANCE_ELSEWHERE))
+    return out
+
+
+def _turned(base: Tensor, bone: tuple[Tensor, Tensor] | None, tolerance: float) -> Tensor:
+    """base, or base turned the shortest way onto the source bone where that is further off than tolerance."""
+    if bone is None:
+        return base
+    canonical = quat_rotate(base, bone[0])
+    if float(angle_between(canonical, bone[1])) <= tolerance:
+        return base
+    return quat_multiply(quat_between(canonical, bone[1]), base)
+
+
+def _foot_difference(frame: Tensor, canonical: Tensor, source: Tensor) -> Tensor:
+    """Feet stand flat in a rest pose, however high their ankle sits: only their heading counts."""
+    in_frame = quat_rotate(quat_inverse(frame), source)
+    pitch = math.degrees(math.asin(float(-in_frame[1] / in_frame.norm())))
+    if not -30.0 < pitch < 70.0:  # hanging toes
+        return _turned(frame, (canonical, source), 0.0)
+    yaw = _heading(in_frame) - _heading(canonical)
+    return frame if abs(float(yaw)) < math.radians(15.0) else quat_multiply(frame, quat_from_yaw(yaw))
+
+
+def _heading(vector: Tensor) -> Tensor:
+    """The angle (...) about Y that turns +Z towards a vector (..., 3)."""
+    return torch.atan2(vector[..., 0], vector[..., 2])
+
+
+def posed_differences(source: SourceRig, rotations: Tensor, positions: Tensor) -> Tensor:
+    """The differences D (23, 4) from recorded poses: global rotations (T, J, 4), positions (T, J, 3), Y up.
+
+    Pelvis and chest are framed by the hips or shoulders and the spine while the body is upright; limbs
+    by their bones and the axis that knees and elbows bend about; feet stand flat when they are lowest.
+    """
+    step = max(1, len(positions) // (4 * _REFERENCE_FRAMES))
+    poses = _Poses(source, rotations[::step], positions[::step])
+    return poses.differences()
+
+
+class _Poses:
+    """Reference poses of a source rig, and the canonical global rotations read from them."""
+
+    def __init__(self, source: SourceRig, rotations: Tensor, positions: Tensor) -> None:
+        self.source = source
+        self.rotations = rotations
+        self.positions = positions
+        hips, arms = self.pair("UpLeg"), self.pair("Arm")
+        self.hip_axis, self.arm_axis = hips[0] - hips[1], arms[0] - arms[1]
+        self.up = (arms[0] + arms[1] - hips[0] - hips[1]) / 2
+        self.lean = torch.deg2rad(angle_between(self.up, torch.tensor([0.0, 1.0, 0.0]).expand_as(self.up)))
+        limit = max(_UPRIGHT, float(self.lean.quantile(0.05)))
+        self.upright = self.lean <= limit
+        self.geometry: dict[str, Tensor] = {}  # canonical global rotations (T, 4), as far as seen
+        self.out = quat_identity((len(JOINT_NAMES),))
+
+    def place(self, name: str) -> Tensor | None:
+        joint = self.source.rig.places.get(name)
+        return None if joint is None else self.positions[:, joint]
+
+    def pair(self, part: str) -> tuple[Tensor, Tensor]:
+        left, right = (self.place(f"{side}{part}") for side in SIDES)
+        assert left is not None and right is not None
+        return left, right
+
+    def turn(self, name: str) -> Tensor:
+        return self.rotations[:, self.source.rig.turns[name]]
+
+    def bone(self, name: str) -> tuple[Tensor, Tensor] | None:
+        """Canonical rest vector (3,) and the source bone in the world (T, 3)."""
+        bone = self.source.bone(name)
+        return (
+            None if bone is None else (bone[0], quat_rotate(self.turn(name), bone[1].expand(len(self.up), 3)))
+        )
+
+    def differences(self) -> Tensor:
+        self.settle("Hips", frame_from(self.hip_axis, self.up), self.upright)
+        for share, name in (
+            (0.3, "LowerBack"),
+            (0.6, "Spine"),
+            (1.0, "Spine1"),
+            (1.0, "Neck"),
+            (1.0, "Neck1"),
+        ):
+            self._along_spine(name, (1 - share) * F.normalize(self.hip_axis, dim=-1)
+                              + share * F.normalize(self.arm_axis, dim=-1))  # fmt: skip
+        self._along_spine("Head", self.arm_axis)
+        for side in SIDES:
+            self.settle(f"{side}Shoulder", self.seen(f"{side}Shoulder"), self.upright)
+            self._limb(f"{side}UpLeg", f"{side}Leg")
+            self._limb(f"{side}Leg", f"{side}Leg")
+            self._foot(side)
+            self._limb(f"{side}Arm", f"{side}ForeArm")
+            self._limb(f"{side}ForeArm", f"{side}ForeArm")
+            self._hand(side)
+        return self.out
+
+    def seen(self, name: str) -> Tensor:
+        """The canonical global rotation (T, 4) of the nearest joint above that the source has."""
+        joint = PARENTS[JOINT_NAMES.index(name)]
+        while JOINT_NAMES[joint] not in self.geometry:
+            joint = PARENTS[joint]
+        return self.geometry[JOINT_NAMES[joint]]
+
+    def settle(self, name: str, geometry: Tensor, frames: Tensor) -> None:
+        """Take the mean difference over some frames, and the rotation of all frames from it."""
+        if name not in self.source.rig.places:
+            return
+        difference = quat_multiply(quat_inverse(self.turn(name)), geometry)[frames]
+        moment = torch.einsum("ti,tj->ij", difference, difference)
+        mean = mean_rotation(moment)
+        self.out[JOINT_NAMES.index(name)] = mean
+        self.geometry[name] = quat_multiply(self.turn(name), mean.expand(len(self.up), 4))
+
+    def _along_spine(self, name: str, lateral: Tensor) -> None:
+        bone = self.bone(name)
+        if bone is None:
+            self.settle(name, self.seen(name), self.upright)
+            return
+        canonical, world = bone
+        rest = frame_from(torch.tensor([1.0, 0.0, 0.0]), canonical)
+        self.settle(name, quat_multiply(frame_from(lateral, world), quat_inverse(rest)), self.upright)
+
+    def _limb(self, name: str, hinge_name: str) -> None:
+        bone = self.bone(name)
+        if bone is None:
+            self.settle(name, self.seen(name), self.upright)
+            return
+        canonical, world = bone
+        upper = self.bone(hinge_name.replace("ForeArm", "Arm").replace("Leg", "UpLeg"))
+        lower = self.bone(hinge_name)
+        if upper is not None and lower is not None:
+            bent = torch.deg2rad(angle_between(upper[1], lower[1])) > _BENT
+            if int(bent.sum()) >= 3:
+                axis = torch.linalg.cross(upper[1], lower[1])
+                rest = frame_from(torch.tensor(_HINGES[hinge_name]), canonical)
+                self.settle(name, quat_multiply(frame_from(axis, world), quat_inverse(rest)), bent)
+                return
+        base = self.seen(name)
+        start = quat_rotate(base, canonical.expand_as(world))
+        self.settle(name, quat_multiply(quat_between(start, world), base), self.upright)
+
+    def _foot(self, side: str) -> None:
+        name, toe = f"{side}Foot", f"{side}ToeBase"
+        place, bone = self.place(name), self.bone(name)
+        if place is None:
+            return
+        if bone is None:
+            self.settle(name, quat_from_yaw(self.heading()), self.upright)
+            return
+        canonical, world = bone
+        height = place[:, 1] + 0.5 * world[:, 1]
+        low = self.upright & (height <= height[self.upright].quantile(0.2))
+        flat = quat_from_yaw(_heading(world) - _heading(canonical))
+        self.settle(name, flat, low)
+        self.settle(toe, flat, low)
+
+    def heading(self) -> Tensor:
+        return _heading(
+            quat_rotate(self.geometry["Hips"], torch.tensor([0.0, 0.0, 1.0]).expand(len(self.up), 3))
+        )
+
+    def _hand(self, side: str) -> None:
+        name = f"{side}Hand"
+        bone, base = self.bone(name), self.seen(name)
+        if bone is not None:
+            start = quat_rotate(base, bone[0].expand_as(bone[1]))
+            base = quat_multiply(quat_between(start, bone[1]), base)
+        self.settle(name, base, self.upright)

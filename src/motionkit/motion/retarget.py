@@ -1,0 +1,329 @@
+"""Any human rig in, the canonical skeleton of 23 joints out, in cm, Y up.
+
+Joints are found by name and hierarchy (rig_names), rest poses are compared (rest_pose), the unit is
+guessed (units). Rotations are carried over in the world, so joints in between (a hip joint, a second
+root, extra spine joints) are composed in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from motionkit.errors import SkeletonError
+from motionkit.motion.bvh import BvhFile, bvh_to_motion, read_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rest_pose import (
+    SIDES,
+    SourceRig,
+    body_frame,
+    bone_end,
+    posed_differences,
+    rest_differences,
+    stands,
+    tiny_length,
+)
+from motionkit.motion.rig_names import RigMap, map_rig
+from motionkit.motion.rotations import (
+    quat_angle,
+    quat_between,
+    quat_continuous,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+)
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
+from motionkit.motion.units import guess_scale
+
+_TORSO = ("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder")
+# A source bone shorter than this share of the leg is a gap in the rig, not a bone of that length.
+_GAP = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class RetargetReport:
+    """What was found in a rig and done to it.
+
+    Attributes:
+        source_joints: how many joints the file has.
+        mapped: canonical joint to source joint.
+        missing: canonical joints with no source; they do not move against their parent.
+        ignored: source joints not used.
+        scale: cm per file unit.
+        scale_source: how the scale was found.
+        leg_length: thigh plus shin of this body, cm.
+        root_scale: what root positions were multiplied with beyond the unit (canonical leg / own leg).
+        notes: rest-pose differences, a turned up axis and the like.
+        body: (23, 3) offsets in cm of this body: own bone lengths in canonical rest directions.
+    """
+
+    source_joints: int
+    mapped: dict[str, str]
+    missing: tuple[str, ...]
+    ignored: tuple[str, ...]
+    scale: float
+    scale_source: str
+    leg_length: float
+    root_scale: float
+    notes: tuple[str, ...]
+    body: Tensor
+
+
+def retarget_file(
+    path: str | Path, scale: float | None = None, fps: float | None = None, own_body: bool = False
+) -> tuple[Motion, RetargetReport]:
+    """Read a BVH file and retarget it; raises BvhError or SkeletonError naming the file."""
+    bvh = read_bvh(path)
+    try:
+        return retarget(bvh, scale, fps, own_body)
+    except SkeletonError as error:
+        raise SkeletonError(f"{path}: {error}") from None
+
+
+def retarget(
+    bvh: BvhFile, scale: float | None = None, fps: float | None = None, own_body: bool = False
+) -> tuple[Motion, RetargetReport]:
+    """The motion on the canonical skeleton, at the file's own rate (or fps), and a report.
+
+    Args:
+        bvh: any human rig.
+        scale: cm per file unit; guessed from the leg length if not given.
+        fps: the true rate where the file's header is wrong.
+        own_body: keep this body's bone lengths; else the canonical ones, with root positions scaled
+            by the ratio of leg lengths about the world's origin.
+
+    Raises SkeletonError if the rig is not a human one.
+    """
+    bvh = _median_offsets(bvh)
+    names = bvh.skeleton.names
+    full_rig = map_rig(bvh.skeleton)
+    bvh, rig = _keep_needed(bvh, full_rig)
+    source = SourceRig(bvh.skeleton, rig, bvh.skeleton.rest_positions())
+    rotations, positions = motion_kinematics(bvh_to_motion(bvh, fps=fps))
+    frame = body_frame(source)
+    standing = stands(source, frame)
+    up = _up_axis(source, positions, frame if standing else None)
+    turn = quat_between(up, torch.tensor([0.0, 1.0, 0.0]))
+    rotations, positions = quat_multiply(turn.expand_as(rotations), rotations), quat_rotate(turn, positions)
+    if standing:
+        differences = rest_differences(source, frame)
+    else:
+        differences = posed_differences(source, rotations, positions)
+    leg = _leg(source)
+    scale, scale_source = (scale, "given") if scale is not None else guess_scale(leg)
+    root_scale = leg_length(canonical_skeleton()) / (leg * scale)
+    shape = source.rest[None] if standing else positions
+    body, body_notes = _body(source, shape * scale, scale)
+    target = canonical_skeleton(body) if own_body else canonical_skeleton()
+    turned = _canonical_rotations(rig, rotations, differences)
+    places = positions * (scale if own_body else scale * root_scale)
+    roots = _root_positions(rig, places, turned[:, 0], target)
+    motion = Motion(target, _to_local(turned), roots, bvh.fps if fps is None else fps)
+    notes = _pose_notes(up, frame, standing, differences) + body_notes
+    report = RetargetReport(
+        source_joints=len(names),
+        mapped={name: names[joint] for name, joint in full_rig.places.items()},
+        missing=rig.missing(),
+        ignored=tuple(name for j, name in enumerate(names) if j not in full_rig.places.values()),
+        scale=scale,
+        scale_source=scale_source,
+        leg_length=leg * scale,
+        root_scale=root_scale,
+        notes=notes,
+        body=body,
+    )
+    return motion, report
+
+
+def _median_offsets(bvh: BvhFile) -> BvhFile:
+    """With six-channel joints the channels place a joint, not its OFFSET: their median stands for it."""
+    offsets = bvh.skeleton.offsets.clone()
+    for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
+        for name, column in zip(names, columns, strict=True):
+            if joint and name.endswith("position"):
+                offsets[joint, "XYZ".index(name[0])] = float(np.median(bvh.values[:, column]))
+    return replace(bvh, skeleton=replace(bvh.skeleton, offsets=offsets))
+
+
+def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
+    """The file without the joints that move nothing canonical (fingers, meshes, helpers).
+
+    Bones that ended in such joints get an End Site in their place.
+    """
+    skeleton = bvh.skeleton
+    needed: set[int] = set()
+    for joint in (*rig.places.values(), *rig.turns.values()):
+        while joint >= 0 and joint not in needed:
+            needed.add(joint)
+            joint = skeleton.parents[joint]
+    keep = sorted(needed)
+    new = {joint: index for index, joint in enumerate(keep)}
+    parents = tuple(new[skeleton.parents[j]] if skeleton.parents[j] >= 0 else -1 for j in keep)
+    ends: dict[int, tuple[float, float, float]] = {}
+    for joint in keep:
+        end = bone_end(skeleton, joint, tiny_length(skeleton))
+        if end is not None and new[joint] not in parents:
+            ends[new[joint]] = (float(end[0]), float(end[1]), float(end[2]))
+    kept = Skeleton(tuple(skeleton.names[j] for j in keep), parents, skeleton.offsets[keep], ends)
+    columns = bvh.columns()
+    values = bvh.values[:, [column for j in keep for column in columns[j]]]
+    small = BvhFile(kept, tuple(bvh.channels[j] for j in keep), values, bvh.frame_time)
+    places = {name: new[j] for name, j in rig.places.items()}
+    return small, RigMap(places, {name: new[j] for name, j in rig.turns.items()})
+
+
+def _up_axis(source: SourceRig, positions: Tensor, frame: Tensor | None) -> Tensor:
+    """The world axis (3,) that bodies stand along: by the recorded poses, Y and the rest pose favoured."""
+    places = source.rig.places
+    arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
+    hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
+    mean = F.normalize(arms - hips, dim=-1).mean(0)
+    votes = mean.abs() + torch.tensor([0.0, 0.3, 0.0])
+    sign = torch.where(mean < 0, -1.0, 1.0)
+    if frame is not None:  # a whole clip may be spent on the floor or upside down
+        rest = quat_rotate(frame, torch.tensor([0.0, 1.0, 0.0]))
+        axis = int(rest.abs().argmax())
+        votes[axis] += 0.4
+        sign[axis] = 1.0 if rest[axis] > 0 else -1.0
+    best = int(votes.argmax())
+    return F.one_hot(torch.tensor(best), 3).float() * sign[best]
+
+
+def _leg(source: SourceRig) -> float:
+    """Thigh plus shin in file units, the mean of both sides."""
+    total = 0.0
+    for side in SIDES:
+        for part in ("UpLeg", "Leg"):
+            bone = source.bone(f"{side}{part}")
+            if bone is None:
+                raise SkeletonError(f"{side}{part}: a bone without length, nothing to scale by")
+            total += float(bone[1].norm())
+    return total / 2.0
+
+
+def _canonical_rotations(rig: RigMap, rotations: Tensor, differences: Tensor) -> Tensor:
+    """Global rotations (T, 23, 4) of the canonical joints; those without a source follow their parent."""
+    out: list[Tensor] = []
+    for joint, name in enumerate(JOINT_NAMES):
+        if name in rig.turns:
+            out.append(
+                quat_multiply(rotations[:, rig.turns[name]], differences[joint].expand(len(rotations), 4))
+            )
+        else:
+            out.append(out[PARENTS[joint]])
+    return torch.stack(out, dim=1)
+
+
+def _to_local(rotations: Tensor) -> Tensor:
+    """Rotations (T, 23, 4) in the parent's space from global ones, signs continuous in time."""
+    parents = rotations[:, list(PARENTS[1:])]
+    local = quat_multiply(quat_inverse(parents), rotations[:, 1:])
+    return quat_continuous(quat_normalize(torch.cat([rotations[:, :1], local], dim=1)))
+
+
+def _root_positions(rig: RigMap, positions: Tensor, hips: Tensor, target: Skeleton) -> Tensor:
+    """Where the hips must be (T, 3) for the middle between the thighs to be where the source has it.
+
+    Rigs put their hip joint anywhere between the thighs and the navel; the legs must not notice.
+    """
+    thighs = [positions[:, rig.places[f"{side}UpLeg"]] for side in SIDES]
+    sockets = [target.offsets[target.index(f"{side}UpLeg")] for side in SIDES]
+    middle, socket = (thighs[0] + thighs[1]) / 2, (sockets[0] + sockets[1]) / 2
+    return middle - quat_rotate(hips, socket.expand_as(middle))
+
+
+def _body(source: SourceRig, shape: Tensor, scale: float) -> tuple[Tensor, tuple[str, ...]]:
+    """This body's offsets (23, 3) in cm, canonical in direction, and notes on lengths that were assumed.
+
+    A length that the rig lacks is the canonical one in proportion to the legs. Where the rig's torso is
+    built otherwise, it is scaled as a whole, by its height and widths in shape (T, J, 3), cm.
+    """
+    canonical = canonical_skeleton()
+    rest = canonical.rest_positions()
+    share = _leg(source) * scale / leg_length(canonical)
+    ratios = torch.full((len(JOINT_NAMES),), share)
+    assumed: list[str] = []
+    for joint, name in enumerate(JOINT_NAMES[1:], start=1):
+        above = PARENTS[joint]
+        while above > 0 and JOINT_NAMES[above] not in source.rig.places:
+            above = PARENTS[above]
+        own = _own_length(source, JOINT_NAMES[above], name)
+        length = float((rest[joint] - rest[above]).norm())
+        if own is None or length == 0.0:
+            continue
+        if own * scale < _GAP * share * length:
+            assumed.append(name)
+            continue
+        while joint != above:  # joints that the rig lacks share the length with the one below them
+            ratios[joint] = own * scale / length
+            joint = PARENTS[joint]
+    if not all(name in source.rig.places for name in _TORSO):
+        for names, ratio in _torso_ratios(source, shape, rest):
+            for name in names:
+                ratios[JOINT_NAMES.index(name)] = ratio
+        assumed = [name for name in assumed if name not in _TORSO]
+    body = canonical.offsets * ratios[:, None]
+    if not assumed:
+        return body, ()
+    return body, (f"no length in the file for {', '.join(assumed)}: taken in proportion to the legs",)
+
+
+def _own_length(source: SourceRig, above: str, name: str) -> float | None:
+    """The rest length of a bone in file units, or None if the rig does not have it."""
+    top, bottom = source.place(above), source.place(name)
+    if top is not None and bottom is not None:
+        return float((bottom - top).norm())
+    if above.endswith(("ForeArm", "Foot")):  # a hand or toe that only an End Site tells of
+        bone = source.bone(above)
+        return None if bone is None else float(bone[1].norm())
+    return None
+
+
+def _torso_ratios(source: SourceRig, shape: Tensor, rest: Tensor) -> list[tuple[tuple[str, ...], float]]:
+    """How much larger than the canonical one the torso is: in height, at the shoulders, at the hips."""
+
+    def corners(at: Tensor, index: dict[str, int]) -> list[Tensor]:
+        return [at[..., index[f"{side}{part}"], :] for part in ("UpLeg", "Arm") for side in SIDES]
+
+    def sizes(left_hip: Tensor, right_hip: Tensor, left_arm: Tensor, right_arm: Tensor) -> Tensor:
+        spine = (left_arm + right_arm - left_hip - right_hip) / 2
+        widths = [left_arm - right_arm, left_hip - right_hip]
+        return torch.stack([v.norm(dim=-1) for v in (spine, *widths)], dim=-1)
+
+    own = sizes(*corners(shape, source.rig.places)).reshape(-1, 3).median(dim=0).values
+    ours = sizes(*corners(rest, {name: j for j, name in enumerate(JOINT_NAMES)}))
+    height, arms, hips = (float(ratio) for ratio in own / ours)
+    return [
+        (("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder"), height),
+        (("LeftArm", "RightArm"), arms),
+        (("LeftUpLeg", "RightUpLeg"), hips),
+    ]
+
+
+def _pose_notes(up: Tensor, frame: Tensor, standing: bool, differences: Tensor) -> tuple[str, ...]:
+    """In words, how the source's axes and rest pose differ."""
+    notes = []
+    if float(up[1]) < 0.5:
+        axis = int(up.abs().argmax())
+        notes.append(f"up axis {'+' if float(up[axis]) > 0 else '-'}{'XYZ'[axis]} turned to +Y")
+    if not standing:
+        notes.append("the rest pose is not a standing human: reference poses taken from the motion")
+        return tuple(notes)
+    facing = quat_rotate(frame, torch.tensor([0.0, 0.0, 1.0]))
+    axis = int(facing.abs().argmax())
+    if axis != 2 or float(facing[axis]) < 0:
+        notes.append(f"the rest pose faces {'+' if float(facing[axis]) > 0 else '-'}{'XYZ'[axis]}")
+    apart = torch.rad2deg(quat_angle(frame.expand_as(differences), differences))
+    turned = [
+        f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
+    ]
+    if turned:
+        notes.append(f"rest pose differs by degrees: {', '.join(turned)}")
+    return tuple(notes)

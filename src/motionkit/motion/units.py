@@ -1,0 +1,40 @@
+"""Which unit a file's lengths are in, guessed from the length of its legs."""
+
+from __future__ import annotations
+
+from motionkit.motion.skeleton import LEG_TO_STATURE
+
+# cm per file unit. CMU's own unit is the inch divided by 0.45.
+KNOWN_UNITS: dict[str, float] = {
+    "centimetres": 1.0,
+    "metres": 100.0,
+    "millimetres": 0.1,
+    "inches": 2.54,
+    "CMU units": 2.54 / 0.45,
+    "decimetres": 10.0,
+}
+# Standing height in cm: what a unit must give to be believed, and what is most likely.
+SHORTEST, TALLEST, TYPICAL = 130.0, 215.0, 172.0
+
+
+def stature(leg: float) -> float:
+    """Standing height of a body with this leg length (thigh plus shin), in the same unit."""
+    return leg / LEG_TO_STATURE
+
+
+def guess_scale(leg: float) -> tuple[float, str]:
+    """cm per file unit, and how it was found, from a leg length in file units (positive).
+
+    The known unit that makes the stature most likely wins; if none makes it human, the body is scaled
+    to a typical one.
+    """
+    errors = {
+        name: abs(stature(leg * scale) - TYPICAL)
+        for name, scale in KNOWN_UNITS.items()
+        if SHORTEST <= stature(leg * scale) <= TALLEST
+    }
+    if errors:
+        name = min(errors, key=lambda unit: errors[unit])
+        return KNOWN_UNITS[name], f"guessed from leg length: {name}"
+    scale = TYPICAL / stature(leg)
+    return scale, f"no known unit fits a leg of {leg:.4g}: scaled to a stature of {TYPICAL:.0f} cm"
