@@ -240,7 +240,7 @@ def _draw_poses(
     """Figures side by side, each centred on its root, feet on one ground line, all at one scale."""
     screen = screen_points(figure.positions[all_frames], angle)
     roots = screen_points(figure.root[all_frames], angle)
-    drawn = sorted({point for bone in figure.bones for point in bone})
+    drawn = sorted({point for bone in figure.bones for point in bone} | {figure.hips})
     half = max(float(np.abs(screen[:, drawn, 0] - roots[:, None, 0]).max()), 1e-6)
     top = max(float(screen[..., 1].max()), figure.floor + 0.5 * figure.stature)
     bottom = min(float(screen[..., 1].min()), figure.floor)
@@ -262,6 +262,9 @@ def _draw_poses(
 
 def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], scale: float) -> None:
     """One pose; far bones first and paler, so that what is near is seen in front."""
+    if not figure.bones:
+        canvas.dot(points[0, 0], points[0, 1], 3.0, SIDE_COLORS[""])
+        return
     depth = {bone: float(points[list(bone), 2].mean()) for bone in figure.bones}
     near, far = max(depth.values()), min(depth.values())
     head = max(3.0, 0.055 * figure.stature * scale)

@@ -92,11 +92,15 @@ def motion_figure(motion: Motion) -> Figure:
     sides = joint_sides(skeleton.names)
     points_sides = sides + tuple(sides[joint] for joint in ends)
     floor, floor_is_zero = _floor(points, stature)
+    hips = _hips(points, skeleton.parents, floor, stature)
+    stand = (
+        range(hips + 1) if hips else range(0)
+    )  # what leads up from the floor to the hips is no part of a body
     return Figure(
         points,
-        tuple(bone for bone in bones if not _is_loose(points, bone, stature)),
+        tuple(bone for bone in bones if not _is_loose(points, bone, stature) and bone[1] not in stand),
         points_sides,
-        _hips(points, skeleton.parents, floor, stature),
+        hips,
         _head(skeleton.names),
         _feet(skeleton.names, sides, points),
         floor,
@@ -171,26 +175,26 @@ def _facing(points: Array, sides: tuple[str, ...]) -> Array:
     if not left:
         return np.zeros(len(points))
     across = points[:, left].mean(axis=1) - points[:, right].mean(axis=1)
-    return np.arctan2(-across[:, 0], across[:, 2])
+    return np.arctan2(across[:, 0], -across[:, 2])
 
 
 def camera_angle(figure: Figure) -> float:
     """The screen's x axis as an angle in the ground plane, so that the body is seen from the best side.
 
     Someone who travels is seen at right angles to the way, someone who stays is seen half from the
-    front; both turned a little so that left and right do not cover each other.
+    front; both a little towards the viewer, so that left and right do not cover each other.
     """
     ground = figure.root[:, [0, 2]]
     steps = ground - ground.mean(axis=0)
     values, vectors = np.linalg.eigh(steps.T @ steps / max(len(steps), 1))
     travelled = 2.0 * np.sqrt(max(values[1], 0.0))
     front = np.array([np.cos(figure.facing).mean(), np.sin(figure.facing).mean()])
-    if travelled > 0.25 * figure.stature:
+    if travelled > 0.25 * figure.stature and values[0] < 0.3 * values[1]:
         along = vectors[:, 1]
         if along @ (ground[-1] - ground[0]) < 0:
             along = -along
-        return float(np.arctan2(along[1], along[0])) + np.radians(20.0)
-    return float(np.arctan2(front[1], front[0])) + np.radians(50.0)
+        return float(np.arctan2(along[1], along[0])) - np.radians(20.0)
+    return float(np.arctan2(front[1], front[0])) - np.radians(50.0)
 
 
 def screen_points(points: Array, angle: float) -> Array:

@@ -1,0 +1,108 @@
+"""The mirror command: files, folders, exit codes."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.cli.main import main
+from motionkit.motion.bvh import read_bvh
+
+BROKEN = Path(__file__).parents[1] / "broken_bvh"
+
+RIG = """HIERARCHY
+ROOT Hips
+{
+  OFFSET 0 0 0
+  CHANNELS 6 Xposition Yposition Zposition Zrotation Yrotation Xrotation
+  JOINT lLeg
+  {
+    OFFSET 10 -5 0
+    CHANNELS 3 Zrotation Yrotation Xrotation
+    End Site
+    {
+      OFFSET 0 -80 0
+    }
+  }
+  JOINT rLeg
+  {
+    OFFSET -10 -5 0
+    CHANNELS 3 Zrotation Yrotation Xrotation
+    End Site
+    {
+      OFFSET 0 -80 0
+    }
+  }
+}
+MOTION
+Frames: 2
+Frame Time: 0.05
+1 90 3 4 5 6 7 8 9 10 11 12
+2 91 4 5 6 7 8 9 10 11 12 13
+"""
+
+
+def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
+    """Run the command as the console script does, and return its exit code."""
+    monkeypatch.setattr(sys, "argv", ["motionkit", *map(str, arguments)])
+    try:
+        main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def test_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    source, target = tmp_path / "in.bvh", tmp_path / "out.bvh"
+    source.write_text(RIG)
+    assert run(monkeypatch, "mirror", source, target, "--json") == 0
+    assert json.loads(capsys.readouterr().out) == {
+        "mirrored": [{"file": str(source), "output": str(target)}],
+        "failed": [],
+    }
+    np.testing.assert_array_equal(read_bvh(target).values[0], [-1, 90, 3, -4, -5, 6, -10, -11, 12, -7, -8, 9])
+
+
+def test_a_folder_with_a_broken_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "in"
+    source.mkdir()
+    (source / "z.bvh").write_text(RIG)
+    (source / "bad.bvh").write_bytes((BROKEN / "nan.bvh").read_bytes())
+    assert run(monkeypatch, "mirror", source, tmp_path / "out") == 1
+    out, err = capsys.readouterr()
+    assert "1 of 2 files mirrored" in out
+    assert "bad.bvh:" in err and "Traceback" not in err
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["z.bvh"]
+    assert run(monkeypatch, "mirror", "--strict", source, tmp_path / "strict") == 1
+    assert not list((tmp_path / "strict").iterdir())
+
+
+def test_a_rig_without_sides_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    source = tmp_path / "in.bvh"
+    source.write_text(RIG.replace("lLeg", "front").replace("rLeg", "back"))
+    assert run(monkeypatch, "mirror", source, tmp_path / "out.bvh") == 1
+    err = capsys.readouterr().err
+    assert "in.bvh" in err and "Hips, front, back" in err
+    assert not (tmp_path / "out.bvh").exists()
+
+
+def test_a_missing_source_is_wrong_usage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert run(monkeypatch, "mirror", tmp_path / "no.bvh", tmp_path / "out.bvh") == 2
+
+
+@pytest.mark.parametrize("command", ["mirror", "view"])
+def test_help_imports_no_torch(command: str) -> None:
+    code = (
+        f"import sys; from motionkit.cli.main import cli; cli(['{command}', '--help'], standalone_mode=False)"
+    )
+    code += "; assert 'torch' not in sys.modules"
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
