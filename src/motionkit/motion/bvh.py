@@ -92,7 +92,7 @@ def read_bvh(path: str | Path) -> BvhFile:
 
 
 def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) -> Motion:
-    """The motion in a BVH file, lengths multiplied by scale, at the declared rate unless fps says otherwise."""
+    """The motion in a BVH file, lengths multiplied by scale, at the declared rate unless fps is given."""
     frames, joints = bvh.values.shape[0], len(bvh.skeleton)
     rotations = torch.zeros(frames, joints, 4, dtype=torch.float64)
     offsets = bvh.skeleton.offsets.to(torch.float64)
@@ -147,7 +147,7 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
 
 
 def _unrolled_eulers(motion: Motion, orders: list[str]) -> Tensor:
-    """Euler angles (T, J, 3) in degrees, of the two equal triples the nearer one, without 360-degree jumps."""
+    """Euler angles (T, J, 3) in degrees: of two equal triples the nearer one, without 360-degree jumps."""
     first = np.zeros((len(motion), len(orders), 3))
     for joint, order in enumerate(orders):
         if len(order) not in (0, 3):
@@ -176,12 +176,39 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
     )
     if isinstance(motion, BvhFile) and scale != 1.0:
         bvh = _scaled_file(bvh, scale)
+    bvh = _depth_first(bvh)
     with atomic_write(path) as file:
         file.write("HIERARCHY\n")
         for line in _hierarchy_lines(bvh):
             file.write(line + "\n")
         file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {bvh.frame_time:.9g}\n")
         np.savetxt(file, bvh.values, fmt="%.6f", delimiter=" ")
+
+
+def _depth_first(bvh: BvhFile) -> BvhFile:
+    """The same file with every joint right after its parent's earlier branches, as the format nests them."""
+    skeleton = bvh.skeleton
+    order: list[int] = []
+    waiting = [0]
+    while waiting:
+        joint = waiting.pop()
+        order.append(joint)
+        waiting.extend(reversed(skeleton.children(joint)))
+    if order == list(range(len(skeleton))):
+        return bvh
+    place = {joint: i for i, joint in enumerate(order)}
+    columns = bvh.columns()
+    return BvhFile(
+        Skeleton(
+            tuple(skeleton.names[j] for j in order),
+            tuple(place.get(skeleton.parents[j], -1) for j in order),
+            skeleton.offsets[order],
+            {place[j]: end for j, end in skeleton.end_sites.items()},
+        ),
+        tuple(bvh.channels[j] for j in order),
+        bvh.values[:, [column for j in order for column in columns[j]]],
+        bvh.frame_time,
+    )
 
 
 def _scaled_file(bvh: BvhFile, scale: float) -> BvhFile:

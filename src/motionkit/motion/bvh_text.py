@@ -145,14 +145,27 @@ class _HierarchyWalk:
         self.names[name] = line
         if len(self.names) > MAX_JOINTS:
             raise self.fail(f"more than {MAX_JOINTS} joints", line)
+        self._begin_child(f"{kind} {name!r}", line)
         self.pending = {"label": f"{kind} {name}", "end": False, "line": line}
         self.out.append(f"{kind} j{len(self.names) - 1}")
 
     def end_site(self, line: int) -> None:
         if self.pending is not None or not self.open or self.open[-1]["end"]:
             raise self.fail("an End Site stands outside a joint", line)
+        self._begin_child("an End Site", line)
         self.pending = {"label": "End Site", "end": True, "line": line}
         self.out.append("End Site")
+
+    def _begin_child(self, child: str, line: int) -> None:
+        """Completes the parent: bvhio wants its OFFSET and CHANNELS before any child."""
+        if not self.open:
+            return
+        parent = self.open[-1]
+        if not parent["offset"]:
+            raise self.fail(f"{child} stands before the OFFSET of {parent['label']}", line)
+        if not parent["channels"]:
+            self._write_channels(parent, [])
+        parent["children"] = True
 
     def enter(self, line: int) -> None:
         if self.pending is None:
@@ -160,8 +173,6 @@ class _HierarchyWalk:
         if len(self.open) >= MAX_DEPTH:
             raise self.fail(f"joints nested more than {MAX_DEPTH} deep", line)
         self.pending.update(offset=False, channels=False, children=False)
-        if self.open:
-            self.open[-1]["children"] = True
         self.open.append(self.pending)
         self.pending = None
         self.out.append("{")
@@ -188,10 +199,12 @@ class _HierarchyWalk:
 
     def channel_list(self, words: list[str], line: int) -> None:
         node = self._node("CHANNELS", line)
-        if node["end"] or node["channels"]:
-            raise self.fail(f"CHANNELS not expected here in {node['label']}", line)
+        if node["end"]:
+            raise self.fail("an End Site has no CHANNELS", line)
         if node["children"]:  # the order of the columns would be anybody's guess
             raise self.fail(f"CHANNELS of {node['label']} stands after its children", line)
+        if node["channels"]:
+            raise self.fail(f"a second CHANNELS of {node['label']}", line)
         if not words or words[0] != str(len(words) - 1):
             raise self.fail(
                 f"expected a count and that many names after CHANNELS of {node['label']}, "
