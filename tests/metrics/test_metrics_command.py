@@ -6,12 +6,14 @@ import sys
 from pathlib import Path
 
 import pytest
+import torch
 from click.testing import CliRunner
 
 from motionkit.cli.main import main
 from motionkit.cli.metrics import command
 from motionkit.metrics.loading import load_canonical
 from motionkit.motion.bvh import motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 
 from .conftest import swaying
@@ -133,3 +135,23 @@ def test_joints_in_another_order_are_sorted(tmp_path: Path) -> None:
     assert read.skeleton.names == JOINT_NAMES and read.skeleton.same_hierarchy(skeleton)
     dots = (read.local_rotations.double() * motion.local_rotations).sum(-1).abs()
     assert float(dots.min()) > 1 - 1e-6
+
+
+def test_another_rig_is_mapped_and_said(files: tuple[str, str], tmp_path: Path) -> None:
+    motion = swaying(frames=90)
+    skeleton = motion.skeleton
+    thumb = Skeleton(
+        (*skeleton.names, "RThumb"),
+        (*skeleton.parents, skeleton.index("RightHand")),
+        torch.cat([skeleton.offsets, torch.tensor([[-3.0, 0.0, 3.0]])]),
+        skeleton.end_sites,
+    )
+    rotations = torch.cat([motion.local_rotations, quat_identity((90, 1), torch.float64)], dim=1)
+    path = str(tmp_path / "thumb.bvh")
+    write_bvh(path, type(motion)(thumb, rotations, motion.root_positions, 60.0))
+    result = CliRunner().invoke(command, [files[0], path, "--json"])
+    out = json.loads(result.stdout)
+    assert any("24 joints mapped onto the 23 canonical joints" in note for note in out["notes"])
+    rows = {row["id"]: row["value"] for row in out["metrics"]}
+    assert rows["mpjpe"] == pytest.approx(0.0, abs=0.05)
+    assert rows["ssim-window"] == pytest.approx(1.0, abs=1e-3)

@@ -83,6 +83,8 @@ def test_align_start_undoes_place_and_heading(motion: Motion) -> None:
     assert report.value("path-mean") == pytest.approx(0.0, abs=1e-3)
     assert report.value("mpjpe") == pytest.approx(0.0, abs=1e-3)
     assert any("turned and moved" in note for note in report.notes)
+    later = evaluate_motion(away, motion, skip=30, align_start=True)
+    assert later.value("path-mean") == pytest.approx(0.0, abs=1e-3)
     assert placed_like(away, motion).root_positions == pytest.approx(motion.root_positions, abs=1e-3)
 
 

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import torch
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
+
+if TYPE_CHECKING:
+    from motionkit.motion.retarget import RetargetReport
 
 PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin from a small child to a giant
 
@@ -29,14 +33,25 @@ def load_canonical(
     if order is None:
         from motionkit.motion.retarget import retarget_file
 
-        motion, _ = retarget_file(path, scale=scale, fps=fps)
-        joints = len(bvh.skeleton)
-        return motion, [f"{Path(path).name}: {joints} joints mapped onto the {JOINT_COUNT} canonical joints"]
+        motion, report = retarget_file(path, scale=scale, fps=fps)
+        return motion, _mapping_notes(Path(path).name, report)
     motion = _reordered(bvh_to_motion(bvh, scale or 1.0, fps), order)
     leg = leg_length(motion.skeleton)
     if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
         return motion, []
     return motion, [f"{Path(path).name}: legs of {leg:.3g} cm; if the file is not in cm, give its scale"]
+
+
+def _mapping_notes(name: str, report: RetargetReport) -> list[str]:
+    text = (
+        f"{name}: {report.source_joints} joints mapped onto the {JOINT_COUNT} canonical joints, "
+        f"1 unit = {report.scale:.4g} cm ({report.scale_source})"
+    )
+    if abs(report.root_scale - 1.0) > 0.01:
+        text += f", root path times {report.root_scale:.3f} for the canonical leg length"
+    if report.missing:
+        text += f", {', '.join(report.missing)} not in the file"
+    return [text, *(f"{name}: {note}" for note in report.notes)]
 
 
 def _canonical_order(skeleton: Skeleton) -> list[int] | None:

@@ -123,7 +123,7 @@ def evaluate_motion(
         reference: its ground truth, likewise.
         settings: thresholds; the documented definitions if None.
         skip: frames at 60 fps to leave out at the start of both, such as the frames a synthesis was given.
-        align_start: turn and move the motion along the ground so that both start alike.
+        align_start: turn and move the motion along the ground so that the first frames compared agree.
 
     Raises MotionkitError where no two frames are left to compare, a number is not finite, or a skeleton
     is not the canonical one.
@@ -133,9 +133,6 @@ def evaluate_motion(
     for each, name in zip(motions, _names(motions), strict=True):
         _check(each, name)
     notes = _rate_notes(motions)
-    if reference is not None and align_start:
-        motions[0] = placed_like(motion, reference)
-        notes.append("generated motion turned and moved along the ground to start as the ground truth does")
     whole = [resample(each, FRAME_RATE) for each in motions]
     frames = min(len(each) for each in whole)
     if frames - skip < 2:
@@ -145,6 +142,9 @@ def evaluate_motion(
         )
     notes += _length_notes(whole, frames, skip)
     cut = [each.cut(skip, frames) for each in whole]
+    if reference is not None and align_start:
+        cut[0] = placed_like(cut[0], cut[1])
+        notes.append("generated motion turned and moved along the ground to start as the ground truth does")
     rate = min([FRAME_RATE, *(each.fps for each in motions)])
     if rate < FRAME_RATE:
         notes.append(
@@ -224,7 +224,7 @@ def _own_metrics(
     positions = motion_kinematics(motion)[1].double()
     feet = foot_positions(positions)
     floor = floor_height(feet) if settings.floor is None else settings.floor
-    native_positions = positions if native is motion else motion_kinematics(native)[1].double()
+    native_positions = positions if native.fps == FRAME_RATE else motion_kinematics(native)[1].double()
     source = "own" if settings.floor is None else "given"
     return [
         *_measured(lambda: body_movement(motion.local_rotations, "euler"), {"bm-euler": "deg/frame"}),
