@@ -37,7 +37,7 @@ PLOT_HEIGHT = 240
 PATH_WIDTH = 380
 POSES_PER_ROW = 16
 MAX_POSES = 480
-OVERLAP = 1.3  # the widest pose may reach this share of its cell; its neighbours seldom reach theirs
+OVERLAP = 1.6  # the widest pose may reach this share of its cell; its neighbours seldom reach theirs
 
 Color = tuple[int, int, int]
 SIDE_COLORS: dict[str, Color] = {"left": (31, 99, 214), "right": (219, 84, 20), "": (60, 60, 66)}

@@ -50,8 +50,7 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
 
 def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
     """Vectors (..., 3) turned by unit quaternions (..., 4)."""
-    axis = quat[..., 1:].expand(*torch.broadcast_shapes(quat.shape[:-1], vector.shape[:-1]), 3)
-    vector = vector.expand(axis.shape)
+    axis, vector = torch.broadcast_tensors(quat[..., 1:], vector)
     twice_cross = 2.0 * torch.linalg.cross(axis, vector)
     return vector + quat[..., :1] * twice_cross + torch.linalg.cross(axis, twice_cross)
 
