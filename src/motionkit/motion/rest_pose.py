@@ -30,6 +30,8 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
 
 SIDES = ("Left", "Right")
+_CANONICAL = canonical_skeleton()
+_CANONICAL_REST = _CANONICAL.rest_positions()
 # Where a bone points: the first of these that the source has.
 _AHEAD: dict[str, tuple[str, ...]] = {
     "LowerBack": ("Spine", "Spine1", "Neck"),
@@ -49,6 +51,7 @@ _AHEAD: dict[str, tuple[str, ...]] = {
 # to rig (a collar bone's root, a spine's curve); up to these angles that is anatomy, not posture.
 _TOLERANCE = {"Shoulder": 60.0, "Hand": 30.0, "Neck": 45.0, "Neck1": 45.0, "Head": 60.0}
 _TOLERANCE_ELSEWHERE = 40.0
+_NO_POSTURE = 110.0  # an End Site this far off is a leftover, not a hand or a head
 _LIMBS = ("UpLeg", "Leg", "Arm", "ForeArm")
 # The axis knees and elbows bend about, in the canonical rest pose (as in every CMU recording).
 _HINGES: dict[str, tuple[float, float, float]] = {
@@ -80,20 +83,19 @@ class SourceRig:
         joint = self.rig.places.get(name)
         if joint is None:
             return None
-        canonical = canonical_skeleton()
         own, tiny = JOINT_NAMES.index(name), tiny_length(self.skeleton)
-        rest = canonical.rest_positions()
         for ahead in _AHEAD.get(name, ()):
             place = self.place(ahead)
             if place is not None and float((place - self.rest[joint]).norm()) > tiny:
-                return rest[JOINT_NAMES.index(ahead)] - rest[own], place - self.rest[joint]
+                return _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[own], place - self.rest[
+                    joint
+                ]
         end = bone_end(self.skeleton, joint, tiny)
         if end is None:
             return None
-        if own in canonical.end_sites:
-            return torch.tensor(canonical.end_sites[own]), end
-        children = canonical.children(own)
-        return rest[children[0]] - rest[own], end
+        if own in _CANONICAL.end_sites:
+            return torch.tensor(_CANONICAL.end_sites[own]), end
+        return _CANONICAL.offsets[_CANONICAL.children(own)[0]], end
 
 
 def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Tensor | None:
@@ -115,7 +117,7 @@ def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Tensor | None:
 
 def tiny_length(skeleton: Skeleton) -> float:
     """What counts as no length at all in this skeleton's unit."""
-    return 1e-3 * float(skeleton.offsets[1:].norm(dim=-1).max())
+    return 1e-2 * float(skeleton.offsets[1:].norm(dim=-1).max())
 
 
 def frame_from(lateral: Tensor, up: Tensor) -> Tensor:
@@ -172,15 +174,22 @@ def rest_differences(source: SourceRig, frame: Tensor) -> Tensor:
         if part == "ToeBase":
             out[joint] = out[PARENTS[joint]]
         elif part == "Foot" and bone is not None:
-            out[joint] = _foot_difference(frame, *bone)
+            out[joint] = _foot_difference(source, frame, name, *bone)
         elif part in _LIMBS or part == "Hand":
             parent = out[PARENTS[joint]]
             if part == "Arm":  # collar bones may lie anywhere: arms are measured against the chest
                 parent = frame
             out[joint] = _turned(parent, bone, 0.0 if part in _LIMBS else _TOLERANCE["Hand"])
-        elif name != "Hips" and part != "Foot":
+        elif part == "Foot":
+            out[joint] = _foot_difference(source, frame, name, _CANONICAL.offsets[joint + 1], _forward(frame))
+        elif name != "Hips":
             out[joint] = _turned(frame, bone, _TOLERANCE.get(part, _TOLERANCE_ELSEWHERE))
     return out
+
+
+def _forward(frame: Tensor) -> Tensor:
+    """Where a body frame faces (3,)."""
+    return quat_rotate(frame, torch.tensor([0.0, 0.0, 1.0]))
 
 
 def _turned(base: Tensor, bone: tuple[Tensor, Tensor] | None, tolerance: float) -> Tensor:
@@ -188,19 +197,46 @@ def _turned(base: Tensor, bone: tuple[Tensor, Tensor] | None, tolerance: float) 
     if bone is None:
         return base
     canonical = quat_rotate(base, bone[0])
-    if float(angle_between(canonical, bone[1])) <= tolerance:
+    angle = float(angle_between(canonical, bone[1]))
+    if angle <= tolerance or (tolerance > 0.0 and angle > _NO_POSTURE):
         return base
     return quat_multiply(quat_between(canonical, bone[1]), base)
 
 
-def _foot_difference(frame: Tensor, canonical: Tensor, source: Tensor) -> Tensor:
-    """Feet stand flat in a rest pose, however high their ankle sits: only their heading counts."""
-    in_frame = quat_rotate(quat_inverse(frame), source)
+def _foot_difference(source: SourceRig, frame: Tensor, name: str, canonical: Tensor, bone: Tensor) -> Tensor:
+    """Feet stand flat in a rest pose, however high their ankle sits: heading and roll are what counts."""
+    to_frame = quat_inverse(frame)
+    in_frame = quat_rotate(to_frame, bone)
     pitch = math.degrees(math.asin(float(-in_frame[1] / in_frame.norm())))
     if not -30.0 < pitch < 70.0:  # hanging toes
-        return _turned(frame, (canonical, source), 0.0)
-    yaw = _heading(in_frame) - _heading(canonical)
-    return frame if abs(float(yaw)) < math.radians(15.0) else quat_multiply(frame, quat_from_yaw(yaw))
+        return _turned(frame, (canonical, bone), 0.0)
+    hip, ankle = (source.place(name.replace("Foot", part)) for part in ("UpLeg", "Foot"))
+    assert hip is not None and ankle is not None
+    roll = _spread(quat_rotate(to_frame, ankle - hip)) - _canonical_spread(name)
+    if abs(float(roll)) < math.radians(5.0):
+        roll = torch.zeros(())
+    flat = quat_from_roll(roll)
+    yaw = _heading(in_frame) - _heading(quat_rotate(flat, canonical))
+    if abs(float(yaw)) > math.radians(15.0):
+        flat = quat_multiply(quat_from_yaw(yaw), flat)
+    return quat_multiply(frame, flat)
+
+
+def quat_from_roll(roll: Tensor) -> Tensor:
+    """Rotations (..., 4) about Z by roll (...)."""
+    zero = torch.zeros_like(roll)
+    return torch.stack([torch.cos(0.5 * roll), zero, zero, torch.sin(0.5 * roll)], dim=-1)
+
+
+def _spread(leg: Tensor) -> Tensor:
+    """How far a leg vector (..., 3) points to the left of straight down, in radians."""
+    return torch.atan2(leg[..., 0], -leg[..., 1])
+
+
+def _canonical_spread(foot: str) -> Tensor:
+    """The canonical legs stand apart, and a foot rolls with its shin when they come together."""
+    hip = JOINT_NAMES.index(foot.replace("Foot", "UpLeg"))
+    return _spread(_CANONICAL_REST[JOINT_NAMES.index(foot)] - _CANONICAL_REST[hip])
 
 
 def _heading(vector: Tensor) -> Tensor:
@@ -327,12 +363,15 @@ class _Poses:
         if place is None:
             return
         if bone is None:
-            self.settle(name, quat_from_yaw(self.heading()), self.upright)
+            roll = quat_from_roll(-_canonical_spread(name)).expand(len(self.up), 4)
+            self.settle(name, quat_multiply(quat_from_yaw(self.heading()), roll), self.upright)
             return
         canonical, world = bone
         height = place[:, 1] + 0.5 * world[:, 1]
         low = self.upright & (height <= height[self.upright].quantile(0.2))
-        flat = quat_from_yaw(_heading(world) - _heading(canonical))
+        roll = quat_from_roll(-_canonical_spread(name))
+        yaw = _heading(world) - _heading(quat_rotate(roll, canonical))
+        flat = quat_multiply(quat_from_yaw(yaw), roll.expand(len(yaw), 4))
         self.settle(name, flat, low)
         self.settle(toe, flat, low)
 

@@ -289,6 +289,8 @@ def _own_length(source: SourceRig, above: str, name: str) -> float | None:
 def _torso_ratios(source: SourceRig, shape: Tensor, rest: Tensor) -> list[tuple[tuple[str, ...], float]]:
     """How much larger than the canonical one the torso is: in height, at the shoulders, at the hips."""
 
+    places = source.rig.places
+
     def corners(at: Tensor, index: dict[str, int]) -> list[Tensor]:
         return [at[..., index[f"{side}{part}"], :] for part in ("UpLeg", "Arm") for side in SIDES]
 
@@ -297,14 +299,21 @@ def _torso_ratios(source: SourceRig, shape: Tensor, rest: Tensor) -> list[tuple[
         widths = [left_arm - right_arm, left_hip - right_hip]
         return torch.stack([v.norm(dim=-1) for v in (spine, *widths)], dim=-1)
 
-    own = sizes(*corners(shape, source.rig.places)).reshape(-1, 3).median(dim=0).values
+    own = sizes(*corners(shape, places)).reshape(-1, 3).median(dim=0).values
     ours = sizes(*corners(rest, {name: j for j, name in enumerate(JOINT_NAMES)}))
     height, arms, hips = (float(ratio) for ratio in own / ours)
-    return [
+    ratios = [
         (("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder"), height),
         (("LeftArm", "RightArm"), arms),
         (("LeftUpLeg", "RightUpLeg"), hips),
     ]
+    if "Head" in places:  # necks begin anywhere: the head belongs as high above the shoulders as it was
+        middle = (shape[:, places["LeftArm"]] + shape[:, places["RightArm"]]) / 2
+        above = float((shape[:, places["Head"]] - middle).norm(dim=-1).median())
+        neck, head = rest[JOINT_NAMES.index("Neck")], rest[JOINT_NAMES.index("Head")]
+        below = height * float(rest[JOINT_NAMES.index("LeftArm")][1] - neck[1])
+        ratios.append((("Neck1", "Head"), (above + below) / float(head[1] - neck[1])))
+    return ratios
 
 
 def _pose_notes(up: Tensor, frame: Tensor, standing: bool, differences: Tensor) -> tuple[str, ...]:
