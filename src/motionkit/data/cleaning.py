@@ -31,13 +31,16 @@ from motionkit.motion.skeleton import JOINT_NAMES
 
 # Height of the toe joint (ball of the foot) above the floor while the foot stands on it, in cm: the
 # median over the CMU subjects whose floor is level.
-TOE_HEIGHT = 3.5
+TOE_HEIGHT = 4.1
 
 TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
 
 # Breaks: a step of the whole body, or of one joint, that nothing after it continues.
 LEAD_SECONDS = 0.5
 EDGE_SECONDS = 0.1
+# No dancer or walker comes this near the rest pose (mean over the joints); T-poses are at 5 to 7 degrees.
+REST_ANGLE = math.radians(10.0)
+BLEND_RATIO = 2.0
 FROZEN_ANGLE = math.radians(0.01)
 FROZEN_DISTANCE = 1e-3
 BODY_BREAK = math.radians(3.0)
@@ -141,7 +144,7 @@ def _good_span(motion: Motion) -> tuple[int, int]:
     if len(motion) < 3:
         return 0, len(motion)
     angles, distances = _steps(motion)
-    start = _lead(angles, distances, motion.fps)
+    start = max(_lead(angles, distances, motion.fps), _rest_pose_blend(motion, angles))
     end = len(motion) - _tail(angles.flip(0), distances.flip(0), motion.fps)
     return (start, end) if end - start >= 2 else (0, len(motion))
 
@@ -159,6 +162,19 @@ def _lead(angles: Tensor, distances: Tensor, fps: float) -> int:
         _edge_breaks(angles, edge, coarse),
     )
     return lead + _frozen(angles[lead:], distances[lead:])
+
+
+def _rest_pose_blend(motion: Motion, angles: Tensor) -> int:
+    """Frames of a blend out of the rest pose, from the steps (T - 1, J); 0 if frame 0 is not in it."""
+    first = motion.local_rotations[0, 1:]
+    if float(_angle(first, quat_identity((1,), first.dtype)).mean()) > REST_ANGLE:
+        return 0
+    body = angles.mean(dim=1)
+    later = body[round(EDGE_SECONDS * motion.fps) : round((EDGE_SECONDS + LEAD_SECONDS) * motion.fps)]
+    if not len(later):
+        return 0
+    calm = torch.nonzero(body <= BLEND_RATIO * later.median())
+    return int(calm[0]) if len(calm) else 0
 
 
 def _tail(angles: Tensor, distances: Tensor, fps: float) -> int:
