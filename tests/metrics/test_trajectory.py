@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -7,7 +8,6 @@ import torch
 from torch import Tensor
 
 from motionkit.errors import MotionkitError
-from motionkit.metrics import trajectory
 from motionkit.metrics.trajectory import distance_to_path, ground_track, trajectory_distance
 
 
@@ -65,11 +65,16 @@ def test_a_path_that_is_one_point() -> None:
         assert (result.mean, result.coverage) == (5.0, 1.0)
 
 
-def test_large_inputs_in_blocks_equal_one_block(monkeypatch: pytest.MonkeyPatch) -> None:
-    track, path = circle(150.0, points=301), circle(140.0, points=77)
-    whole = distance_to_path(track, path)
-    monkeypatch.setattr(trajectory, "_CHUNK", 500)
-    assert torch.equal(distance_to_path(track, path), whole)
+@pytest.mark.parametrize("points", [2, 64, 65, 66, 129, 1000])
+def test_long_paths_equal_the_plain_search(points: int) -> None:
+    draw = torch.Generator().manual_seed(points)
+    path = torch.randn(points, 2, generator=draw, dtype=torch.float64).cumsum(0)
+    track = torch.randn(300, 2, generator=draw, dtype=torch.float64).cumsum(0)
+    expected = torch.full((300,), math.inf, dtype=torch.float64)
+    for a, b in itertools.pairwise(path):
+        share = (((track - a) @ (b - a)) / ((b - a) @ (b - a))).clamp(0.0, 1.0)
+        expected = torch.minimum(expected, (track - a - share[:, None] * (b - a)).norm(dim=-1))
+    assert distance_to_path(track, path) == pytest.approx(expected, abs=1e-9)
 
 
 def test_turning_and_moving_both_changes_nothing() -> None:

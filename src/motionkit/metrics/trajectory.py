@@ -10,7 +10,7 @@ from torch import Tensor
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings, MetricValue
 
-_CHUNK = 4_000_000  # point-segment pairs held at once
+_BLOCK = 64  # segments that one bounding box stands for
 _COVERAGE_STEP = 1.0  # cm between the samples of the reference path
 
 
@@ -60,15 +60,31 @@ def distance_to_path(points: Tensor, path: Tensor) -> Tensor:
     points, path = _checked(points, "track"), _checked(path, "path")
     if len(path) == 1:
         return (points - path).norm(dim=-1)
+    nearest = _distance_to_points(points, path[::_BLOCK])
+    for first in range(0, len(path) - 1, _BLOCK):
+        block = path[first : first + _BLOCK + 1]
+        # Only points that may be nearer to this block than to what was seen need its segments.
+        outside = (block.amin(0) - points).clamp(min=0.0) + (points - block.amax(0)).clamp(min=0.0)
+        near = torch.nonzero(outside.norm(dim=-1) < nearest).flatten()
+        nearest[near] = torch.minimum(nearest[near], _distance_to_segments(points[near], block))
+    return nearest
+
+
+def _distance_to_points(points: Tensor, places: Tensor) -> Tensor:
+    """Distance (T,) from points (T, 2) to the nearest of places (M, 2)."""
+    nearest = (points - places[0]).norm(dim=-1)
+    for place in places[1:]:
+        nearest = torch.minimum(nearest, (points - place).norm(dim=-1))
+    return nearest
+
+
+def _distance_to_segments(points: Tensor, path: Tensor) -> Tensor:
+    """Distance (T,) from points (T, 2) to a polyline (N, 2) of few segments, each tried for each point."""
     start, along = path[:-1], torch.diff(path, dim=0)
     squared = (along * along).sum(-1).clamp(min=1e-12)
-    rows = max(1, _CHUNK // len(start))
-    nearest = []
-    for block in points.split(rows):
-        offset = block[:, None] - start
-        share = ((offset * along).sum(-1) / squared).clamp(0.0, 1.0)
-        nearest.append((offset - share[..., None] * along).norm(dim=-1).amin(dim=1))
-    return torch.cat(nearest)
+    offset = points[:, None] - start
+    share = ((offset * along).sum(-1) / squared).clamp(0.0, 1.0)
+    return (offset - share[..., None] * along).norm(dim=-1).amin(dim=1)
 
 
 def trajectory_distance(
