@@ -215,7 +215,7 @@ class _Mapper:
         below = self.common(self.places["Hips"], fork)
         path = self.path(fork)
         spine = [j for j in path[path.index(below) + 1 :] if self.parts[j][1] not in ("neck", "head")]
-        chest = spine[-1] if spine else self.places["Hips"]
+        chest = spine[-1] if spine else fork
         picked = spine if len(spine) <= 3 else [spine[0], spine[len(spine) // 2], chest]
         heights = [self.length(self.places["Hips"], joint) for joint in picked]
         arms = (self.rest[self.places["LeftArm"]] + self.rest[self.places["RightArm"]]) / 2

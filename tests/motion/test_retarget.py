@@ -1,0 +1,518 @@
+"""Foreign rigs onto the canonical skeleton: names, rest poses, units, what is missing."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from motionkit.errors import SkeletonError
+from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.retarget import retarget, retarget_file
+from motionkit.motion.rig_names import map_rig, name_part
+from motionkit.motion.rotations import (
+    expmap_to_quat,
+    quat_angle,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+)
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
+
+# How much each limb joint bends about the canonical hinge, in radians at the middle and the swing.
+HINGES = {
+    "LeftLeg": ((0.93969, 0.34202, 0.0), 0.7, 0.4),
+    "RightLeg": ((0.93969, -0.34202, 0.0), 0.7, -0.4),
+    "LeftForeArm": ((0.0, -0.86603, 0.5), 0.9, 0.3),
+    "RightForeArm": ((0.0, 0.86603, -0.5), 0.9, -0.3),
+}
+# Brings spread legs together and level arms down, as in standing.
+STANCE = {"LeftUpLeg": -20.0, "RightUpLeg": 20.0, "LeftArm": -70.0, "RightArm": 70.0}
+
+
+def walk(frames: int = 60) -> Motion:
+    """Someone walking on the spot and turning a little: knees and elbows bend, the torso sways."""
+    phase = torch.arange(frames) * (2 * math.pi / 30.0)
+    expmaps = torch.zeros(frames, len(JOINT_NAMES), 3)
+    for name, degrees in STANCE.items():
+        expmaps[:, JOINT_NAMES.index(name), 2] = math.radians(degrees)
+    turns = quat_identity((frames, len(JOINT_NAMES)))
+    for joint, name in enumerate(JOINT_NAMES):
+        swing = 0.05 * torch.sin(phase[:, None] + torch.tensor([0.0, 1.0, 2.0]) + joint)
+        local = expmap_to_quat(expmaps[:, joint])
+        if name in HINGES:
+            axis, middle, amount = HINGES[name]
+            bend = middle + amount * torch.sin(phase)
+            local = expmap_to_quat(bend[:, None] * torch.tensor(axis))
+        elif name.endswith("UpLeg"):
+            side = 1.0 if name.startswith("Left") else -1.0
+            stride = torch.zeros(frames, 3)
+            stride[:, 0] = -0.3 + 0.4 * side * torch.sin(phase)
+            local = quat_multiply(expmap_to_quat(stride), local)
+        elif not name.endswith(("ToeBase", "Foot")):
+            local = quat_multiply(expmap_to_quat(swing), local)
+        turns[:, joint] = local
+    roots = torch.stack([10.0 * torch.sin(phase), 95.0 + torch.cos(2 * phase), phase * 3.0], dim=-1)
+    return Motion(canonical_skeleton(), turns, roots, 30.0)
+
+
+def renamed(motion: Motion, names: dict[str, str]) -> Motion:
+    """The motion with its joints called otherwise; joints without a new name are dropped with all below."""
+    keep = [j for j, name in enumerate(JOINT_NAMES) if name in names]
+    new = {j: i for i, j in enumerate(keep)}
+    parents = []
+    turns = []
+    for j in keep:
+        above, turn = PARENTS[j], motion.local_rotations[:, j]
+        while above >= 0 and above not in new:
+            turn = quat_multiply(motion.local_rotations[:, above], turn)
+            above = PARENTS[above]
+        parents.append(new.get(above, -1))
+        turns.append(turn)
+    rest = motion.skeleton.rest_positions()
+    offsets = torch.stack(
+        [rest[j] - (rest[keep[p]] if p >= 0 else rest[j]) for j, p in zip(keep, parents, strict=True)]
+    )
+    ends = {}
+    for i, j in enumerate(keep):
+        if i not in parents:
+            below = [k for k in range(len(JOINT_NAMES)) if PARENTS[k] == j]
+            end = motion.skeleton.offsets[below[0]].tolist() if below else motion.skeleton.end_sites[j]
+            ends[i] = tuple(end)
+    skeleton = Skeleton(tuple(names[JOINT_NAMES[j]] for j in keep), tuple(parents), offsets, ends)
+    return Motion(skeleton, torch.stack(turns, dim=1), motion.root_positions, motion.fps)
+
+
+def sided(pattern: dict[str, str], left: str, right: str) -> dict[str, str]:
+    """Canonical limb names to names with a side put in place of '*'."""
+    out = {}
+    for part, name in pattern.items():
+        out[f"Left{part}"] = name.replace("*", left)
+        out[f"Right{part}"] = name.replace("*", right)
+    return out
+
+
+LIMBS = ("UpLeg", "Leg", "Foot", "ToeBase", "Shoulder", "Arm", "ForeArm", "Hand")
+TORSO = ("Hips", "LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head")
+
+
+def family(torso: str, limbs: str, left: str, right: str) -> dict[str, str]:
+    """A name table from two lists of words; '-' leaves a joint out, '_' stands for a space."""
+    names = dict(zip(TORSO, torso.split(), strict=True))
+    names |= sided(dict(zip(LIMBS, limbs.split(), strict=True)), left, right)
+    return {ours: theirs.replace("_", " ") for ours, theirs in names.items() if theirs != "-"}
+
+
+MIXAMO = (
+    "mixamorig:Hips mixamorig:Spine mixamorig:Spine1 mixamorig:Spine2 mixamorig:Neck - mixamorig:Head",
+    "mixamorig:*UpLeg mixamorig:*Leg mixamorig:*Foot mixamorig:*ToeBase mixamorig:*Shoulder mixamorig:*Arm "
+    "mixamorig:*ForeArm mixamorig:*Hand",
+    "Left",
+    "Right",
+)
+FAMILIES: dict[str, dict[str, str]] = {
+    "mixamo": family(*MIXAMO),
+    "lafan1": family(
+        "Hips Spine Spine1 Spine2 Neck - Head",
+        "*UpLeg *Leg *Foot *Toe *Shoulder *Arm *ForeArm *Hand",
+        "Left",
+        "Right",
+    ),
+    "xsens": family(
+        "Pelvis L5 L3 T8 Neck - Head",
+        "*UpperLeg *LowerLeg *Foot *Toe *Shoulder *UpperArm *ForeArm *Hand",
+        "Left",
+        "Right",
+    ),
+    "100style": family(
+        "Hips Chest Chest2 Chest4 Neck - Head",
+        "*Hip *Knee *Ankle *Toe *Collar *Shoulder *Elbow *Wrist",
+        "Left",
+        "Right",
+    ),
+    "poser": family(
+        "hip - abdomen chest neck - head", "*Thigh *Shin *Foot - *Collar *Shldr *ForeArm *Hand", "l", "r"
+    ),
+    "biped": family(
+        "Bip01_Pelvis Bip01_Spine Bip01_Spine1 Bip01_Spine2 Bip01_Neck - Bip01_Head",
+        "Bip01_*_Thigh Bip01_*_Calf Bip01_*_Foot Bip01_*_Toe0 Bip01_*_Clavicle Bip01_*_UpperArm "
+        "Bip01_*_Forearm Bip01_*_Hand",
+        "L",
+        "R",
+    ),
+    "bandai-namco": family(
+        "Hips - Spine Chest Neck - Head",
+        "UpperLeg@* LowerLeg@* Foot@* Toes@* Shoulder@* UpperArm@* LowerArm@* Hand@*".replace("@", "~"),
+        "L",
+        "R",
+    ),
+    "motionbuilder": family(
+        "Character1~Hips - Character1~Spine Character1~Spine1 Character1~Neck - Character1~Head",
+        "Character1~*UpLeg Character1~*Leg Character1~*Foot Character1~*ToeBase Character1~*Shoulder "
+        "Character1~*Arm Character1~*ForeArm Character1~*Hand",
+        "Left",
+        "Right",
+    ),
+    "rokoko": family(
+        "Hips Spine1 Spine2 Spine3 Neck - Head",
+        "*Thigh *Shin *Foot *Toe *Shoulder *Arm *ForeArm *Hand",
+        "Left",
+        "Right",
+    ),
+    "deepmimic": family(
+        "root - - chest neck - -", "*hip *knee *ankle - - *shoulder *elbow -", "left~", "right~"
+    ),
+    "smpl": family(
+        "Pelvis Spine1 Spine2 Spine3 Neck - Head",
+        "*Hip *Knee *Ankle *Foot *Collar *Shoulder *Elbow *Wrist",
+        "L~",
+        "R~",
+    ),
+    "unreal": family(
+        "pelvis spine~01 spine~02 spine~03 neck~01 - head",
+        "thigh~* calf~* foot~* ball~* clavicle~* upperarm~* lowerarm~* hand~*",
+        "l",
+        "r",
+    ),
+    "blender": family(
+        "spine spine.001 spine.002 spine.003 spine.004 spine.005 head",
+        "thigh.* shin.* foot.* toe.* shoulder.* upper~arm.* forearm.* hand.*",
+        "L",
+        "R",
+    ),
+    "upper-case": family(
+        "HIPS LOWERBACK SPINE CHEST NECK - HEAD",
+        "*THIGH *SHIN *FOOT *TOE *CLAVICLE *UPPERARM *FOREARM *HAND",
+        "L~",
+        "R~",
+    ),
+}
+FAMILIES = {
+    key: {ours: theirs.replace("~", "_") for ours, theirs in names.items()} for key, names in FAMILIES.items()
+}
+
+
+def directions(motion: Motion, pairs: list[tuple[str, str]]) -> Tensor:
+    """Unit vectors (T, P, 3) from joint to joint."""
+    _, positions = motion_kinematics(motion)
+    index = motion.skeleton.index
+    bones = torch.stack([positions[:, index(b)] - positions[:, index(a)] for a, b in pairs], dim=1)
+    return torch.nn.functional.normalize(bones, dim=-1)
+
+
+LIMB_PAIRS = [
+    (f"{side}{a}", f"{side}{b}")
+    for side in ("Left", "Right")
+    for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"), ("Arm", "ForeArm"))
+]
+
+
+def worst_angle(source: Motion, result: Motion, mapped: dict[str, str]) -> float:
+    """The largest angle in degrees between the limb bones of source and result."""
+    theirs = directions(source, [(mapped[a], mapped[b]) for a, b in LIMB_PAIRS])
+    ours = directions(result, LIMB_PAIRS)
+    sine = torch.linalg.cross(theirs, ours).norm(dim=-1)
+    return float(torch.rad2deg(torch.atan2(sine, (theirs * ours).sum(-1))).max())
+
+
+@pytest.mark.parametrize("key", FAMILIES)
+def test_naming_families(key: str, tmp_path: Path) -> None:
+    """Every family maps by name, through a file, and limbs point as they did."""
+    source = renamed(walk(), FAMILIES[key])
+    write_bvh(tmp_path / "clip.bvh", source)
+    result, report = retarget_file(tmp_path / "clip.bvh")
+    # Names with spaces reach us with underscores.
+    expected = {ours: theirs.replace(" ", "_") for ours, theirs in FAMILIES[key].items()}
+    limbs = {k: v for k, v in expected.items() if k.startswith(("Left", "Right"))}
+    assert {k: v for k, v in report.mapped.items() if k.startswith(("Left", "Right"))} == limbs
+    assert report.mapped["Hips"] == expected["Hips"]
+    assert set(report.missing) == set(JOINT_NAMES) - set(expected)
+    assert report.scale == 1.0
+    assert worst_angle(read_motion(tmp_path / "clip.bvh"), result, report.mapped) < 0.1
+    assert len(result) == len(source) and result.fps == 30.0
+
+
+def read_motion(path: Path) -> Motion:
+    from motionkit.motion.bvh import bvh_to_motion
+
+    return bvh_to_motion(read_bvh(path))
+
+
+def test_the_canonical_skeleton_maps_onto_itself() -> None:
+    source = walk()
+    result, report = retarget(motion_to_bvh(source))
+    assert report.missing == () and report.ignored == () and report.notes == ()
+    assert report.root_scale == pytest.approx(1.0, abs=1e-5)
+    assert float(quat_angle(source.local_rotations, result.local_rotations).max()) < 1e-3
+    assert float((source.root_positions - result.root_positions).abs().max()) < 1e-3
+    assert float((report.body - canonical_skeleton().offsets).abs().max()) < 1e-3
+
+
+@pytest.mark.parametrize(("factor", "scale"), [(0.01, 100.0), (10.0, 0.1), (0.45 / 2.54, 2.54 / 0.45)])
+def test_units_are_guessed_and_the_result_is_the_same(factor: float, scale: float) -> None:
+    source = walk()
+    result, report = retarget(motion_to_bvh(source.scaled(factor)))
+    assert report.scale == pytest.approx(scale)
+    assert "guessed" in report.scale_source
+    assert float((source.root_positions - result.root_positions).abs().max()) < 1e-2
+
+
+def test_a_given_scale_and_rate_win() -> None:
+    result, report = retarget(motion_to_bvh(walk()), scale=1.2, fps=120.0)
+    assert report.scale == 1.2 and report.scale_source == "given"
+    assert report.root_scale == pytest.approx(1 / 1.2, rel=1e-4)
+    assert result.fps == 120.0
+
+
+def test_own_body_keeps_positions() -> None:
+    """A child's body of canonical shape: own_body gives its joint positions, else those of the canonical."""
+    source = walk().scaled(0.8)
+    own, report = retarget(motion_to_bvh(source), own_body=True)
+    scaled, _ = retarget(motion_to_bvh(source))
+    assert report.scale == 1.0 and report.root_scale == pytest.approx(1.25, rel=1e-4)
+    assert float((motion_kinematics(own)[1] - motion_kinematics(source)[1]).abs().max()) < 0.01
+    full = motion_kinematics(walk())[1]
+    assert float((motion_kinematics(scaled)[1] - full).abs().max()) < 0.01
+
+
+def test_missing_joints_do_not_move_and_others_compose_in() -> None:
+    names = {name: name for name in JOINT_NAMES if name not in ("Neck1", "LowerBack", "LeftToeBase")}
+    source = walk()
+    result, report = retarget(motion_to_bvh(renamed(source, names)))
+    assert set(report.missing) == {"Neck1", "LowerBack", "LeftToeBase"}
+    for name in report.missing:
+        turn = result.local_rotations[:, JOINT_NAMES.index(name)]
+        assert float(quat_angle(turn, quat_identity((len(source),))).max()) < 1e-3
+    before, after = motion_kinematics(source)[0], motion_kinematics(result)[0]
+    for name in ("Hips", "Spine", "Head", "LeftFoot", "RightHand"):
+        joint = JOINT_NAMES.index(name)
+        assert float(quat_angle(before[:, joint], after[:, joint]).max()) < 1e-3
+
+
+def test_fingers_meshes_and_a_root_above_the_hips() -> None:
+    source = walk()
+    skeleton = source.skeleton
+    extra = ("Armature", *JOINT_NAMES, "LeftHandIndex1", "L_Femur_RIGMESH", "HeadTop_End")
+    hand, thigh, head = (JOINT_NAMES.index(n) + 1 for n in ("LeftHand", "LeftUpLeg", "Head"))
+    parents = (-1, 0, *(p + 1 for p in PARENTS[1:]), hand, thigh, head)
+    added = torch.tensor([[8.0, 0, 0], [0, -5.0, 0], [0, 10.0, 0]])
+    offsets = torch.cat([torch.zeros(1, 3), skeleton.offsets, added])
+    turns = quat_identity((len(source), len(extra)))
+    turns[:, 1:24] = source.local_rotations
+    lifted = expmap_to_quat(torch.tensor([0.0, 0.6, 0.0]))
+    turns[:, 0] = lifted
+    rig = Motion(Skeleton(extra, parents, offsets), turns, source.root_positions, 30.0)
+    result, report = retarget(motion_to_bvh(rig))
+    assert report.missing == ()
+    assert set(report.ignored) == {"Armature", "LeftHandIndex1", "L_Femur_RIGMESH", "HeadTop_End"}
+    expected = quat_multiply(lifted.expand(len(source), 4), source.local_rotations[:, 0])
+    assert float(quat_angle(expected, result.local_rotations[:, 0]).max()) < 1e-3
+    others = quat_angle(source.local_rotations[:, 1:], result.local_rotations[:, 1:])
+    assert float(others.max()) < 1e-3
+
+
+def turned_rest(motion: Motion, changes: Tensor) -> Motion:
+    """The same movement with each joint's axes turned by changes (J, 4): another rest pose."""
+    rotations, _ = motion_kinematics(motion)
+    back = quat_inverse(changes)
+    globals_ = quat_multiply(rotations, back.expand_as(rotations))
+    parents = list(motion.skeleton.parents[1:])
+    offsets = motion.skeleton.offsets.clone()
+    offsets[1:] = quat_rotate(changes[parents], offsets[1:])
+    local = globals_.clone()
+    local[:, 1:] = quat_multiply(quat_inverse(globals_[:, parents]), globals_[:, 1:])
+    ends = {}
+    for joint, end in motion.skeleton.end_sites.items():
+        x, y, z = quat_rotate(changes[joint], torch.tensor(end)).tolist()
+        ends[joint] = (x, y, z)
+    skeleton = Skeleton(motion.skeleton.names, motion.skeleton.parents, offsets, ends)
+    return Motion(skeleton, local, motion.root_positions, motion.fps)
+
+
+def test_arms_that_hang_in_the_rest_pose() -> None:
+    """Rest poses are compared, not copied: hanging and level arms give the same result."""
+    source = walk()
+    changes = quat_identity((len(JOINT_NAMES),))
+    for joint, name in enumerate(JOINT_NAMES):
+        if name.endswith(("Arm", "Hand")):
+            side = -1.0 if name.startswith("Left") else 1.0
+            changes[joint] = expmap_to_quat(torch.tensor([0.0, 0.0, side * math.pi / 2]))
+    result, report = retarget(motion_to_bvh(turned_rest(source, changes)))
+    assert float(quat_angle(source.local_rotations, result.local_rotations).max()) < 2e-3
+    assert any("LeftArm 90" in note for note in report.notes)
+
+
+@pytest.mark.parametrize("axis", ["X", "-Z"])
+def test_a_rest_pose_that_faces_elsewhere(axis: str) -> None:
+    source = walk()
+    yaw = math.pi / 2 if axis == "X" else math.pi
+    changes = expmap_to_quat(torch.tensor([0.0, yaw, 0.0])).expand(len(JOINT_NAMES), 4)
+    result, report = retarget(motion_to_bvh(turned_rest(source, changes)))
+    assert float(quat_angle(source.local_rotations, result.local_rotations).max()) < 2e-3
+    assert any("faces" in note for note in report.notes)
+
+
+def test_z_up_is_turned() -> None:
+    source = walk()
+    tilt = expmap_to_quat(torch.tensor([math.pi / 2, 0.0, 0.0]))  # Y up becomes Z up
+    rig = turned_rest(source, tilt.expand(len(JOINT_NAMES), 4))
+    turns = rig.local_rotations.clone()
+    turns[:, 0] = quat_multiply(tilt.expand(len(source), 4), turns[:, 0])
+    rig = replace(rig, local_rotations=turns, root_positions=quat_rotate(tilt, rig.root_positions))
+    result, report = retarget(motion_to_bvh(rig))
+    assert any("up axis +Z" in note for note in report.notes)
+    assert float((motion_kinematics(source)[1] - motion_kinematics(result)[1]).abs().max()) < 0.05
+
+
+def test_a_rest_pose_that_is_no_human_pose() -> None:
+    """With every joint's axes turned at random the motion itself must tell which way a body stands."""
+    source = walk(120)
+    generator = torch.Generator().manual_seed(3)
+    changes = quat_normalize(torch.randn(len(JOINT_NAMES), 4, generator=generator))
+    result, report = retarget(motion_to_bvh(turned_rest(source, changes)))
+    assert any("not a standing human" in note for note in report.notes)
+    before, after = motion_kinematics(source)[0], motion_kinematics(result)[0]
+    degrees = torch.rad2deg(quat_angle(before, after)).amax(0)
+    for name in (pair[0] for pair in LIMB_PAIRS):
+        assert float(degrees[JOINT_NAMES.index(name)]) < 1.0, name
+    for name in ("Hips", "Spine1", "Head"):
+        assert float(degrees[JOINT_NAMES.index(name)]) < 15.0, name
+    pairs = {a: a for pair in LIMB_PAIRS for a in pair}
+    assert worst_angle(source, result, pairs) < 0.1
+
+
+def test_six_channel_joints_take_their_place_from_the_channels() -> None:
+    """Some files leave OFFSET at zero and place every joint by its position channels."""
+    source = walk()
+    places = source.skeleton.offsets.expand(len(source), -1, 3).clone()
+    empty = replace(source.skeleton, offsets=torch.zeros(len(JOINT_NAMES), 3))
+    rig = replace(source, skeleton=empty, local_positions=places)
+    result, report = retarget(motion_to_bvh(rig))
+    assert report.scale == 1.0
+    assert float((motion_kinematics(source)[1] - motion_kinematics(result)[1]).abs().max()) < 0.01
+
+
+def test_twist_joints_along_a_limb_count() -> None:
+    """A forearm's roll on a joint of its own still reaches the hand's parent."""
+    source = walk()
+    names = list(JOINT_NAMES)
+    at = names.index("LeftHand")
+    arm = names.index("LeftForeArm")
+    names.insert(at, "LeftForeArmRoll")
+    shift = [p + (p >= at) if p >= 0 else -1 for p in PARENTS]
+    parents = (*shift[:at], arm, at, *shift[at + 1 :])
+    half = source.skeleton.offsets[at] * 0.5
+    offsets = torch.cat(
+        [source.skeleton.offsets[:at], half[None], half[None], source.skeleton.offsets[at + 1 :]]
+    )
+    twist = expmap_to_quat(torch.tensor([0.5, 0.0, 0.0])).expand(len(source), 1, 4)
+    hand = quat_multiply(quat_inverse(twist[:, 0]), source.local_rotations[:, at])[:, None]
+    turns = torch.cat([source.local_rotations[:, :at], twist, hand, source.local_rotations[:, at + 1 :]], 1)
+    rig = Motion(Skeleton(tuple(names), parents, offsets), turns, source.root_positions, 30.0)
+    result, report = retarget(motion_to_bvh(rig))
+    assert report.mapped["LeftForeArm"] == "LeftForeArm" and "LeftForeArmRoll" in report.ignored
+    expected = quat_multiply(source.local_rotations[:, arm], twist[:, 0])
+    assert float(quat_angle(expected, result.local_rotations[:, arm]).max()) < 2e-3
+
+
+def tiny(names: tuple[str, ...], parents: tuple[int, ...]) -> BvhFile:
+    skeleton = Skeleton(names, parents, torch.tensor([[0.0, 10.0, 0.0]] * len(names)))
+    turns = quat_identity((2, len(names)))
+    return motion_to_bvh(Motion(skeleton, turns, torch.zeros(2, 3), 30.0))
+
+
+def test_not_a_human(tmp_path: Path) -> None:
+    dog = tiny(("Body", "Tail1", "FrontLeftPaw", "Snout"), (-1, 0, 0, 0))
+    with pytest.raises(SkeletonError, match=r"LeftUpLeg.*joints seen: Body, Tail1") as caught:
+        retarget(dog)
+    assert "\n" not in str(caught.value)
+    write_bvh(tmp_path / "dog.bvh", dog)
+    with pytest.raises(SkeletonError, match=r"dog\.bvh: not a human rig"):
+        retarget_file(tmp_path / "dog.bvh")
+
+
+def test_an_arm_missing_is_named() -> None:
+    gone = ("LeftShoulder", "LeftArm", "LeftForeArm", "LeftHand")
+    names = {name: name for name in JOINT_NAMES if name not in gone}
+    with pytest.raises(SkeletonError, match="no joint found for LeftArm, LeftForeArm;"):
+        retarget(motion_to_bvh(renamed(walk(), names)))
+
+
+def test_thighs_on_the_spine_and_collars_on_the_neck() -> None:
+    """3ds Max's Biped hangs its limbs elsewhere; the torso is still found."""
+    names = FAMILIES["biped"]
+    source = renamed(walk(), names)
+    skeleton = source.skeleton
+    old = skeleton.rest_positions()
+    parents = list(skeleton.parents)
+    for side in ("Left", "Right"):
+        parents[skeleton.index(names[f"{side}UpLeg"])] = skeleton.index(names["LowerBack"])
+        parents[skeleton.index(names[f"{side}Shoulder"])] = skeleton.index(names["Neck"])
+    order = sorted(range(len(parents)), key=lambda j: _depth(parents, j))
+    new = {j: i for i, j in enumerate(order)}
+    rig = Skeleton(
+        tuple(skeleton.names[j] for j in order),
+        tuple(new[parents[j]] if parents[j] >= 0 else -1 for j in order),
+        torch.stack([old[j] - old[parents[j]] if parents[j] >= 0 else old[j] for j in order]),
+    )
+    report = retarget(
+        motion_to_bvh(Motion(rig, source.local_rotations[:, order], source.root_positions, 30.0))
+    )[1]
+    assert report.mapped == names
+
+
+def _depth(parents: list[int], joint: int) -> int:
+    return 0 if joint < 0 else 1 + _depth(parents, parents[joint])
+
+
+def test_bones_without_length_are_refused() -> None:
+    source = walk()
+    flat = replace(source, skeleton=source.skeleton.scaled(0.0))
+    with pytest.raises(SkeletonError, match="without length"):
+        retarget(motion_to_bvh(flat))
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("mixamorig1:RightForeArm", ("Right", "forearm")),
+        ("Armature|thigh.R", ("Right", "thigh")),
+        ("Bip001 R Calf", ("Right", "shin")),
+        ("ValveBiped.Bip01_L_UpperArm", ("Left", "upperarm")),
+        ("J_Bip_R_LowerLeg", ("Right", "shin")),
+        ("DEF-upper_arm.L", ("Left", "upperarm")),
+        ("ElbowRight", ("Right", "forearm")),
+        ("LHipJoint", ("Left", "other")),
+        ("upperarm_twist_01_l", ("Left", "other")),
+        ("RightHandThumb2", ("Right", "other")),
+        ("HeadTop_End", ("", "other")),
+        ("lowerback", ("", "")),
+        ("joint_Root", ("", "")),
+    ],
+)
+def test_names(name: str, expected: tuple[str, str]) -> None:
+    assert name_part(name) == expected
+
+
+def test_the_same_word_means_what_its_neighbours_leave_over() -> None:
+    """A left shoulder is a collar bone beside an arm, an upper arm beside an elbow."""
+    style = map_rig(renamed(walk(1), FAMILIES["100style"]).skeleton)
+    lafan = map_rig(renamed(walk(1), FAMILIES["lafan1"]).skeleton)
+    style_names = renamed(walk(1), FAMILIES["100style"]).skeleton.names
+    lafan_names = renamed(walk(1), FAMILIES["lafan1"]).skeleton.names
+    assert style_names[style.places["LeftArm"]] == "LeftShoulder"
+    assert lafan_names[lafan.places["LeftShoulder"]] == "LeftShoulder"
+
+
+def test_results_are_finite_for_one_frame() -> None:
+    result, _ = retarget(motion_to_bvh(walk(1)))
+    assert np.isfinite(result.local_rotations.numpy()).all() and len(result) == 1
