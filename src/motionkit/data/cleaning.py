@@ -104,7 +104,7 @@ class CleaningReport:
 def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     """The motion (23 canonical joints, cm) without capture faults, at its own rate, and what was done.
 
-    The last frame is never cut away: a motion of one or two frames comes back with its floor set only.
+    At least two frames are kept: a motion of one or two comes back with only its floor set.
     """
     cut, pops = _mend(motion)  # first, so that a pop near an edge is not taken for a break
     start, end = _good_span(cut)
@@ -216,11 +216,13 @@ def _last_true(flags: Tensor) -> int:
 def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion with short pops bridged, and their frames and joints."""
     rotations, places = motion.local_rotations.clone(), motion.root_positions.clone()
-    longest = max(2, round(LONG_POP_SECONDS * motion.fps))
+    # At a low rate two frames away and back are honest motion: toes roll off that fast in a run.
+    longest = max(1, round(LONG_POP_SECONDS * motion.fps))
+    coarse = max(1.0, 60.0 / motion.fps)
     steps = _angle(rotations[:-1], rotations[1:])
     mended: list[tuple[int, str]] = []
     for span in range(1, min(longest, len(motion) - 2) + 1):
-        pops = _joint_pops(rotations, steps, span)
+        pops = _joint_pops(rotations, steps, span, coarse)
         for frame, joint in pops:
             rotations[frame : frame + span, joint] = _bridge(
                 rotations[frame - 1, joint], rotations[frame + span, joint], span
@@ -237,15 +239,16 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     return out, sorted(set(mended))
 
 
-def _joint_pops(rotations: Tensor, steps: Tensor, span: int) -> list[tuple[int, int]]:
+def _joint_pops(rotations: Tensor, steps: Tensor, span: int, coarse: float) -> list[tuple[int, int]]:
     """First frame and joint of every pop of this many frames in rotations (T, J, 4) with steps (T - 1, J).
 
     The steps out and back must tower over the steps before and after, and over what is left when the
-    span is bridged; that sets a pop apart from a fast swing, whose neighbours are fast as well.
+    span is bridged; that sets a pop apart from a fast swing, whose neighbours are fast as well. The
+    least jump is multiplied by coarse, for honest steps grow as frames get rarer.
     """
     least, ratio = (POP_JUMP, POP_RATIO) if span <= 2 else (LONG_POP_JUMP, LONG_POP_RATIO)
     jump = torch.minimum(steps[: len(steps) - span], steps[span:])
-    frames, joints = torch.nonzero(jump > least, as_tuple=True)
+    frames, joints = torch.nonzero(jump > coarse * least, as_tuple=True)
     if not len(frames):
         return []
     before, after = rotations[frames, joints], rotations[frames + span + 1, joints]
@@ -353,7 +356,7 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
     if len(motion) < 3:
         return ()
     angles, _ = _steps(motion)
-    frames, joints = torch.nonzero(angles > JUMP_LEFT, as_tuple=True)
+    frames, joints = torch.nonzero(angles > max(1.0, 60.0 / motion.fps) * JUMP_LEFT, as_tuple=True)
     return tuple(
         f"jump of {math.degrees(float(angles[t, j])):.0f} degrees left in {JOINT_NAMES[j]} "
         f"at frame {int(t) + 1 + start}"
