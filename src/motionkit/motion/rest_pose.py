@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -80,16 +81,21 @@ class SourceRig:
 
     def bone(self, name: str) -> tuple[Tensor, Tensor] | None:
         """The bone from a joint on, canonical and source rest vectors (3,), or None if it has no end."""
-        joint = self.rig.places.get(name)
-        if joint is None:
-            return None
-        own, tiny = JOINT_NAMES.index(name), tiny_length(self.skeleton)
+        return self._bones.get(name)
+
+    @cached_property
+    def _bones(self) -> dict[str, tuple[Tensor, Tensor]]:
+        tiny = tiny_length(self.skeleton)
+        found = {name: self._find_bone(name, joint, tiny) for name, joint in self.rig.places.items()}
+        return {name: bone for name, bone in found.items() if bone is not None}
+
+    def _find_bone(self, name: str, joint: int, tiny: float) -> tuple[Tensor, Tensor] | None:
+        own = JOINT_NAMES.index(name)
         for ahead in _AHEAD.get(name, ()):
             place = self.place(ahead)
             if place is not None and float((place - self.rest[joint]).norm()) > tiny:
-                return _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[own], place - self.rest[
-                    joint
-                ]
+                canonical = _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[own]
+                return canonical, place - self.rest[joint]
         end = bone_end(self.skeleton, joint, tiny)
         if end is None:
             return None
@@ -286,12 +292,13 @@ class _Poses:
     def bone(self, name: str) -> tuple[Tensor, Tensor] | None:
         """Canonical rest vector (3,) and the source bone in the world (T, 3)."""
         bone = self.source.bone(name)
-        return (
-            None if bone is None else (bone[0], quat_rotate(self.turn(name), bone[1].expand(len(self.up), 3)))
-        )
+        if bone is None:
+            return None
+        return bone[0], quat_rotate(self.turn(name), bone[1].expand(len(self.up), 3))
 
     def differences(self) -> Tensor:
         self.settle("Hips", frame_from(self.hip_axis, self.up), self.upright)
+        hips, arms = F.normalize(self.hip_axis, dim=-1), F.normalize(self.arm_axis, dim=-1)
         for share, name in (
             (0.3, "LowerBack"),
             (0.6, "Spine"),
@@ -299,8 +306,7 @@ class _Poses:
             (1.0, "Neck"),
             (1.0, "Neck1"),
         ):
-            self._along_spine(name, (1 - share) * F.normalize(self.hip_axis, dim=-1)
-                              + share * F.normalize(self.arm_axis, dim=-1))  # fmt: skip
+            self._along_spine(name, (1 - share) * hips + share * arms)
         self._along_spine("Head", self.arm_axis)
         for side in SIDES:
             self.settle(f"{side}Shoulder", self.seen(f"{side}Shoulder"), self.upright)

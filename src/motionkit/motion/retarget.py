@@ -111,7 +111,11 @@ def retarget(
     standing = stands(source, frame)
     up = _up_axis(source, positions, frame if standing else None)
     turn = quat_between(up, torch.tensor([0.0, 1.0, 0.0]))
-    rotations, positions = quat_multiply(turn.expand_as(rotations), rotations), quat_rotate(turn, positions)
+    if float(up[1]) < 1.0:
+        rotations, positions = (
+            quat_multiply(turn.expand_as(rotations), rotations),
+            quat_rotate(turn, positions),
+        )
     if standing:
         differences = rest_differences(source, frame)
     else:
@@ -167,9 +171,12 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     new = {joint: index for index, joint in enumerate(keep)}
     parents = tuple(new[skeleton.parents[j]] if skeleton.parents[j] >= 0 else -1 for j in keep)
     ends: dict[int, tuple[float, float, float]] = {}
+    tiny = tiny_length(skeleton)
     for joint in keep:
-        end = bone_end(skeleton, joint, tiny_length(skeleton))
-        if end is not None and new[joint] not in parents:
+        if new[joint] in parents:
+            continue
+        end = bone_end(skeleton, joint, tiny)
+        if end is not None:
             ends[new[joint]] = (float(end[0]), float(end[1]), float(end[2]))
     kept = Skeleton(tuple(skeleton.names[j] for j in keep), parents, skeleton.offsets[keep], ends)
     columns = bvh.columns()
@@ -210,15 +217,11 @@ def _leg(source: SourceRig) -> float:
 
 def _canonical_rotations(rig: RigMap, rotations: Tensor, differences: Tensor) -> Tensor:
     """Global rotations (T, 23, 4) of the canonical joints; those without a source follow their parent."""
-    out: list[Tensor] = []
+    carriers: list[int] = []  # the canonical joint whose source moves each canonical joint
     for joint, name in enumerate(JOINT_NAMES):
-        if name in rig.turns:
-            out.append(
-                quat_multiply(rotations[:, rig.turns[name]], differences[joint].expand(len(rotations), 4))
-            )
-        else:
-            out.append(out[PARENTS[joint]])
-    return torch.stack(out, dim=1)
+        carriers.append(joint if name in rig.turns else carriers[PARENTS[joint]])
+    sources = [rig.turns[JOINT_NAMES[joint]] for joint in carriers]
+    return quat_multiply(rotations[:, sources], differences[carriers].expand(len(rotations), -1, 4))
 
 
 def _to_local(rotations: Tensor) -> Tensor:
