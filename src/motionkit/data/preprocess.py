@@ -25,12 +25,14 @@ from torch import Tensor
 from motionkit import __version__
 from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
+from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
 from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
+from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.retarget import retarget_file
 from motionkit.motion.rotations import mean_rotation
@@ -65,6 +67,7 @@ class FileReport:
     skipped: str = ""
     mapping: dict[str, Any] = field(default_factory=dict)
     cleaning: dict[str, Any] = field(default_factory=dict)
+    leaps: int = 0
     sha256: str = ""
 
 
@@ -122,7 +125,7 @@ def preprocess(
     staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
     try:
         prepared = _pass_one(sources, staging, options, progress)
-        clips, manifest, report = _pass_two(prepared, staging, options, progress)
+        manifest, report = _pass_two(prepared, staging, options, progress)
         report.folder, report.labels = output, table
         (staging / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
         shutil.rmtree(staging / "motions")
@@ -213,7 +216,9 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     }
     report.cleaning = asdict(cleaning)
     report.sha256 = hashlib.sha256(source.path.read_bytes()).hexdigest()
-    runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion))
+    leaps = find_leaps(motion_kinematics(motion)[1])
+    report.leaps = len(leaps)
+    runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion), leaps)
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
         return _Prepared(report, motion_file, nothing, [], None)
@@ -224,27 +229,22 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     return _Prepared(report, motion_file, runs, motion.skeleton.offsets.tolist(), moment)
 
 
-def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int) -> tuple:
-    """Stretches of 60 fps frames without a gap, each with its typed spans, split and subject.
+def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]) -> tuple:
+    """Stretches of 60 fps frames without a gap or a leap, each with its typed spans, split and subject.
 
     Segments that touch stay together, so that real transitions are learnt from.
     """
     out: list[tuple[int, int, list[tuple[int, int, str]], str, str]] = []
     for segment in segments:
-        start = max(0, int(np.ceil((segment.start - lead_in) * FPS / fps - 1e-6)))
-        end = (
-            frames
-            if segment.end < 0
-            else min(frames, int(np.floor((segment.end - lead_in) * FPS / fps + 1e-6)))
-        )
-        if end - start < 2:
-            continue
-        if out and out[-1][1] >= start - 1 and out[-1][3] == segment.split:
-            start = out[-1][1]
-            out[-1][2].append((start, end, segment.type))
-            out[-1] = (out[-1][0], end, *out[-1][2:])
-        else:
-            out.append((start, end, [(start, end, segment.type)], segment.split, segment.subject))
+        first = max(0, int(np.ceil((segment.start - lead_in) * FPS / fps - 1e-6)))
+        last = frames if segment.end < 0 else int(np.floor((segment.end - lead_in) * FPS / fps + 1e-6))
+        for start, end in cut_at_leaps(first, min(frames, last), leaps):
+            if out and out[-1][1] >= start - 1 and out[-1][3] == segment.split and start not in leaps:
+                start = out[-1][1]
+                out[-1][2].append((start, end, segment.type))
+                out[-1] = (out[-1][0], end, *out[-1][2:])
+            else:
+                out.append((start, end, [(start, end, segment.type)], segment.split, segment.subject))
     return tuple(
         (a, b, tuple(spans), split, subject)
         for a, b, spans, split, subject in out
@@ -289,7 +289,7 @@ def _pass_two(
     staging: Path,
     options: PreprocessOptions,
     progress: Callable[[str, int, int], None] | None,
-) -> tuple[list[Clip], dict[str, Any], PreprocessReport]:
+) -> tuple[dict[str, Any], PreprocessReport]:
     references = _references(prepared)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     splits = _decide_splits(prepared, options.mirror)
@@ -353,7 +353,7 @@ def _pass_two(
         len(clips),
         total / FPS,
     )
-    return clips, manifest, report
+    return manifest, report
 
 
 def _references(prepared: list[_Prepared]) -> Tensor:
@@ -371,7 +371,7 @@ def _create(folder: Path, name: str, shape: tuple[int, ...], dtype: Any) -> np.n
 
 
 def _encode_file(item: tuple[_Prepared, Tensor, str]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Features, contacts and ground of each run; encoded in the whole recording, so ends have real neighbours."""
+    """Features, contacts and ground of each run, encoded within the whole recording: ends have real neighbours."""
     prepared, references, layout = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = torch.from_numpy(arrays["rotations"]), torch.from_numpy(arrays["root"])
@@ -453,7 +453,7 @@ def _type_table(
                 row["clips"] += 1
             if clip.split == "test":
                 row["test_clips"] += 1
-                row["test_seconds"] += count / FPS
+                row["test_seconds"] += float(count) / FPS
             elif not clip.mirrored:
-                row["train_seconds"] += count / FPS
+                row["train_seconds"] += float(count) / FPS
     return table

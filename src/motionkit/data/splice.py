@@ -56,7 +56,10 @@ def splice_clips(
         decay: frames over which the difference at the join dies away.
         generator: picks among the best joins.
     """
-    a, b = _piece(dataset, *first), _piece(dataset, *second)
+    clip, start, end = first
+    a = _piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
+    clip, start, end = second
+    b = _piece(dataset, clip, start, min(end, start + HEAD + SEARCH))
     i, j = _best_join(a, b, generator)
     a_start, b_end = max(0, i - TAIL), min(len(b.motion), j + HEAD)
     joined = _join(a, b, i, j, decay)

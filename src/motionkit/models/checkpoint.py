@@ -37,6 +37,14 @@ class Seed:
     ground: Tensor
 
 
+@dataclass(frozen=True)
+class Gait:
+    """How a type moves over the ground: speed in cm/s, and the angle from where it faces to where it goes."""
+
+    speed: float
+    facing: float
+
+
 @dataclass(frozen=True, eq=False)
 class MotionModel:
     """A network with everything needed to run it.
@@ -44,6 +52,7 @@ class MotionModel:
     Attributes:
         seeds: for each type name a few starts, real frames of the training data.
         characters: name to rest-pose offsets (23, 3) in cm; "default" is always there.
+        gaits: how each type moves over the ground, for paths that do not say how fast.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
@@ -55,6 +64,7 @@ class MotionModel:
     references: Tensor
     characters: dict[str, Tensor]
     seeds: dict[str, list[Seed]]
+    gaits: dict[str, Gait] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -121,6 +131,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "fps": model.fps,
         "characters": list(model.characters),
         "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
+        "gaits": {kind: [gait.speed, gait.facing] for kind, gait in model.gaits.items()},
         "card": model.card,
     }
     data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})
@@ -172,6 +183,7 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
             tensors["references"],
             {name: tensors[f"character.{name}"] for name in header["characters"]},
             seeds,
+            {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
             header.get("card", {}),
         )
     except (KeyError, RuntimeError, TypeError) as error:

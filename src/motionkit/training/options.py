@@ -31,6 +31,7 @@ class TrainOptions:
     score_minutes: float = 10.0  # between roll-out scores
     score_seconds: float = 10.0  # length of a scored roll-out
     log_every: int = 20
+    half: bool = False  # write the model in 16 bits
     weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))
     sampler: SamplerOptions = field(default_factory=SamplerOptions)
     config: dict[str, Any] = field(default_factory=dict)  # fields that differ from the preset

@@ -222,7 +222,7 @@ class _Run:
                 signal.signal(number, handler)
         if self.rank == 0:
             self._save_checkpoint()
-            save_model(self.output, self.model())
+            save_model(self.output, self.model(), self.options.half)
         if dist.is_initialized() and self.world > 1:
             dist.barrier()
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
@@ -274,7 +274,7 @@ class _Run:
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.clip_norm)
-        if bool(torch.isfinite(norm)):
+        if math.isfinite(float(norm)):
             self.optimizer.step()
             self._update_average()
         self.step += 1

@@ -1,0 +1,115 @@
+"""motionkit follow-path: a path on the ground to BVH."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionkit.cli.common import print_json, progress_bar, stdout_console
+from motionkit.cli.synthesis_options import (
+    default_output,
+    make_noise,
+    metrics_line,
+    motion_metrics,
+    synthesis_options,
+)
+
+
+@click.command("follow-path")
+@click.argument("path")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="The BVH file; named after the path by default."
+)
+@click.option(
+    "--types",
+    default="walking",
+    show_default=True,
+    help="For a named shape: types that share its length, such as running,cartwheel,running.",
+)
+@click.option("--size", type=float, help="For a named shape: metres (length, radius or side).")
+@click.option("--speed", type=float, help="For a named shape: metres per second; each type's own by default.")
+@synthesis_options
+def command(
+    path: str,
+    output: Path | None,
+    types: str,
+    size: float | None,
+    speed: float | None,
+    model_path: Path | None,
+    seed: int,
+    character: str,
+    init: Path | None,
+    noise: str,
+    temperature: float | None,
+    ik: bool,
+    fps: float | None,
+    as_json: bool,
+) -> None:
+    """Let a character follow a PATH and write BVH.
+
+    PATH is a JSON or CSV file (metres; parts of points with a type and a speed, see docs/paths.md) or a
+    named shape: line, circle, figure-eight, square, pentagram, u-turn. Prints how far the root's track
+    is from the path.
+    """
+    from motionkit.models.bundled import open_model
+    from motionkit.motion.bvh import write_bvh
+    from motionkit.synthesis.follow import follow_path
+    from motionkit.synthesis.path import read_path, shape_path
+    from motionkit.synthesis.synthesize import SynthesisOptions
+
+    is_file = Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file()
+    kinds = [word.strip() for word in types.split(",") if word.strip()]
+    if not kinds:
+        raise click.UsageError("--types names no motion type")
+    if is_file and (size is not None or speed is not None):
+        raise click.UsageError("--size and --speed belong to named shapes; a path file says its own")
+    target = read_path(path) if is_file else shape_path(path, size, kinds, speed)
+    model = open_model(model_path)
+    options = SynthesisOptions(1, seed, make_noise(noise, temperature), character, init, ik, fps)
+    with progress_bar() as bar:
+        task = bar.add_task("following", total=100)
+        result = follow_path(model, target, options, lambda share: bar.update(task, completed=100 * share))
+    file = output or default_output(f"{Path(path).stem}-{target.parts[0].type}")
+    write_bvh(file, result.motion)
+    metrics = motion_metrics(result.motion)
+    parts = [
+        {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
+        for part, d in zip(target.parts, result.part_distances, strict=True)
+    ]
+    if as_json:
+        print_json(
+            {
+                "file": str(file),
+                "frames": result.frames,
+                "finished": result.finished,
+                "path_cm": target.length,
+                "trajectory_distance_cm": result.distance.mean,
+                "largest_distance_cm": result.distance.max,
+                "coverage": result.distance.coverage,
+                "parts": parts,
+                "metrics": metrics,
+                "frames_per_second": result.frames / max(result.seconds, 1e-9),
+                "seed": seed,
+            }
+        )
+        return
+    out = stdout_console()
+    end = "reached the end" if result.finished else "did not reach the end"
+    out.print(
+        f"wrote {file}: {result.frames / model.fps:.1f} s along {target.length / 100:.1f} m, {end}",
+        markup=False,
+    )
+    for number, part in enumerate(parts, 1):
+        if part["mean_cm"] is None:
+            out.print(f"  part {number} {part['type']}: not reached", markup=False)
+        else:
+            out.print(
+                f"  part {number} {part['type']}: {part['mean_cm']:.2f} cm per frame, at most {part['max_cm']:.1f} cm",
+                markup=False,
+            )
+    out.print(
+        f"trajectory distance {result.distance.mean:.2f} cm per frame, at most {result.distance.max:.1f} cm",
+        markup=False,
+    )
+    out.print(f"  {metrics_line(metrics)}", markup=False)

@@ -1,0 +1,145 @@
+"""motionkit preprocess: a folder of BVH files to a dataset folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from motionkit.cli.common import json_option, print_json, progress_bar, stderr_console, stdout_console
+
+if TYPE_CHECKING:
+    from motionkit.data.preprocess import PreprocessReport
+
+LAYOUT_CHOICES = ("sixd-root-1", "expmap-root-1")
+SHOWN_SKIPS = 20
+
+
+@click.command("preprocess")
+@click.argument("data", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
+@click.option(
+    "-o", "--output", default="datasets/motion", show_default=True, type=click.Path(file_okay=False, path_type=Path),
+    help="The dataset folder to write.",
+)  # fmt: skip
+@click.option(
+    "--labels", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Table of segments: file,start_frame,end_frame,type[,subject,fps,split,note]. "
+    "By default labels.csv in or just above the data.",
+)  # fmt: skip
+@click.option("--fps", type=click.FloatRange(1, 1000), help="True frame rate, where the files' headers lie.")
+@click.option(
+    "--scale", type=click.FloatRange(1e-4, 1e4), help="Centimetres per file unit, instead of a guess."
+)
+@click.option("--jobs", default=0, type=click.IntRange(0, 256), help="Processes; all cores by default.")
+@click.option(
+    "--mirror/--no-mirror", default=True, show_default=True, help="Add a mirrored twin of each clip."
+)
+@click.option(
+    "--own-bodies", is_flag=True, help="Keep each body's own bone lengths instead of one body for all."
+)
+@click.option(
+    "--layout", default=LAYOUT_CHOICES[0], show_default=True, type=click.Choice(LAYOUT_CHOICES),
+    help="Version of the 276 numbers; tptn-paper needs expmap-root-1.",
+)  # fmt: skip
+@click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
+@json_option
+def command(
+    data: tuple[Path, ...],
+    output: Path,
+    labels: Path | None,
+    fps: float | None,
+    scale: float | None,
+    jobs: int,
+    mirror: bool,
+    own_bodies: bool,
+    layout: str,
+    strict: bool,
+    as_json: bool,
+) -> None:
+    """Turn folders of BVH files (DATA) into a dataset for training.
+
+    Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
+    the 276 numbers per frame, with mirrored twins and a train/test split. Files that cannot be used are
+    skipped and listed; exit code 1 if none can.
+    """
+    from motionkit.data.preprocess import PreprocessOptions, preprocess
+
+    options = PreprocessOptions(labels, fps, scale, mirror, own_bodies, layout, jobs, strict)
+    with progress_bar() as bar:
+        tasks: dict[str, int] = {}
+
+        def show(stage: str, done: int, total: int) -> None:
+            if stage not in tasks:
+                tasks[stage] = bar.add_task(stage, total=total)
+            bar.update(tasks[stage], completed=done)
+
+        report = preprocess(data, output, options, show)
+    if as_json:
+        print_json(_as_dict(report))
+    else:
+        _print(report)
+
+
+def _as_dict(report: PreprocessReport) -> dict:
+    from dataclasses import asdict
+
+    return {
+        "dataset": str(report.folder),
+        "labels": None if report.labels is None else str(report.labels),
+        "clips": report.clips,
+        "seconds": round(report.seconds, 3),
+        "types": report.types,
+        "files": [asdict(file) for file in report.files],
+    }
+
+
+def _print(report: PreprocessReport) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{report.folder}: {report.seconds / 60:.1f} minutes at 60 fps")
+    for name in ("type", "clips", "mirrored", "train min", "test clips", "test min"):
+        table.add_column(name, justify="left" if name == "type" else "right")
+    for kind, row in report.types.items():
+        table.add_row(
+            kind,
+            f"{row['clips']:.0f}",
+            f"{row['mirrored']:.0f}",
+            f"{row['train_seconds'] / 60:.2f}",
+            f"{row['test_clips']:.0f}",
+            f"{row['test_seconds'] / 60:.2f}",
+        )
+    out = stdout_console()
+    out.print(table)
+    out.print(f"types from {report.labels}" if report.labels else "types from folder and file names")
+    _print_work(report)
+    skipped = [file for file in report.files if file.skipped]
+    used = len(report.files) - len(skipped)
+    out.print(f"files: {used} used, {len(skipped)} skipped")
+    remarks = stderr_console()
+    for file in skipped[:SHOWN_SKIPS]:
+        reason = file.skipped
+        remarks.print(f"skipped {reason if file.name in reason else f'{file.name}: {reason}'}", markup=False)
+    if len(skipped) > SHOWN_SKIPS:
+        remarks.print(f"... and {len(skipped) - SHOWN_SKIPS} more; --json lists all")
+
+
+def _print_work(report: PreprocessReport) -> None:
+    """What was mapped and cleaned, counted over the files."""
+    from collections import Counter
+
+    used = [file for file in report.files if not file.skipped]
+    units = Counter(file.mapping["scale_source"] for file in used)
+    missing = Counter(joint for file in used for joint in file.mapping["missing"])
+    lead_ins = [file.cleaning["lead_in"] for file in used if file.cleaning["lead_in"]]
+    pops = sum(len(file.cleaning["pops"]) for file in used)
+    moved = [file for file in used if abs(file.cleaning["floor_shift"]) >= 0.5]
+    out = stdout_console()
+    out.print("units: " + "; ".join(f"{name} ({count})" for name, count in units.most_common()), markup=False)
+    if missing:
+        listed = ", ".join(f"{name} ({count})" for name, count in missing.most_common())
+        out.print(f"joints without a source, kept fixed: {listed}")
+    out.print(
+        f"cleaned: {len(lead_ins)} lead-ins ({sum(lead_ins)} frames) cut, {pops} pops mended, "
+        f"{sum(file.leaps for file in used)} leaps cut out, floor moved in {len(moved)} files"
+    )

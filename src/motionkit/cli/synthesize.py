@@ -1,0 +1,118 @@
+"""motionkit synthesize: motion types to BVH."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from motionkit.cli.common import print_json, progress_bar, stdout_console
+from motionkit.cli.synthesis_options import (
+    default_output,
+    make_noise,
+    metrics_line,
+    motion_metrics,
+    synthesis_options,
+)
+
+
+@click.command("synthesize")
+@click.option(
+    "--types", help="Motion types in order, such as running,cartwheel or running:4,cartwheel:3 (seconds)."
+)
+@click.option("--list-types", is_flag=True, help="List the model's motion types and characters.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="The BVH file; named after the types by default."
+)
+@click.option(
+    "--seconds", type=click.FloatRange(0.1, 3600), help="Length of the whole; 4 s for each type by default."
+)
+@click.option(
+    "--count",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 4096),
+    help="How many motions; files are numbered.",
+)
+@synthesis_options
+def command(
+    types: str | None,
+    list_types: bool,
+    output: Path | None,
+    seconds: float | None,
+    count: int,
+    model_path: Path | None,
+    seed: int,
+    character: str,
+    init: Path | None,
+    noise: str,
+    temperature: float | None,
+    ik: bool,
+    fps: float | None,
+    as_json: bool,
+) -> None:
+    """Synthesize motion types one after another and write BVH.
+
+    With nothing but --types the bundled model is used and the file is written to the current folder.
+    The same seed gives the same file.
+    """
+    from motionkit.models.bundled import open_model
+
+    if list_types:
+        _list(open_model(model_path), as_json)
+        return
+    if not types:
+        raise click.UsageError(
+            "give --types, such as --types running,cartwheel; --list-types shows the known ones"
+        )
+    from motionkit.motion.bvh import write_bvh
+    from motionkit.synthesis.plan import parse_types
+    from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
+
+    parts = parse_types(types, seconds)
+    model = open_model(model_path)
+    for part in parts:
+        model.type_id(part.type)
+    options = SynthesisOptions(count, seed, make_noise(noise, temperature), character, init, ik, fps)
+    frames = sum(round(part.seconds * model.fps) for part in parts)
+    with progress_bar() as bar:
+        task = bar.add_task("synthesizing", total=frames)
+        result = synthesize(model, parts, options, lambda done: bar.update(task, completed=done))
+    base = output or default_output("-".join(part.type for part in parts)[:80])
+    made: list[dict[str, Any]] = []
+    for number, synthesis in enumerate(result.motions, 1):
+        path = base if count == 1 else base.with_name(f"{base.stem}-{number:0{len(str(count))}}{base.suffix}")
+        write_bvh(path, synthesis.motion)
+        made.append(
+            {
+                "file": str(path),
+                "frames": len(synthesis.motion),
+                "fps": synthesis.motion.fps,
+                "types": [[part.type, part.seconds] for part in synthesis.types],
+                "metrics": motion_metrics(synthesis.motion),
+            }
+        )
+    rate = result.frames / max(result.seconds, 1e-9)
+    if as_json:
+        print_json(
+            {"motions": made, "roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": seed}
+        )
+        return
+    out = stdout_console()
+    for entry in made:
+        kinds = ", ".join(f"{kind} {time:g} s" for kind, time in entry["types"])
+        out.print(
+            f"wrote {entry['file']}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps", markup=False
+        )
+        out.print(f"  {metrics_line(entry['metrics'])}", markup=False)
+    out.print(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second", markup=False)
+
+
+def _list(model: Any, as_json: bool) -> None:
+    if as_json:
+        print_json({"types": list(model.types), "characters": list(model.characters), "fps": model.fps})
+        return
+    out = stdout_console()
+    out.print("types: " + ", ".join(model.types), markup=False)
+    out.print("characters: " + ", ".join(model.characters), markup=False)

@@ -1,0 +1,193 @@
+"""motionkit train: a dataset folder to a model file."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from motionkit.cli.common import json_option, print_json, seed_option, stderr_console, stdout_console
+
+if TYPE_CHECKING:
+    from motionkit.training.trainer import TrainEvent
+
+PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
+
+
+@click.command("train")
+@click.argument("dataset", type=click.Path(exists=True, file_okay=False, path_type=Path))
+@click.option(
+    "-o", "--output", default="model.safetensors", show_default=True,
+    type=click.Path(dir_okay=False, path_type=Path), help="The model file to write.",
+)  # fmt: skip
+@click.option(
+    "--preset",
+    default="tptn",
+    show_default=True,
+    type=click.Choice(PRESET_CHOICES),
+    help="Network and training settings.",
+)
+@click.option(
+    "--minutes", type=click.FloatRange(min=0.01), help="Train for so long; 30 if no --steps are given."
+)
+@click.option("--steps", type=click.IntRange(min=1), help="Train for so many steps.")
+@click.option("--resume", is_flag=True, help="Go on from the run folder's checkpoint.")
+@click.option(
+    "--batch", default=16, show_default=True, type=click.IntRange(1, 4096), help="Windows per step."
+)
+@click.option(
+    "--window", default=96, show_default=True, type=click.IntRange(16, 1200), help="Frames per window."
+)
+@click.option("--rate", type=click.FloatRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
+@click.option(
+    "--splices",
+    default=2000,
+    show_default=True,
+    type=click.IntRange(0, 100_000),
+    help="Spliced transitions to make.",
+)
+@click.option(
+    "--run-folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="Checkpoint, log.jsonl and samples; beside the model by default.",
+)
+@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1 ...")
+@click.option(
+    "--precision",
+    default="auto",
+    show_default=True,
+    type=click.Choice(["auto", "float32", "bfloat16"]),
+    help="Arithmetic of the network.",
+)
+@click.option(
+    "--score-minutes",
+    default=10.0,
+    show_default=True,
+    type=click.FloatRange(min=0.1),
+    help="Minutes between roll-out scores.",
+)
+@click.option("--half", is_flag=True, help="Write the model in 16 bits, half the size.")
+@seed_option()
+@json_option
+def command(
+    dataset: Path,
+    output: Path,
+    preset: str,
+    minutes: float | None,
+    steps: int | None,
+    resume: bool,
+    batch: int,
+    window: int,
+    rate: float | None,
+    splices: int,
+    run_folder: Path | None,
+    device: str,
+    precision: str,
+    score_minutes: float,
+    half: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Train a motion model on a DATASET folder made by preprocess.
+
+    Writes a checkpoint every 40 seconds; Ctrl-C writes the model as it is and --resume goes on as if
+    nothing had happened. Several processes: torchrun --nproc-per-node N -m motionkit train DATASET ...
+    """
+    from motionkit.training.presets import train_options
+    from motionkit.training.trainer import train
+
+    if minutes is None and steps is None:
+        minutes = 30.0
+    options = train_options(
+        preset, steps=steps, minutes=minutes, batch=batch, window=window, rate=rate, splices=splices, seed=seed,
+        precision=precision, score_minutes=score_minutes, half=half,
+    )  # fmt: skip
+    monitor = _Monitor(quiet=as_json)
+    with monitor:
+        result = train(dataset, output, options, resume, run_folder, device, monitor)
+    if not monitor.first_process:
+        return
+    summary = {
+        "model": str(result.model),
+        "steps": result.steps,
+        "seconds": round(result.seconds, 1),
+        "finished": result.finished,
+        "losses": result.losses,
+    }
+    if as_json:
+        print_json(summary)
+        return
+    word = "trained" if result.finished else "stopped"
+    stdout_console().print(
+        f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; loss {result.losses.get('total', 0):.2f}; "
+        f"wrote {result.model}",
+        markup=False,
+    )
+    if not result.finished:
+        sys.exit(1)
+
+
+class _Monitor:
+    """A live table of losses on a terminal, plain lines elsewhere; score tables in both."""
+
+    def __init__(self, quiet: bool) -> None:
+        import os
+
+        self.quiet = quiet
+        self.first_process = os.environ.get("RANK", "0") == "0"
+        self.console = stderr_console()
+        self.live = None
+
+    def __enter__(self) -> _Monitor:
+        if sys.stderr.isatty() and not self.quiet and self.first_process:
+            from rich.live import Live
+
+            self.live = Live(console=self.console, refresh_per_second=2)
+            self.live.__enter__()
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        if self.live is not None:
+            self.live.__exit__(*details)
+
+    def __call__(self, event: TrainEvent) -> None:
+        if self.quiet:
+            return
+        if event.kind == "note":
+            self.console.print(event.text, markup=False)
+        elif event.kind == "score":
+            self.console.print(_score_table(event))
+        elif event.kind == "log" and self.live is not None:
+            self.live.update(_loss_table(event))
+        elif event.kind == "log":
+            losses = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
+            self.console.print(f"step {event.step} {event.seconds:.0f} s {losses}", markup=False)
+
+
+def _loss_table(event: TrainEvent):
+    from rich.table import Table
+
+    table = Table(title=f"step {event.step}, {event.seconds / 60:.1f} min")
+    for name in event.losses:
+        table.add_column(name, justify="right")
+    table.add_row(*(f"{value:.3f}" for value in event.losses.values()))
+    return table
+
+
+def _score_table(event: TrainEvent):
+    from rich.table import Table
+
+    table = Table(title=f"roll-outs at step {event.step} (joint speed and slide against real motion)")
+    for name in ("type", "joint speed", "pose distance cm", "slide", "root height cm"):
+        table.add_column(name, justify="left" if name == "type" else "right")
+    for score in event.scores:
+        table.add_row(
+            score.type,
+            f"{score.joint_speed:.2f}",
+            f"{score.pose_distance:.1f}",
+            f"{score.slide:.2f}",
+            f"{score.height[0]:.0f} to {score.height[1]:.0f}",
+        )
+    return table

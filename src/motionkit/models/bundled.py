@@ -1,0 +1,24 @@
+"""The model that comes with motionkit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from motionkit.errors import ModelError
+from motionkit.models.checkpoint import MotionModel, load_model
+
+BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-free.safetensors"
+
+
+def load_bundled_model() -> MotionModel:
+    """The bundled model; raises ModelError if the installation lacks it."""
+    if not BUNDLED_MODEL.is_file():
+        raise ModelError(
+            f"{BUNDLED_MODEL}: the bundled model is missing from this installation; give --model"
+        )
+    return load_model(BUNDLED_MODEL)
+
+
+def open_model(path: str | Path | None) -> MotionModel:
+    """The model in a file, or the bundled one for None."""
+    return load_bundled_model() if path is None else load_model(path)

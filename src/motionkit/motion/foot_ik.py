@@ -1,0 +1,161 @@
+"""Feet that stay where they touch: locks at contacts, eased in and out, reached by two-bone legs.
+
+Works on a whole motion of the canonical joints. While a foot is in contact its toe is held at one place
+on the floor; the knee bends to let it, and the hips come down where the leg is too short.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_between, quat_inverse, quat_multiply, quat_normalize, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES
+
+EASE_FRAMES = 8
+MIN_LOCK_FRAMES = 4
+# Contacts switch on above the first and off below the second probability, so that they do not flicker.
+CONTACT_ON, CONTACT_OFF = 0.6, 0.4
+MAX_REACH = 0.999  # of the length of the straight leg
+LIFT_FLOOR = 0.5  # cm; no toe goes below this height
+
+
+@dataclass(frozen=True)
+class _Leg:
+    hip: int
+    knee: int
+    ankle: int
+    toe: int
+    contacts: tuple[int, int]
+
+
+def _leg(side: str, contacts: tuple[int, int]) -> _Leg:
+    hip, knee, ankle, toe = (JOINT_NAMES.index(side + n) for n in ("UpLeg", "Leg", "Foot", "ToeBase"))
+    return _Leg(hip, knee, ankle, toe, contacts)
+
+
+LEGS = (_leg("Left", (0, 1)), _leg("Right", (2, 3)))
+
+
+def lock_feet(motion: Motion, contacts: Tensor) -> Motion:
+    """The motion with its feet held still while they touch the floor.
+
+    Args:
+        motion: T frames on the canonical joints, cm, the floor at height zero.
+        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
+    """
+    if len(motion) < 2:
+        return motion
+    _, positions = motion_kinematics(motion)
+    shifts = [_toe_shifts(positions[:, leg.toe], contacts[:, list(leg.contacts)]) for leg in LEGS]
+    targets = [positions[:, leg.ankle] + shift for leg, shift in zip(LEGS, shifts, strict=True)]
+    motion = _lower_hips(motion, positions, targets)
+    for leg, target in zip(LEGS, targets, strict=True):
+        motion = _reach(motion, leg, target)
+    return motion
+
+
+def locked_spans(contacts: Tensor) -> list[tuple[int, int]]:
+    """Stretches (start, end) in which a foot is in contact, from probabilities (T, 2) of ankle and toe."""
+    level = contacts.max(dim=-1).values.tolist()
+    spans, start = [], None
+    for t, value in enumerate([*level, 0.0]):
+        if start is None and value > CONTACT_ON:
+            start = t
+        elif start is not None and value < CONTACT_OFF:
+            if t - start >= MIN_LOCK_FRAMES:
+                spans.append((start, t))
+            start = None
+    return spans
+
+
+def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
+    """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
+    frames = len(toe)
+    total, weight = torch.zeros_like(toe), torch.zeros(frames, 1)
+    for start, end in locked_spans(contacts):
+        lock = toe[start:end].median(dim=0).values
+        shift = torch.zeros_like(toe)
+        shift[start:end] = lock - toe[start:end]
+        # Outside the lock the shift at its edge fades away.
+        shift[:start], shift[end:] = shift[start], shift[end - 1]
+        distance = torch.zeros(frames)
+        distance[:start] = torch.arange(start, 0, -1)
+        distance[end:] = torch.arange(1, frames - end + 1)
+        x = (1.0 - distance / EASE_FRAMES).clamp(0.0, 1.0)
+        share = (x * x * (3.0 - 2.0 * x))[:, None]
+        total, weight = total + share * shift, torch.maximum(weight, share)
+        # Two locks close together share the frames between them.
+        total = torch.where(share >= 1.0, shift, total)
+    lifted = (toe + total)[:, 1]
+    total[:, 1] += (LIFT_FLOOR - lifted).clamp(min=0.0)
+    return total
+
+
+def _lower_hips(motion: Motion, positions: Tensor, targets: list[Tensor]) -> Motion:
+    """Move the root towards feet its legs cannot reach, smoothly over time."""
+    need = torch.zeros_like(motion.root_positions)
+    for leg, target in zip(LEGS, targets, strict=True):
+        lengths = motion.skeleton.offsets[[leg.knee, leg.ankle]].norm(dim=-1).sum()
+        reach = target - positions[:, leg.hip]
+        distance = reach.norm(dim=-1, keepdim=True)
+        missing = (distance - MAX_REACH * lengths).clamp(min=0.0)
+        already = (positions[:, leg.ankle] - positions[:, leg.hip]).norm(dim=-1, keepdim=True)
+        # A leg that was straight before stays so; only what the lock adds is taken from the hips.
+        missing = torch.minimum(missing, (distance - already).clamp(min=0.0))
+        move = reach / distance.clamp(min=1e-6) * missing
+        need = torch.where(missing > need.norm(dim=-1, keepdim=True), move, need)
+    kernel = torch.hann_window(2 * EASE_FRAMES + 3, periodic=False)[1:-1]
+    kernel = (kernel / kernel.sum())[None, None]
+    half = kernel.shape[-1] // 2
+    padded = F.pad(need.T[:, None], (half, half), mode="replicate")
+    return replace(motion, root_positions=motion.root_positions + F.conv1d(padded, kernel)[:, 0].T)
+
+
+def _reach(motion: Motion, leg: _Leg, target: Tensor) -> Motion:
+    """Bend one leg so that its ankle comes to target (T, 3); the foot keeps its orientation in the world."""
+    rotations, positions = motion_kinematics(motion)
+    hip, knee, ankle = (positions[:, j] for j in (leg.hip, leg.knee, leg.ankle))
+    thigh, shin = (knee - hip).norm(dim=-1), (ankle - knee).norm(dim=-1)
+    reach = (target - hip).norm(dim=-1)
+    reach = torch.minimum(torch.maximum(reach, (thigh - shin).abs() + 0.5), (thigh + shin) * MAX_REACH)
+    # Where nothing is asked for, nothing changes, a fully straight leg included.
+    still = (target - ankle).norm(dim=-1, keepdim=True) < 1e-3
+    bend_now = _interior_angle(thigh, shin, (ankle - hip).norm(dim=-1))
+    bend_then = _interior_angle(thigh, shin, reach)
+    axis = torch.linalg.cross(hip - knee, ankle - knee)
+    # A straight leg has no plane; its knee bends about the thigh's own sideways axis.
+    sideways = quat_rotate(rotations[:, leg.hip], torch.tensor([1.0, 0.0, 0.0]).expand_as(axis))
+    flat = axis.norm(dim=-1, keepdim=True) < 1e-2 * (thigh * shin)[:, None]
+    axis = F.normalize(torch.where(flat, -sideways, axis), dim=-1)
+    opened = _about(axis, bend_then - bend_now)
+    new_ankle = knee + quat_rotate(opened, ankle - knee)
+    swing = quat_between(new_ankle - hip, target - hip)
+    thigh_turn = quat_multiply(swing, rotations[:, leg.hip])
+    shin_turn = quat_multiply(swing, quat_multiply(opened, rotations[:, leg.knee]))
+    parent = motion.skeleton.parents[leg.hip]
+    local = motion.local_rotations.clone()
+    new = {
+        leg.hip: quat_multiply(quat_inverse(rotations[:, parent]), thigh_turn),
+        leg.knee: quat_multiply(quat_inverse(thigh_turn), shin_turn),
+        leg.ankle: quat_multiply(quat_inverse(shin_turn), rotations[:, leg.ankle]),
+    }
+    for joint, turn in new.items():
+        local[:, joint] = torch.where(still, local[:, joint], quat_normalize(turn))
+    return replace(motion, local_rotations=local)
+
+
+def _interior_angle(a: Tensor, b: Tensor, opposite: Tensor) -> Tensor:
+    """The angle (T,) between sides a and b of a triangle."""
+    return torch.acos(((a * a + b * b - opposite * opposite) / (2 * a * b)).clamp(-1.0, 1.0))
+
+
+def _about(axis: Tensor, angle: Tensor) -> Tensor:
+    """Rotations (T, 4) by angle about unit axes."""
+    half = 0.5 * angle[:, None]
+    return torch.cat([torch.cos(half), torch.sin(half) * axis], dim=-1)

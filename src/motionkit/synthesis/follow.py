@@ -1,0 +1,178 @@
+"""A character along a path: the library call behind `motionkit follow-path` (paper 5.2)."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import ControlError
+from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
+from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import rotate_ground
+from motionkit.synthesis.path import SPACING, Path2D
+from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState
+from motionkit.synthesis.start import clip_start, seed_start
+from motionkit.synthesis.synthesize import SynthesisOptions, finish_motion, inner_threads
+
+# The place on the path is sought from a little behind the last one to a little ahead, so that a path
+# that crosses itself is not cut short.
+SEARCH_BACK, SEARCH_AHEAD = 30.0, 60.0
+DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
+PATIENCE = 1.6  # times the expected duration, after which the end is given up
+BLEND_SAMPLES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class FollowResult:
+    """A motion along a path.
+
+    Attributes:
+        motion: what to write.
+        distance: to the whole path, on the default body.
+        part_distances: mean and largest distance (cm) of the frames on each part, None for a part not reached.
+        finished: whether the end was reached.
+        seconds: how long the roll-out took.
+        frames: frames at the model's rate.
+    """
+
+    motion: Motion
+    distance: TrajectoryDistance
+    part_distances: tuple[tuple[float, float] | None, ...]
+    finished: bool
+    seconds: float
+    frames: int
+
+
+class PathFollower:
+    """Turns a path into the controls of every frame for one character; a Controller."""
+
+    def __init__(self, model: MotionModel, path: Path2D) -> None:
+        self.path, self.fps = path, model.fps
+        self.types = torch.tensor([model.type_id(part.type) for part in path.parts])
+        self.type_count = len(model.types)
+        gaits = [model.gaits.get(part.type) for part in path.parts]
+        typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
+        self.speeds = torch.tensor(
+            [part.speed if part.speed is not None else s for part, s in zip(path.parts, typical, strict=True)]
+        ).clamp(min=20.0)
+        self.facings = torch.tensor([0.0 if gait is None else gait.facing for gait in gaits])
+        self.arc = 0.0
+        self.arcs: list[float] = []
+
+    @property
+    def expected_seconds(self) -> float:
+        """How long the path takes at the asked speeds."""
+        return float((SPACING / self.speeds[self.path.part]).sum())
+
+    def __call__(self, frame: int, ground: Tensor) -> FrameControls:
+        self.arc = self._project(ground[0, :2])
+        self.arcs.append(self.arc)
+        ahead = self._arcs_ahead(torch.tensor(TRAJECTORY_OFFSETS))
+        points, tangents = self.path.at(ahead)
+        heading = ground[0, 2]
+        positions = rotate_ground(-heading, points - ground[0, :2])
+        facing = self.facings[self.path.part_at(ahead)]
+        directions = rotate_ground(-heading - facing, tangents)
+        trajectory = torch.cat([positions.flatten(), directions.flatten()])
+        return FrameControls(self._type_weights()[None], trajectory[None], torch.ones(1))
+
+    def _project(self, point: Tensor) -> float:
+        first = max(0, int((self.arc - SEARCH_BACK) / SPACING))
+        last = min(len(self.path.points), int((self.arc + SEARCH_AHEAD) / SPACING) + 2)
+        near = self.path.points[first:last]
+        nearest = first + int((near - point).norm(dim=-1).argmin())
+        # Past the last point the way on is counted along its direction, so that the end can be reached.
+        beyond = float(((point - self.path.points[-1]) * self.path.tangents[-1]).sum())
+        arc = nearest * SPACING
+        return arc + max(0.0, beyond) if nearest == len(self.path.points) - 1 else arc
+
+    def _arcs_ahead(self, frames: Tensor) -> Tensor:
+        """Arc lengths frames (sorted, from 1) ahead at the wanted speeds, part by part."""
+        out, arc, frame = [], self.arc, 0
+        for wanted in frames.tolist():
+            while frame < wanted:
+                step = min(5, wanted - frame)
+                speed = float(self.speeds[self.path.part_at(torch.tensor(arc))])
+                arc += speed * step / self.fps
+                frame += step
+            out.append(arc)
+        return torch.tensor(out)
+
+    def _type_weights(self) -> Tensor:
+        """Type weights (N,): the mean over half a blend behind and ahead, which is the blend of 40 frames."""
+        half = TYPE_BLEND_FRAMES // 2
+        reach = float(self.speeds[self.path.part_at(torch.tensor(self.arc))]) * half / self.fps
+        arcs = torch.linspace(self.arc - reach, self.arc + reach, BLEND_SAMPLES)
+        kinds = self.types[self.path.part_at(arcs)]
+        return torch.nn.functional.one_hot(kinds, self.type_count).float().mean(dim=0)
+
+
+def follow_path(
+    model: MotionModel,
+    path: Path2D,
+    options: SynthesisOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> FollowResult:
+    """Synthesize a motion along a path; the same seed gives the same motion.
+
+    Raises:
+        ControlError: for an unknown type or character.
+    """
+    options = options or SynthesisOptions(noise=Noise())
+    skeleton = model.character(options.character)
+    if options.count != 1:
+        raise ControlError("a path is followed by one character at a time")
+    follower = PathFollower(model, path)
+    first = path.parts[0].type
+    features, contacts = (
+        seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
+    )
+    weights = torch.zeros(1, len(model.types))
+    weights[0, model.type_id(first)] = 1.0
+    tangent = path.tangents[0]
+    heading = torch.atan2(tangent[0], tangent[1]) - follower.facings[0]
+    start = torch.cat([path.points[0], heading[None]])[None]
+    limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
+    features_out, contacts_out, ground_out = [], [], []
+    with inner_threads(1):
+        state = RolloutState(model, 1, options.noise, options.seed)
+        state.start(features, contacts, weights, start)
+        began = time.perf_counter()
+        for frame in range(limit):
+            step = state.step(follower(frame, state.ground))
+            for out, value in zip((features_out, contacts_out, ground_out), step, strict=True):
+                out.append(value)
+            if progress:
+                progress(min(1.0, follower.arc / path.length))
+            if follower.arc >= path.length - SPACING:
+                break
+        seconds = time.perf_counter() - began
+    rollout = Rollout(torch.stack(features_out, 1), torch.stack(contacts_out, 1), torch.stack(ground_out, 1))
+    track = rollout.ground[0, :, :2]
+    return FollowResult(
+        finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),
+        trajectory_distance(track, path.points),
+        _part_distances(track, follower.arcs, path),
+        follower.arc >= path.length - SPACING,
+        seconds,
+        len(track),
+    )
+
+
+def _part_distances(track: Tensor, arcs: list[float], path: Path2D) -> tuple[tuple[float, float] | None, ...]:
+    parts = path.part_at(torch.tensor(arcs))
+    out: list[tuple[float, float] | None] = []
+    for index in range(len(path.parts)):
+        mine = track[: len(parts)][parts == index]
+        if len(mine) == 0:
+            out.append(None)
+            continue
+        distance = trajectory_distance(mine, path.points)
+        out.append((distance.mean, distance.max))
+    return tuple(out)

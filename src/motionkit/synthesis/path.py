@@ -1,0 +1,298 @@
+"""Paths on the ground: the paper's trajectory J, parts of points with a motion type and a speed.
+
+Inside, lengths are cm and speeds cm per second; files and named shapes are in metres and metres per
+second, as a user thinks of them.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import ControlError
+
+METRE = 100.0
+SPACING = 2.0  # cm between the points a path is resampled to
+MAX_LENGTH = 10_000 * METRE
+
+
+@dataclass(frozen=True, eq=False)
+class PathPart:
+    """A stretch of path: points (N, 2) as x, z in cm, what to do on it, and how fast (cm/s, None: as the type does)."""
+
+    points: Tensor
+    type: str
+    speed: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Path2D:
+    """A path resampled evenly, with the part each point belongs to.
+
+    Attributes:
+        points: (N, 2) x, z in cm, SPACING apart.
+        tangents: (N, 2) unit directions.
+        part: (N,) index of the part.
+        parts: what is asked for on each.
+    """
+
+    points: Tensor
+    tangents: Tensor
+    part: Tensor
+    parts: tuple[PathPart, ...]
+
+    @property
+    def length(self) -> float:
+        """Arc length in cm."""
+        return (len(self.points) - 1) * SPACING
+
+    def at(self, arc: Tensor) -> tuple[Tensor, Tensor]:
+        """Points and unit directions (..., 2) at arc lengths (...); straight on beyond the ends."""
+        last = len(self.points) - 1
+        place = arc / SPACING
+        index = place.floor().clamp(0, last - 1).long()
+        share = (place - index).clamp(0.0, 1.0)[..., None]
+        beyond = (arc - self.length).clamp(min=0.0)[..., None]
+        before = arc.clamp(max=0.0)[..., None]
+        points = self.points[index] * (1 - share) + self.points[index + 1] * share
+        tangents = self.tangents[index] * (1 - share) + self.tangents[index + 1] * share
+        points = points + beyond * self.tangents[last] + before * self.tangents[0]
+        return points, torch.nn.functional.normalize(tangents, dim=-1)
+
+    def part_at(self, arc: Tensor) -> Tensor:
+        """Index (...) of the part at arc lengths (...)."""
+        return self.part[(arc / SPACING).round().clamp(0, len(self.points) - 1).long()]
+
+
+def make_path(parts: list[PathPart]) -> Path2D:
+    """Join parts end to end; raises ControlError for parts too short to go anywhere."""
+    if not parts:
+        raise ControlError("the path has no parts")
+    pieces: list[Tensor] = []
+    ends: list[float] = []
+    total = 0.0
+    previous: Tensor | None = None
+    for number, part in enumerate(parts, 1):
+        points = part.points.double()
+        if previous is not None:
+            points = torch.cat([previous[None], points])
+        steps = torch.diff(points, dim=0).norm(dim=-1) if len(points) > 1 else torch.zeros(0)
+        keep = torch.cat([torch.ones(1, dtype=torch.bool), steps > 1e-6])
+        length = float(steps.sum())
+        if length < 2 * SPACING:
+            raise ControlError(
+                f"part {number} of the path ({part.type}) is {length:.1f} cm long, expected at least 4 cm"
+            )
+        total += length
+        if total > MAX_LENGTH:
+            raise ControlError(f"the path is longer than {MAX_LENGTH / METRE:g} m")
+        kept = points[keep]
+        pieces.append(kept if previous is None else kept[1:])
+        ends.append(total)
+        previous = points[-1]
+    corners = torch.cat(pieces)
+    arc = torch.cat([torch.zeros(1, dtype=torch.float64), torch.diff(corners, dim=0).norm(dim=-1).cumsum(0)])
+    count = max(3, int(total / SPACING) + 1)
+    wanted = torch.arange(count, dtype=torch.float64) * SPACING
+    right = torch.searchsorted(arc, wanted.clamp(max=float(arc[-1]))).clamp(1, len(arc) - 1)
+    share = ((wanted - arc[right - 1]) / (arc[right] - arc[right - 1])).clamp(0.0, 1.0)[:, None]
+    points = corners[right - 1] * (1 - share) + corners[right] * share
+    part_index = torch.searchsorted(torch.tensor(ends, dtype=torch.float64), wanted).clamp(max=len(parts) - 1)
+    return Path2D(points.float(), _tangents(points).float(), part_index, tuple(parts))
+
+
+def _tangents(points: Tensor) -> Tensor:
+    ahead = torch.cat([points[1:], points[-1:]]) - torch.cat([points[:1], points[:-1]])
+    return torch.nn.functional.normalize(ahead, dim=-1)
+
+
+# ---- named shapes ----
+
+
+def _arc(radius: float, start: float, sweep: float, centre: tuple[float, float]) -> Tensor:
+    """Points along a circle; angles from +Z towards +X, positive sweep turns left."""
+    count = max(8, int(abs(sweep) * radius / SPACING))
+    angle = torch.linspace(start, start + sweep, count, dtype=torch.float64)
+    return torch.stack([centre[0] + radius * torch.sin(angle), centre[1] + radius * torch.cos(angle)], dim=-1)
+
+
+def _line(size: float) -> Tensor:
+    return torch.tensor([[0.0, 0.0], [0.0, size]], dtype=torch.float64)
+
+
+def _circle(size: float) -> Tensor:
+    # Starts at the origin facing +Z, the centre to the left (+X).
+    return _arc(size, -math.pi / 2, 2 * math.pi, (size, 0.0))
+
+
+def _figure_eight(size: float) -> Tensor:
+    left = _arc(size, -math.pi / 2, 2 * math.pi, (size, 0.0))
+    right = _arc(size, math.pi / 2, -2 * math.pi, (-size, 0.0))
+    return torch.cat([left, right[1:]])
+
+
+def _polygon(size: float, corners: int, turn: float) -> Tensor:
+    points, heading = [torch.zeros(2, dtype=torch.float64)], 0.0
+    for _ in range(corners):
+        step = torch.tensor([math.sin(heading), math.cos(heading)], dtype=torch.float64)
+        points.append(points[-1] + size * step)
+        heading += turn
+    return torch.stack(points)
+
+
+def _square(size: float) -> Tensor:
+    return _polygon(size, 4, math.pi / 2)
+
+
+def _pentagram(size: float) -> Tensor:
+    return _polygon(size, 5, math.radians(144.0))
+
+
+def _u_turn(size: float) -> Tensor:
+    # A way out, half a circle to the left with a tenth of its length as radius, and the way back.
+    radius = 0.1 * size
+    out = torch.tensor([[0.0, 0.0], [0.0, size]], dtype=torch.float64)
+    turn = _arc(radius, -math.pi / 2, math.pi, (radius, size))
+    back = torch.tensor([[2 * radius, 0.0]], dtype=torch.float64)
+    return torch.cat([out, turn[1:], back])
+
+
+# What size means: the length of line and u-turn, the radius of circle and figure-eight, the side of the others.
+SHAPES: dict[str, Callable[[float], Tensor]] = {
+    "line": _line,
+    "circle": _circle,
+    "figure-eight": _figure_eight,
+    "square": _square,
+    "pentagram": _pentagram,
+    "u-turn": _u_turn,
+}
+DEFAULT_SIZES = {
+    "line": 10.0,
+    "circle": 3.0,
+    "figure-eight": 3.0,
+    "square": 5.0,
+    "pentagram": 6.0,
+    "u-turn": 6.0,
+}
+
+
+def shape_path(name: str, size: float | None, types: list[str], speed: float | None) -> Path2D:
+    """A named shape of a size in metres, its length shared evenly by the types, at a speed in m/s.
+
+    Raises ControlError for an unknown shape, or a size or speed that is no positive number.
+    """
+    if name not in SHAPES:
+        from motionkit.models.checkpoint import unknown_name
+
+        raise ControlError(unknown_name("path shape", name, tuple(SHAPES)))
+    metres = DEFAULT_SIZES[name] if size is None else size
+    _check_number(metres, "size", 0.2, 1000.0)
+    if speed is not None:
+        _check_number(speed, "speed", 0.05, 15.0)
+    whole = make_path([PathPart(SHAPES[name](metres * METRE), types[0])])
+    count = len(types)
+    edges = [round(i * (len(whole.points) - 1) / count) for i in range(count + 1)]
+    velocity = None if speed is None else speed * METRE
+    return make_path(
+        [PathPart(whole.points[edges[i] : edges[i + 1] + 1], kind, velocity) for i, kind in enumerate(types)]
+    )
+
+
+def _check_number(value: float, what: str, low: float, high: float) -> None:
+    if not (math.isfinite(value) and low <= value <= high):
+        raise ControlError(f"expected a {what} between {low:g} and {high:g}, found {value:g}")
+
+
+# ---- files ----
+
+
+def read_path(file: str | Path) -> Path2D:
+    """A path from JSON or CSV, in metres and metres per second.
+
+    JSON: {"parts": [{"type": "walking", "speed": 1.4, "points": [[x, z], ...]}, ...]}; speed may be left
+    out. CSV: columns x, z, type and, if wanted, speed; rows of one type after another make a part.
+
+    Raises:
+        ControlError: naming the file and the part or line that is wrong.
+    """
+    file = Path(file)
+    try:
+        text = file.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ControlError(f"{file}: cannot be read as a path ({error})") from None
+    parts = _csv_parts(file, text) if file.suffix.lower() == ".csv" else _json_parts(file, text)
+    try:
+        return make_path(parts)
+    except ControlError as error:
+        raise ControlError(f"{file}: {error}") from None
+
+
+def _json_parts(file: Path, text: str) -> list[PathPart]:
+    try:
+        value = json.loads(text)
+    except ValueError as error:
+        raise ControlError(f"{file}: not JSON ({error})") from None
+    entries = value.get("parts") if isinstance(value, dict) else value
+    if not isinstance(entries, list) or not entries:
+        raise ControlError(f'{file}: expected {{"parts": [...]}} with at least one part')
+    parts = []
+    for number, entry in enumerate(entries, 1):
+        where = f"{file}: part {number}"
+        if not isinstance(entry, dict) or not isinstance(entry.get("type"), str):
+            raise ControlError(f"{where}: expected an object with type and points")
+        points = entry.get("points")
+        if not isinstance(points, list) or not all(_is_point(p) for p in points) or not points:
+            raise ControlError(f"{where}: expected points as a list of [x, z] numbers")
+        speed = entry.get("speed")
+        if speed is not None and not _is_number(speed):
+            raise ControlError(f"{where}: expected a number for speed, found {speed!r}")
+        parts.append(_part(where, points, entry["type"], speed))
+    return parts
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _is_point(value: object) -> bool:
+    return isinstance(value, list) and len(value) == 2 and all(_is_number(v) for v in value)
+
+
+def _part(where: str, points: list, kind: str, speed: float | None) -> PathPart:
+    if speed is not None:
+        try:
+            _check_number(speed, "speed", 0.05, 15.0)
+        except ControlError as error:
+            raise ControlError(f"{where}: {error} m/s") from None
+    tensor = torch.tensor(points, dtype=torch.float64) * METRE
+    return PathPart(tensor, kind, None if speed is None else speed * METRE)
+
+
+def _csv_parts(file: Path, text: str) -> list[PathPart]:
+    reader = csv.DictReader(text.splitlines())
+    missing = [name for name in ("x", "z", "type") if name not in (reader.fieldnames or [])]
+    if missing:
+        raise ControlError(f"{file}:1: path table lacks the columns {', '.join(missing)}")
+    groups: list[tuple[str, float | None, list[list[float]]]] = []
+    for row in reader:
+        try:
+            point = [float(row["x"]), float(row["z"])]
+            speed = float(row["speed"]) if (row.get("speed") or "").strip() else None
+        except (TypeError, ValueError):
+            raise ControlError(f"{file}:{reader.line_num}: expected numbers for x, z and speed") from None
+        if not all(math.isfinite(v) for v in (*point, speed or 0.0)):
+            raise ControlError(f"{file}:{reader.line_num}: expected finite numbers")
+        kind = (row["type"] or "").strip()
+        if not groups or groups[-1][:2] != (kind, speed):
+            groups.append((kind, speed, []))
+        groups[-1][2].append(point)
+    return [
+        _part(f"{file}: part {i}", points, kind, speed) for i, (kind, speed, points) in enumerate(groups, 1)
+    ]

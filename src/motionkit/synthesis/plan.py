@@ -1,0 +1,88 @@
+"""What a user asks for: motion types one after another, each for a time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import ControlError
+from motionkit.features.control import TRAJECTORY_COUNT, blend_types
+from motionkit.models.checkpoint import MotionModel
+from motionkit.synthesis.rollout import Controller, FrameControls
+
+DEFAULT_SECONDS = 4.0
+MAX_SECONDS = 3600.0
+
+
+@dataclass(frozen=True)
+class TypePart:
+    """A motion type for some seconds."""
+
+    type: str
+    seconds: float
+
+
+def parse_types(text: str, seconds: float | None = None) -> list[TypePart]:
+    """Parts from "running,cartwheel" or "running:4,cartwheel:3".
+
+    Args:
+        seconds: the whole length, shared by the parts that name none; 4 s for each of them if not given.
+
+    Raises:
+        ControlError: for a part without a type, or a time that is no positive number.
+    """
+    words = [word.strip() for word in text.split(",")]
+    if not any(words):
+        raise ControlError("expected motion types such as running,cartwheel, found none")
+    timed: list[tuple[str, float | None]] = []
+    for word in words:
+        name, _, time = word.partition(":")
+        if not name:
+            raise ControlError(f"expected type or type:seconds, found {word!r}")
+        timed.append((name.strip(), _seconds(time, word) if time else None))
+    free = [name for name, time in timed if time is None]
+    given = sum(time for _, time in timed if time is not None)
+    if seconds is not None and free:
+        share = (seconds - given) / len(free)
+        if share <= 0:
+            raise ControlError(f"the parts alone take {given:g} s, more than the {seconds:g} s asked for")
+    elif seconds is not None:
+        # Every part says its time: stretch them to the whole.
+        return [TypePart(name, time * seconds / given) for name, time in timed if time is not None]
+    else:
+        share = DEFAULT_SECONDS
+    return [TypePart(name, share if time is None else time) for name, time in timed]
+
+
+def _seconds(text: str, word: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise ControlError(f"expected seconds after the colon, found {word!r}") from None
+    if not 0 < value <= MAX_SECONDS:
+        raise ControlError(f"expected between 0 and {MAX_SECONDS:g} seconds, found {word!r}")
+    return value
+
+
+def type_track(model: MotionModel, parts: list[TypePart]) -> Tensor:
+    """The type id (T,) of every frame of the parts; raises ControlError for an unknown type."""
+    ids = [model.type_id(part.type) for part in parts]
+    counts = [max(1, round(part.seconds * model.fps)) for part in parts]
+    return torch.cat([torch.full((count,), i) for i, count in zip(ids, counts, strict=True)])
+
+
+def plan_controller(weights: Tensor, batch: int) -> Controller:
+    """Type weights (T, N) over time for every character, no trajectory."""
+    none, never = torch.zeros(batch, TRAJECTORY_COUNT), torch.zeros(batch)
+
+    def controls(frame: int, ground: Tensor) -> FrameControls:
+        return FrameControls(weights[min(frame, len(weights) - 1)].expand(batch, -1), none, never)
+
+    return controls
+
+
+def plan_weights(model: MotionModel, parts: list[TypePart]) -> Tensor:
+    """Blended type weights (T, N) of the parts: 40 frames at each change."""
+    return blend_types(type_track(model, parts), len(model.types))

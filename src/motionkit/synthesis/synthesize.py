@@ -1,0 +1,131 @@
+"""Whole motions from a list of types: the library call behind `motionkit synthesize`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from motionkit.errors import ControlError
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.skeleton import Skeleton, leg_length
+from motionkit.synthesis.plan import TypePart, plan_controller, plan_weights
+from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
+from motionkit.synthesis.start import clip_start, seed_start
+
+
+@dataclass(frozen=True, eq=False)
+class Synthesis:
+    """One synthesized motion.
+
+    Attributes:
+        motion: what to write: on the character, at the asked rate, feet locked if asked for.
+        contacts: (T, 4) predicted contacts at the model's rate.
+        types: the parts that were asked for.
+    """
+
+    motion: Motion
+    contacts: Tensor
+    types: tuple[TypePart, ...]
+
+
+@dataclass(frozen=True)
+class SynthesisOptions:
+    """How to synthesize; fps None keeps the model's rate."""
+
+    count: int = 1
+    seed: int = 0
+    noise: Noise = field(default_factory=Noise)
+    character: str = "default"
+    init: str | Path | None = None
+    ik: bool = False
+    fps: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SynthesisResult:
+    """All motions of a call, and how long the roll-out took."""
+
+    motions: tuple[Synthesis, ...]
+    seconds: float
+
+    @property
+    def frames(self) -> int:
+        """Frames of all motions at the model's rate."""
+        return sum(len(s.contacts) for s in self.motions)
+
+
+def synthesize(
+    model: MotionModel,
+    parts: list[TypePart],
+    options: SynthesisOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> SynthesisResult:
+    """Motion types one after another; the same seed gives the same motion.
+
+    Raises:
+        ControlError: for an unknown type or character, or a count below one.
+    """
+    options = options or SynthesisOptions()
+    if options.count < 1:
+        raise ControlError(f"expected a count of at least 1, found {options.count}")
+    skeleton = model.character(options.character)
+    weights = plan_weights(model, parts)
+    if options.init is not None:
+        features, contacts = clip_start(model, options.init, options.count)
+    else:
+        features, contacts = seed_start(model, parts[0].type, options.count)
+    with inner_threads(options.count):
+        state = RolloutState(model, options.count, options.noise, options.seed)
+        state.start(features, contacts, weights[:1].expand(options.count, -1))
+        started = time.perf_counter()
+        rollout = run(state, len(weights), plan_controller(weights, options.count), progress)
+        seconds = time.perf_counter() - started
+    motions = tuple(
+        Synthesis(
+            finish_motion(model, rollout, i, skeleton, options.ik, options.fps),
+            rollout.contacts[i],
+            tuple(parts),
+        )
+        for i in range(options.count)
+    )
+    return SynthesisResult(motions, seconds)
+
+
+def finish_motion(
+    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, ik: bool, fps: float | None
+) -> Motion:
+    """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate."""
+    body = model.character("default")
+    motion = rollout_motion(model, rollout, index, body)
+    if ik:
+        motion = lock_feet(motion, rollout.contacts[index])
+    motion = on_character(motion, skeleton)
+    return motion if fps is None else resample(motion, fps)
+
+
+def on_character(motion: Motion, skeleton: Skeleton) -> Motion:
+    """The same rotations on another body, the root's path scaled with the length of its legs."""
+    share = leg_length(skeleton) / leg_length(motion.skeleton)
+    return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * share)
+
+
+class inner_threads:
+    """One thread while few characters run: the products are too small to share between cores."""
+
+    def __init__(self, batch: int) -> None:
+        self.single = batch < 16
+        self.before = torch.get_num_threads()
+
+    def __enter__(self) -> None:
+        if self.single:
+            torch.set_num_threads(1)
+
+    def __exit__(self, *_: object) -> None:
+        torch.set_num_threads(self.before)

@@ -1,0 +1,40 @@
+"""Training settings by preset name: the shipped recipe, and the paper's own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from motionkit.models.presets import preset
+from motionkit.training.options import TrainOptions
+from motionkit.training.sampler import SamplerOptions
+
+
+def train_options(
+    name: str,
+    steps: int | None = None,
+    minutes: float | None = None,
+    window: int | None = None,
+    splices: int | None = None,
+    rate: float | None = None,
+    **changes: Any,
+) -> TrainOptions:
+    """The options of a preset with some fields changed; None leaves a field as the preset has it.
+
+    Raises ModelError for an unknown preset.
+    """
+    preset(name)
+    options = TrainOptions(preset=name, steps=steps, minutes=minutes)
+    if name == "tptn-paper":
+        # Paper section 4.3: types equally often, no spliced transitions, trajectory always given, 1e-4.
+        paper = SamplerOptions(balance=1.0, splices=0, trajectory_dropout=0.0, lead_share=0.0)
+        options = replace(options, rate=1e-4, sampler=paper)
+    sampler = options.sampler
+    if window is not None:
+        sampler = replace(sampler, window=window)
+    if splices is not None and name != "tptn-paper":
+        sampler = replace(sampler, splices=splices)
+    changes = {key: value for key, value in changes.items() if value is not None}
+    if rate is not None:
+        changes["rate"] = rate
+    return replace(options, sampler=sampler, **changes)
