@@ -99,14 +99,18 @@ def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) ->
     places = offsets.expand(frames, joints, 3).clone()
     translates = False
     values = torch.from_numpy(bvh.values)
+    by_order: dict[str, list[tuple[int, list[int]]]] = {}
     for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
         turns = [c for name, c in zip(names, columns, strict=True) if name.endswith("rotation")]
         order = "".join(name[0] for name in names if name.endswith("rotation"))
-        rotations[:, joint] = euler_to_quat(torch.deg2rad(values[:, turns]), order)
+        by_order.setdefault(order, []).append((joint, turns))
         for name, column in zip(names, columns, strict=True):
             if name.endswith("position"):
                 places[:, joint, "XYZ".index(name[0])] = values[:, column]
                 translates = translates or joint > 0
+    for order, members in by_order.items():
+        turned = [turns for _, turns in members]
+        rotations[:, [joint for joint, _ in members]] = euler_to_quat(torch.deg2rad(values[:, turned]), order)
     motion = Motion(
         bvh.skeleton,
         quat_continuous(rotations).to(torch.float32),
