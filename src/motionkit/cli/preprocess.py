@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -19,14 +19,19 @@ SHOWN_SKIPS = 20
 @click.command("preprocess")
 @click.argument("data", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path))
 @click.option(
-    "-o", "--output", default="datasets/motion", show_default=True, type=click.Path(file_okay=False, path_type=Path),
+    "-o",
+    "--output",
+    default="datasets/motion",
+    show_default=True,
+    type=click.Path(file_okay=False, path_type=Path),
     help="The dataset folder to write.",
-)  # fmt: skip
+)
 @click.option(
-    "--labels", type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    "--labels",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Table of segments: file,start_frame,end_frame,type[,subject,fps,split,note]. "
     "By default labels.csv in or just above the data.",
-)  # fmt: skip
+)
 @click.option("--fps", type=click.FloatRange(1, 1000), help="True frame rate, where the files' headers lie.")
 @click.option(
     "--scale", type=click.FloatRange(1e-4, 1e4), help="Centimetres per file unit, instead of a guess."
@@ -39,9 +44,12 @@ SHOWN_SKIPS = 20
     "--own-bodies", is_flag=True, help="Keep each body's own bone lengths instead of one body for all."
 )
 @click.option(
-    "--layout", default=LAYOUT_CHOICES[0], show_default=True, type=click.Choice(LAYOUT_CHOICES),
+    "--layout",
+    default=LAYOUT_CHOICES[0],
+    show_default=True,
+    type=click.Choice(LAYOUT_CHOICES),
     help="Version of the 276 numbers; tptn-paper needs expmap-root-1.",
-)  # fmt: skip
+)
 @click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
 @json_option
 def command(
@@ -67,7 +75,7 @@ def command(
 
     options = PreprocessOptions(labels, fps, scale, mirror, own_bodies, layout, jobs, strict)
     with progress_bar() as bar:
-        tasks: dict[str, int] = {}
+        tasks: dict[str, Any] = {}
 
         def show(stage: str, done: int, total: int) -> None:
             if stage not in tasks:

@@ -20,16 +20,44 @@ SHOWN_METRICS = ("bm-geodesic", "afs", "foot-skate", "jerk", "penetration-mean")
 def synthesis_options(function: Callable) -> Callable:
     """Model, noise, body and output options."""
     options = [
-        click.option("--model", "model_path", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="A model file; the bundled model by default."),
+        click.option(
+            "--model",
+            "model_path",
+            type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            help="A model file; the bundled model by default.",
+        ),
         seed_option(),
         click.option("--character", default="default", show_default=True, help="The body to move."),
-        click.option("--init", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="Start from the first frames of this BVH file."),
-        click.option("--noise", default="correlated", show_default=True, type=click.Choice(["mean", "sample", "correlated"]), help="How frames are drawn from the predicted distribution."),
-        click.option("--temperature", type=click.FloatRange(0, 2), help="Strength of the noise; 0.3 by default, 1 for sample."),
-        click.option("--ik/--no-ik", default=False, show_default=True, help="Hold feet still while they touch the floor."),
-        click.option("--fps", type=click.FloatRange(1, 480), help="Rate of the written file; the model's 60 by default."),
+        click.option(
+            "--init",
+            type=click.Path(exists=True, dir_okay=False, path_type=Path),
+            help="Start from the first frames of this BVH file.",
+        ),
+        click.option(
+            "--noise",
+            default="correlated",
+            show_default=True,
+            type=click.Choice(["mean", "sample", "correlated"]),
+            help="How frames are drawn from the predicted distribution.",
+        ),
+        click.option(
+            "--temperature",
+            type=click.FloatRange(0, 2),
+            help="Strength of the noise; 0.3 by default, 1 for sample.",
+        ),
+        click.option(
+            "--ik/--no-ik",
+            default=False,
+            show_default=True,
+            help="Hold feet still while they touch the floor.",
+        ),
+        click.option(
+            "--fps",
+            type=click.FloatRange(1, 480),
+            help="Rate of the written file; the model's 60 by default.",
+        ),
         json_option,
-    ]  # fmt: skip
+    ]
     for option in reversed(options):
         function = option(function)
     return function

@@ -11,6 +11,8 @@ import click
 from motionkit.cli.common import json_option, print_json, seed_option, stderr_console, stdout_console
 
 if TYPE_CHECKING:
+    from rich.live import Live
+
     from motionkit.training.trainer import TrainEvent
 
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
@@ -19,9 +21,13 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 @click.command("train")
 @click.argument("dataset", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option(
-    "-o", "--output", default="model.safetensors", show_default=True,
-    type=click.Path(dir_okay=False, path_type=Path), help="The model file to write.",
-)  # fmt: skip
+    "-o",
+    "--output",
+    default="model.safetensors",
+    show_default=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The model file to write.",
+)
 @click.option(
     "--preset",
     default="tptn",
@@ -101,9 +107,18 @@ def command(
     if minutes is None and steps is None:
         minutes = 30.0
     options = train_options(
-        preset, steps=steps, minutes=minutes, batch=batch, window=window, rate=rate, splices=splices, seed=seed,
-        precision=precision, score_minutes=score_minutes, half=half,
-    )  # fmt: skip
+        preset,
+        steps=steps,
+        minutes=minutes,
+        batch=batch,
+        window=window,
+        rate=rate,
+        splices=splices,
+        seed=seed,
+        precision=precision,
+        score_minutes=score_minutes,
+        half=half,
+    )
     monitor = _Monitor(quiet=as_json)
     with monitor:
         result = train(dataset, output, options, resume, run_folder, device, monitor)
@@ -138,19 +153,19 @@ class _Monitor:
         self.quiet = quiet
         self.first_process = os.environ.get("RANK", "0") == "0"
         self.console = stderr_console()
-        self.live = None
+        self.live: Live | None = None
 
     def __enter__(self) -> _Monitor:
         if sys.stderr.isatty() and not self.quiet and self.first_process:
             from rich.live import Live
 
             self.live = Live(console=self.console, refresh_per_second=2)
-            self.live.__enter__()
+            self.live.start()
         return self
 
     def __exit__(self, *details: object) -> None:
         if self.live is not None:
-            self.live.__exit__(*details)
+            self.live.stop()
 
     def __call__(self, event: TrainEvent) -> None:
         if self.quiet:

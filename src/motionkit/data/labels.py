@@ -6,6 +6,7 @@ import csv
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 
 from motionkit.errors import DatasetError
@@ -119,7 +120,7 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
         out.setdefault(row["file"].strip(), []).append(segment)
     for name, segments in out.items():
         segments.sort(key=lambda s: s.start)
-        for a, b in zip(segments, segments[1:], strict=False):
+        for a, b in pairwise(segments):
             if a.end == -1 or a.end > b.start:
                 raise DatasetError(f"{path}: segments of {name} overlap at frame {b.start}")
     return out

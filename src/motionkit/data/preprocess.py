@@ -358,7 +358,7 @@ def _pass_two(
 
 def _references(prepared: list[_Prepared]) -> Tensor:
     """Mean rotation of each joint over the data and its mirror image, so that twins share references."""
-    moment = sum(p.moment for p in prepared if p.moment is not None)
+    moment = np.sum([p.moment for p in prepared if p.moment is not None], axis=0)
     flip = np.diag([1.0, 1.0, -1.0, -1.0])
     moment = moment + flip @ moment[list(MIRROR_JOINTS)] @ flip
     references = mean_rotation(torch.from_numpy(moment)).float()
@@ -366,7 +366,7 @@ def _references(prepared: list[_Prepared]) -> Tensor:
     return references
 
 
-def _create(folder: Path, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+def _create(folder: Path, name: str, shape: tuple[int, ...], dtype: Any) -> np.memmap:
     return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
 
 

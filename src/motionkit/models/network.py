@@ -91,6 +91,7 @@ class AutoRegressiveModule(nn.Module):
         self.embed_controls = PartLinear(parts, control_size, config.control_width)
         self.layers = nn.ModuleList(AttentionLayer(parts, config) for _ in range(config.layers))
         self.final_norm = PartNorm(parts, config.width, affine=False) if config.norm == "pre" else None
+        self.embed_mask: Tensor
         self.register_buffer("embed_mask", torch.ones(1), persistent=False)
 
     def restrict_embedding(self, mask: Tensor) -> None:
@@ -100,6 +101,7 @@ class AutoRegressiveModule(nn.Module):
     def embed_motion(self, x: Tensor) -> Tensor:
         """Embedding of kernel frames side by side (P, ..., kernel x inputs), oldest first."""
         flat = x.reshape(x.shape[0], -1, x.shape[-1])
+        assert self.embed.bias is not None
         out = torch.baddbmm(self.embed.bias, flat, self.embed.weight * self.embed_mask)
         return out.reshape(*x.shape[:-1], -1)
 
@@ -129,6 +131,7 @@ class PartTransformer(nn.Module):
         self.body: Partition = partition(config.partition)
         P, D = len(self.body.parts), config.width
         gather, shared = part_columns(config)
+        self.part_columns: Tensor
         self.register_buffer("part_columns", gather, persistent=False)
         self.shallow = AutoRegressiveModule(P, gather.shape[1], control_size, config, config.kernel)
         self.shallow.restrict_embedding(_embedding_mask(gather, shared, config))

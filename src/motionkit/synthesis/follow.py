@@ -139,21 +139,19 @@ def follow_path(
     heading = torch.atan2(tangent[0], tangent[1]) - follower.facings[0]
     start = torch.cat([path.points[0], heading[None]])[None]
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
-    features_out, contacts_out, ground_out = [], [], []
+    made: list[tuple[Tensor, Tensor, Tensor]] = []
     with inner_threads(1):
         state = RolloutState(model, 1, options.noise, options.seed)
         state.start(features, contacts, weights, start)
         began = time.perf_counter()
         for frame in range(limit):
-            step = state.step(follower(frame, state.ground))
-            for out, value in zip((features_out, contacts_out, ground_out), step, strict=True):
-                out.append(value)
+            made.append(state.step(follower(frame, state.ground)))
             if progress:
                 progress(min(1.0, follower.arc / path.length))
             if follower.arc >= path.length - SPACING:
                 break
         seconds = time.perf_counter() - began
-    rollout = Rollout(torch.stack(features_out, 1), torch.stack(contacts_out, 1), torch.stack(ground_out, 1))
+    rollout = Rollout(*(torch.stack(values, 1) for values in zip(*made, strict=True)))
     track = rollout.ground[0, :, :2]
     return FollowResult(
         finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),

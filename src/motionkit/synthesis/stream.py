@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.models.network import AutoRegressiveModule, PartTransformer, Prediction
+from motionkit.models.network import AttentionLayer, AutoRegressiveModule, PartTransformer, Prediction
 
 
 class _ModuleRings:
@@ -67,6 +67,7 @@ class NetworkStream:
         x = torch.cat([motion, controls], dim=-1)
         slot = self.frame % module.config.window
         for i, layer in enumerate(module.layers):
+            assert isinstance(layer, AttentionLayer)
             bias = layer.attention.ring_bias(self.frame, x.device)
             x = layer.step(x, controls, rings.keys[i], rings.values[i], slot, bias)
         return x if module.final_norm is None else module.final_norm(x)

@@ -36,32 +36,8 @@ def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any
     )
 
 
-def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
-    """Mean speed of each type over the ground, and the angle from its facing to its way.
-
-    The angle is kept only where a type has one (walking backwards: half a turn), else it is zero.
-    """
-    sums = {kind: torch.zeros(4, dtype=torch.float64) for kind in dataset.types}
-    block = dataset.layout.blocks["root_xz_velocity"]
-    for clip in dataset.select("train"):
-        velocity = dataset.read(clip).features[:, block].double()
-        kinds = dataset.clip_types(clip)
-        for i in kinds.unique().tolist():
-            mine = velocity[kinds == i]
-            sums[dataset.types[i]] += torch.tensor(
-                [len(mine), float(mine.norm(dim=-1).sum()), float(mine[:, 0].sum()), float(mine[:, 1].sum())]
-            )
-    gaits = {}
-    for kind, (frames, distance, x, z) in ((k, v.tolist()) for k, v in sums.items()):
-        if frames:
-            steady = math.hypot(x, z) > 0.8 * distance
-            facing = math.atan2(x, z) if steady else 0.0
-            gaits[kind] = Gait(round(distance / frames, 2), round(facing, 3))
-    return gaits
-
-
 def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
-    """A few starts of a type: the first frames of training stretches, those nearest to how the type usually looks.
+    """A few starts of a type: the first frames of training stretches, nearest to its usual pose.
 
     The beginnings of stretches, because a cartwheel has to be started from its start; the nearest ones,
     because a run that begins in a crouch under an obstacle is no good start for running. A type without
@@ -72,10 +48,10 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
     stretches: list[tuple[Clip, int, int]] = []
     total, count = torch.zeros(columns.stop - columns.start), 0
     for clip in dataset.select("train"):
-        frames = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
-        if len(frames):
-            stretches.append((clip, int(frames[0]), min(len(frames), SEED_FRAMES)))
-            shown = dataset.read(clip).features[frames][:, columns]
+        mine = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
+        if len(mine):
+            stretches.append((clip, int(mine[0]), min(len(mine), SEED_FRAMES)))
+            shown = dataset.read(clip).features[mine][:, columns]
             total, count = total + shown.sum(dim=0), count + len(shown)
     if not stretches:
         clip = dataset.select("train")[0]
@@ -113,24 +89,3 @@ def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
             facing = math.atan2(x, z) if steady else 0.0
             gaits[kind] = Gait(round(distance / frames, 2), round(facing, 3))
     return gaits
-
-
-def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
-    """A few starts of a type: the first frames of its longest stretches in different training clips.
-
-    A type without a training clip, which a model cannot know, takes any clip's frames.
-    """
-    wanted = dataset.types.index(kind)
-    stretches = []
-    for clip in dataset.select("train"):
-        frames = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
-        if len(frames):
-            stretches.append((len(frames), int(frames[0]), clip))
-    stretches.sort(key=lambda s: (-s[0], s[2].name))
-    if not stretches:
-        stretches = [(clip.frames, 0, clip) for clip in dataset.select("train")[:1]]
-    seeds = []
-    for length, first, clip in stretches[:SEEDS_PER_TYPE]:
-        data = dataset.read(clip, first, first + min(length, SEED_FRAMES))
-        seeds.append(Seed(data.features, data.contacts, data.ground))
-    return seeds

@@ -57,9 +57,9 @@ def load_run(
         for name, p in module.named_parameters():
             state = {}
             for key in ("step", "exp_avg", "exp_avg_sq"):
-                value = tensors.get(f"optimizer.{key}.{name}")
-                if value is not None:
-                    state[key] = value.reshape(()) if key == "step" else value.to(p.device)
+                moment = tensors.get(f"optimizer.{key}.{name}")
+                if moment is not None:
+                    state[key] = moment.reshape(()) if key == "step" else moment.to(p.device)
             if state:
                 optimizer.state[p] = state
     except (RuntimeError, KeyError) as error:

@@ -47,14 +47,14 @@ class TypeScore:
 
     def to_dict(self) -> dict:
         """Rounded plain values, for logs."""
-        return {k: [round(x, 3) for x in v] if isinstance(v, tuple) else v if isinstance(v, str) else round(v, 3)
-                for k, v in asdict(self).items()}  # fmt: skip
+        numbers = {k: round(v, 3) for k, v in asdict(self).items() if isinstance(v, float)}
+        return {"type": self.type, **numbers, "height": [round(x, 1) for x in self.height]}
 
 
 def score_rollouts(
     model: MotionModel, dataset: Dataset, frames: int, samples: Path | None = None, seed: int = 0
 ) -> tuple[TypeScore, ...]:
-    """Score a roll-out of every type; with samples given, a predicted and a true BVH of each are written there."""
+    """Score a roll-out of every type; with samples, a predicted and a true BVH of each go there."""
     torch.set_num_threads(1)
     rollout = rollout_types(model, frames, seed)
     scores = []

@@ -38,7 +38,7 @@ LOSS_SCALE = 1.0 / 276.0
 
 
 class TrainingModule(nn.Module):
-    """Network, consistency modules and losses as one module, so that DistributedDataParallel sees all of it."""
+    """Network, consistency modules and losses as one module, for DistributedDataParallel."""
 
     def __init__(self, config: ModelConfig, dataset: Dataset) -> None:
         super().__init__()
@@ -158,7 +158,7 @@ class _Run:
         config = replace(preset(options.preset), **options.config)
         if config.layout != dataset.layout.version:
             raise DatasetError(
-                f"{dataset.folder} has feature layout {dataset.layout.version}, preset {options.preset} needs "
+                f"{dataset.folder} has layout {dataset.layout.version}, preset {options.preset} needs "
                 f"{config.layout}: run preprocess with --layout {config.layout}"
             )
         self.module = TrainingModule(config, dataset).to_device(self.device)
