@@ -9,9 +9,16 @@ from pathlib import Path
 import pytest
 import torch
 
+from motionkit.data.dataset import Dataset
+from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.models.checkpoint import MotionModel, load_model
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.training.options import TrainOptions
+from motionkit.training.sampler import SamplerOptions
+from motionkit.training.trainer import train
+from synthetic_motions import write_clips
 
 HERE = Path(__file__).parent
 SECONDS_PER_TEST = 60
@@ -76,3 +83,61 @@ def make_motion() -> Callable[..., Motion]:
         return Motion(skeleton, turns.float(), places.float(), fps)
 
     return make
+
+
+@pytest.fixture(scope="session")
+def clips_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of eight small BVH files of six types, with a labels.csv; not to be written to."""
+    return write_clips(tmp_path_factory.mktemp("clips"))
+
+
+@pytest.fixture(scope="session")
+def dataset_folder(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset folder made from clips_folder; not to be written to."""
+    folder = tmp_path_factory.mktemp("dataset") / "motion"
+    preprocess([clips_folder], folder, PreprocessOptions(jobs=1))
+    return folder
+
+
+@pytest.fixture(scope="session")
+def dataset(dataset_folder: Path) -> Dataset:
+    """The dataset made from clips_folder, opened."""
+    return Dataset(dataset_folder)
+
+
+@pytest.fixture(scope="session")
+def tiny_options() -> Callable[..., TrainOptions]:
+    """A function that makes the options of a run of a second or two: tiny_options(steps=3, ...)."""
+
+    def make(steps: int = 4, splices: int = 6, **changes: object) -> TrainOptions:
+        values: dict = {
+            "preset": "tiny",
+            "steps": steps,
+            "batch": 4,
+            "warmup": 2,
+            "precision": "float32",
+            "log_every": 1,
+            "score_seconds": 0.0,
+            "sampler": SamplerOptions(window=32, splices=splices),
+        }
+        return TrainOptions(**(values | changes))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def tiny_model_file(
+    dataset_folder: Path,
+    tiny_options: Callable[..., TrainOptions],
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """A model file after a few steps of the tiny preset: it moves, badly."""
+    path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
+    train(dataset_folder, path, tiny_options(steps=20), device="cpu")
+    return path
+
+
+@pytest.fixture(scope="session")
+def tiny_model(tiny_model_file: Path) -> MotionModel:
+    """The model in tiny_model_file."""
+    return load_model(tiny_model_file)
