@@ -104,6 +104,14 @@ class Dataset:
         """(23, 3) offsets of every body in the data; clips index it."""
         return tuple(torch.tensor(body, dtype=torch.float32) for body in self.manifest["bodies"])
 
+    @cached_property
+    def characters(self) -> dict[str, Tensor]:
+        """(23, 3) offsets of the performers the labels name."""
+        return {
+            name: torch.tensor(body, dtype=torch.float32)
+            for name, body in self.manifest["characters"].items()
+        }
+
     def skeleton(self, clip: Clip) -> Skeleton:
         """The skeleton a clip's features are on."""
         return canonical_skeleton(self.bodies[clip.body])

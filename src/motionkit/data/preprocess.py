@@ -85,7 +85,10 @@ class PreprocessReport:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """Pass one's result for a file: arrays on disk, small facts in hand."""
+    """Pass one's result for a file: arrays on disk, small facts in hand.
+
+    body is the skeleton the motion is on; own_body has the performer's own bone lengths.
+    """
 
     report: FileReport
     motion_file: str
@@ -93,6 +96,7 @@ class _Prepared:
         tuple[int, int, tuple[tuple[int, int, str], ...], str, str], ...
     ]  # start, end, spans, split, subject
     body: list[list[float]]
+    own_body: list[list[float]]
     moment: np.ndarray | None
 
 
@@ -196,7 +200,7 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     nothing: tuple = ()
     if source.skip_reason:
         report.skipped = source.skip_reason
-        return _Prepared(report, motion_file, nothing, [], None)
+        return _Prepared(report, motion_file, nothing, [], [], None)
     try:
         fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
         motion, mapping = retarget_file(source.path, options.scale, fps, own_body=options.own_bodies)
@@ -205,7 +209,7 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
         motion = resample(motion, FPS)
     except MotionkitError as error:
         report.skipped = str(error)
-        return _Prepared(report, motion_file, nothing, [], None)
+        return _Prepared(report, motion_file, nothing, [], [], None)
     report.mapping = {
         "source_joints": mapping.source_joints,
         "missing": list(mapping.missing),
@@ -221,12 +225,13 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion), leaps)
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
-        return _Prepared(report, motion_file, nothing, [], None)
+        return _Prepared(report, motion_file, nothing, [], [], None)
     np.savez(motion_file, rotations=motion.local_rotations.numpy(), root=motion.root_positions.numpy())
     rows = np.concatenate([np.arange(start, end) for start, end, *_ in runs])
     quats = motion.local_rotations.double().numpy()[rows]
     moment = np.einsum("tja,tjb->jab", quats, quats)
-    return _Prepared(report, motion_file, runs, motion.skeleton.offsets.tolist(), moment)
+    body, own_body = motion.skeleton.offsets.tolist(), mapping.body.tolist()
+    return _Prepared(report, motion_file, runs, body, own_body, moment)
 
 
 def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]) -> tuple:
@@ -339,6 +344,7 @@ def _pass_two(
         "layout": options.layout,
         "types": list(types),
         "bodies": bodies,
+        "characters": _characters(prepared),
         "references": references.tolist(),
         "feature_scaling": _plain(feature_scaling(moments, layout)),
         "trajectory_scaling": _plain(trajectory_scaling(trajectory_moments)),
@@ -354,6 +360,16 @@ def _pass_two(
         total / FPS,
     )
     return manifest, report
+
+
+def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
+    """The body (23, 3) of each performer the labels name, in cm, from the first of their files."""
+    out: dict[str, list[list[float]]] = {}
+    for item in prepared:
+        for *_, subject in item.runs:
+            if subject:
+                out.setdefault(f"subject-{subject}", [[round(x, 3) for x in row] for row in item.own_body])
+    return out
 
 
 def _references(prepared: list[_Prepared]) -> Tensor:

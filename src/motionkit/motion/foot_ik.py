@@ -21,6 +21,7 @@ EASE_FRAMES = 8
 MIN_LOCK_FRAMES = 4
 # Contacts switch on above the first and off below the second probability, so that they do not flicker.
 CONTACT_ON, CONTACT_OFF = 0.6, 0.4
+MAX_SLIDE = 12.0  # cm; a foot that slides further while "in contact" is not held back any more
 MAX_REACH = 0.999  # of the length of the straight leg
 LIFT_FLOOR = 0.5  # cm; no toe goes below this height
 
@@ -74,11 +75,24 @@ def locked_spans(contacts: Tensor) -> list[tuple[int, int]]:
     return spans
 
 
+def _still_spans(toe: Tensor, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Spans cut where the foot has slid further than a lock may hold it back: it then takes a new place."""
+    out = []
+    for start, end in spans:
+        first = start
+        for t in range(start, end):
+            if float((toe[t] - toe[first])[[0, 2]].norm()) > MAX_SLIDE:
+                out.append((first, t))
+                first = t
+        out.append((first, end))
+    return out
+
+
 def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
     """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
     frames = len(toe)
     total, weight = torch.zeros_like(toe), torch.zeros(frames, 1)
-    for start, end in locked_spans(contacts):
+    for start, end in _still_spans(toe, locked_spans(contacts)):
         lock = toe[start:end].median(dim=0).values
         shift = torch.zeros_like(toe)
         shift[start:end] = lock - toe[start:end]

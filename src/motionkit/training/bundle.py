@@ -19,9 +19,7 @@ SEEDS_PER_TYPE = 3
 def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any]) -> MotionModel:
     """The model file's content for a network trained on a dataset."""
     characters = {"default": canonical_skeleton().offsets}
-    for i, body in enumerate(dataset.bodies):
-        if not torch.allclose(body, characters["default"]):
-            characters[f"body-{i + 1}"] = body
+    characters |= dataset.characters
     return MotionModel(
         network,
         dataset.types,
