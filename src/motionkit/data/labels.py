@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -111,19 +112,26 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
     except (OSError, UnicodeDecodeError) as error:
         raise DatasetError(f"{path}: cannot be read as a label table ({error})") from None
     reader = csv.DictReader(text.splitlines())
-    missing = [name for name in REQUIRED_COLUMNS if name not in (reader.fieldnames or [])]
-    if missing:
-        raise DatasetError(f"{path}:1: label table lacks the columns {', '.join(missing)}")
-    out: dict[str, list[Segment]] = {}
-    for row in reader:
-        segment = _segment(path, reader.line_num, row)
-        out.setdefault(row["file"].strip(), []).append(segment)
-    for name, segments in out.items():
-        segments.sort(key=lambda s: s.start)
-        for a, b in pairwise(segments):
+    found: dict[str, list[tuple[Segment, int]]] = {}
+    try:
+        missing = [name for name in REQUIRED_COLUMNS if name not in (reader.fieldnames or [])]
+        if missing:
+            raise DatasetError(f"{path}:1: label table lacks the columns {', '.join(missing)}")
+        for row in reader:
+            name = (row["file"] or "").strip()
+            if not name:
+                raise DatasetError(f"{path}:{reader.line_num}: expected a file name, found none")
+            segment = _segment(path, reader.line_num, row)
+            found.setdefault(name, []).append((segment, reader.line_num))
+    except csv.Error as error:
+        raise DatasetError(f"{path}:{reader.line_num + 1}: not a table row ({error})") from None
+    for name, entries in found.items():
+        entries.sort(key=lambda entry: entry[0].start)
+        for (a, line_a), (b, line_b) in pairwise(entries):
             if a.end == -1 or a.end > b.start:
-                raise DatasetError(f"{path}: segments of {name} overlap at frame {b.start}")
-    return out
+                line = max(line_a, line_b)
+                raise DatasetError(f"{path}:{line}: segments of {name} overlap at frame {b.start}")
+    return {name: [segment for segment, _ in entries] for name, entries in found.items()}
 
 
 def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
@@ -132,9 +140,12 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
         if not word:
             return None
         try:
-            return float(word)
+            value = float(word)
         except ValueError:
-            raise DatasetError(f"{path}:{line}: expected a number for {key}, found {word!r}") from None
+            value = math.nan
+        if not math.isfinite(value):
+            raise DatasetError(f"{path}:{line}: expected a number for {key}, found {word!r}")
+        return value
 
     start, end, fps = number("start_frame"), number("end_frame"), number("fps")
     kind = (row["type"] or "").strip()

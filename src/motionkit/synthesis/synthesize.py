@@ -120,7 +120,7 @@ class inner_threads:
     """One thread while few characters run: the products are too small to share between cores."""
 
     def __init__(self, batch: int) -> None:
-        self.single = batch < 16
+        self.single = batch < 32
         self.before = torch.get_num_threads()
 
     def __enter__(self) -> None:

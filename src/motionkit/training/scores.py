@@ -26,6 +26,7 @@ from motionkit.synthesis.rollout import (
     run,
     seed_batch,
 )
+from motionkit.synthesis.synthesize import inner_threads
 
 MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
 
@@ -52,11 +53,16 @@ class TypeScore:
 
 
 def score_rollouts(
-    model: MotionModel, dataset: Dataset, frames: int, samples: Path | None = None, seed: int = 0
+    model: MotionModel,
+    dataset: Dataset,
+    frames: int,
+    samples: Path | None = None,
+    seed: int = 0,
+    noise: Noise | None = None,
 ) -> tuple[TypeScore, ...]:
     """Score a roll-out of every type; with samples, a predicted and a true BVH of each go there."""
-    torch.set_num_threads(1)
-    rollout = rollout_types(model, frames, seed)
+    with inner_threads(len(model.types)):
+        rollout = rollout_types(model, frames, seed, noise)
     scores = []
     for i, kind in enumerate(model.types):
         real = _real_frames(dataset, i)
