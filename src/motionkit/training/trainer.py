@@ -61,7 +61,8 @@ class TrainingModule(nn.Module):
         kind = batch.inputs.device.type
         with torch.autocast(kind, torch.bfloat16) if autocast else nullcontext():
             prediction = self.network(batch.inputs, batch.contacts, batch.controls)
-            prediction = replace(prediction, shallow=prediction.shallow, deep=prediction.deep)
+        # The losses, consistency modules included, are computed in float32.
+        prediction = replace(prediction, shallow=prediction.shallow.float(), deep=prediction.deep.float())
         return training_losses(
             self.network, self.consistency, prediction, batch, self.scaling, self.references, self.fps
         )
