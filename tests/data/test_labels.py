@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from motionkit.data.labels import (
+    Segment,
+    find_sources,
+    mirrored_type,
+    read_labels,
+    type_from_file_name,
+)
+from motionkit.errors import DatasetError
+
+HEADER = "file,start_frame,end_frame,type,subject,fps,split,note\n"
+
+
+@pytest.fixture
+def table(tmp_path: Path):
+    def write(rows: str, header: str = HEADER) -> Path:
+        path = tmp_path / "labels.csv"
+        path.write_text(header + rows, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_a_full_row(table) -> None:
+    rows = read_labels(table("a.bvh,10,-1,walking,s1,120,test,a note\n"))
+    assert rows == {"a.bvh": [Segment(10, -1, "walking", "s1", 120.0, "test")]}
+
+
+def test_only_the_four_required_columns(table) -> None:
+    rows = read_labels(table("a.bvh,,,walking\n", "file,start_frame,end_frame,type\n"))
+    assert rows == {"a.bvh": [Segment(0, -1, "walking")]}
+
+
+def test_segments_are_sorted_and_blank_lines_left_out(table) -> None:
+    rows = read_labels(table("a.bvh,50,90,running,,,,\n\na.bvh,0,50,walking,,,,\n"))
+    assert [s.type for s in rows["a.bvh"]] == ["walking", "running"]
+
+
+def test_byte_order_mark_and_crlf_are_fine(tmp_path: Path) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_bytes(b"\xef\xbb\xbf" + HEADER.replace("\n", "\r\n").encode() + b"a.bvh,0,9,idle,,,,\r\n")
+    assert read_labels(path)["a.bvh"][0].type == "idle"
+
+
+@pytest.mark.parametrize(
+    ("row", "complaint"),
+    [
+        ("a.bvh,zero,9,idle,,,,", "expected a number for start_frame, found 'zero'"),
+        ("a.bvh,0,9x,idle,,,,", "expected a number for end_frame, found '9x'"),
+        ("a.bvh,nan,9,idle,,,,", "expected a number for start_frame, found 'nan'"),
+        ("a.bvh,0,inf,idle,,,,", "expected a number for end_frame, found 'inf'"),
+        ("a.bvh,0,9,,,,,", "expected a motion type"),
+        ("a.bvh,0,9", "expected a motion type"),
+        ("a.bvh,9,9,idle,,,,", "expected start_frame < end_frame, found 9 and 9"),
+        ("a.bvh,-3,9,idle,,,,", "expected start_frame < end_frame, found -3 and 9"),
+        ("a.bvh,0,-2,idle,,,,", "expected start_frame < end_frame"),
+        ("a.bvh,0,9,idle,,0,,", "expected fps between 1 and 1000, found 0"),
+        ("a.bvh,0,9,idle,,nan,,", "fps"),
+        ("a.bvh,0,9,idle,,,valid,", "expected train, test or nothing for split, found 'valid'"),
+        (",0,9,idle,,,,", "expected a file name"),
+        ("a.bvh,3,20,idle,,,,", "overlap"),
+        ("a.bvh,0,-1,idle,,,,\na.bvh,50,60,idle,,,,", "overlap"),
+    ],
+)
+def test_a_broken_row_is_named_by_its_line(table, row: str, complaint: str) -> None:
+    path = table("a.bvh,0,5,walking,,,,\n" + row + "\n")
+    line = 2 + len(row.splitlines()) if "overlap" not in complaint else None
+    with pytest.raises(DatasetError) as caught:
+        read_labels(path)
+    message = str(caught.value)
+    assert complaint in message
+    assert "\n" not in message
+    assert message.startswith(f"{path}:{line}: " if line else f"{path}:3: ")
+
+
+def test_a_short_row_in_a_table_whose_file_column_comes_last(table) -> None:
+    path = table("0,9,idle\n", "start_frame,end_frame,type,file\n")
+    with pytest.raises(DatasetError, match=r"labels.csv:2: expected a file name"):
+        read_labels(path)
+
+
+def test_missing_columns_are_named(table) -> None:
+    with pytest.raises(DatasetError, match=r"labels.csv:1: .*lacks the columns end_frame, type"):
+        read_labels(table("a.bvh,0\n", "file,start_frame\n"))
+
+
+def test_an_empty_table_lacks_all_columns(table) -> None:
+    with pytest.raises(DatasetError, match="lacks the columns file, start_frame, end_frame, type"):
+        read_labels(table("", ""))
+
+
+@pytest.mark.parametrize("data", [b"\xff\xfe" + "file".encode("utf-16-le"), b"\x89PNG\xff\xff"])
+def test_a_table_that_is_no_text(tmp_path: Path, data: bytes) -> None:
+    path = tmp_path / "labels.csv"
+    path.write_bytes(data)
+    with pytest.raises(DatasetError, match=r"labels.csv"):
+        read_labels(path)
+
+
+def test_a_huge_field_is_a_dataset_error(table) -> None:
+    path = table('a.bvh,0,9,"' + "x" * 200_000 + '",,,,\n')
+    with pytest.raises(DatasetError, match=r"labels.csv:2"):
+        read_labels(path)
+
+
+def test_a_folder_is_no_table(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="cannot be read as a label table"):
+        read_labels(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("kind", "mirrored"),
+    [
+        ("jumping-l", "jumping-r"),
+        ("jumping-r", "jumping-l"),
+        ("kick left high", "kick right high"),
+        ("w-kicking", "w-kicking"),
+        ("walking", "walking"),
+        ("l", "r"),
+        ("rolling", "rolling"),
+    ],
+)
+def test_mirrored_type(kind: str, mirrored: str) -> None:
+    assert mirrored_type(kind) == mirrored
+    assert mirrored_type(mirrored) == kind
+
+
+@pytest.mark.parametrize(
+    ("stem", "kind"),
+    [
+        ("Walk_Fast-02", "walk-fast"),
+        ("run01", "run"),
+        ("05_12", "motion"),
+        ("cartwheel", "cartwheel"),
+        ("Jump.left 3", "jump-left"),
+    ],
+)
+def test_type_from_file_name(stem: str, kind: str) -> None:
+    assert type_from_file_name(stem) == kind
+
+
+def touch(folder: Path, *names: str) -> None:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text("x")
+
+
+def test_without_labels_folders_then_file_names_tell_the_type(tmp_path: Path) -> None:
+    touch(tmp_path, "walking/a.bvh", "deep/running/b.BVH", "Cart_Wheel_3.bvh", "notes.txt")
+    sources, table = find_sources([tmp_path])
+    assert table is None
+    assert {s.path.name: s.segments[0].type for s in sources} == {
+        "a.bvh": "walking",
+        "b.BVH": "running",
+        "Cart_Wheel_3.bvh": "cart-wheel",
+    }
+
+
+@pytest.mark.parametrize("place", ["clips/labels.csv", "labels.csv"])
+def test_labels_are_found_in_the_folder_or_just_above(tmp_path: Path, place: str) -> None:
+    touch(tmp_path, "clips/a.bvh", "clips/b.bvh")
+    name = "a.bvh" if place.startswith("clips") else "clips/a.bvh"
+    (tmp_path / place).write_text(f"{HEADER}{name},0,9,idle,,,,\n")
+    sources, table = find_sources([tmp_path / "clips"])
+    assert table == tmp_path / place
+    by_name = {s.path.name: s for s in sources}
+    assert by_name["a.bvh"].segments == (Segment(0, 9, "idle"),)
+    assert by_name["b.bvh"].skip_reason == "not in labels.csv"
+
+
+def test_an_explicit_table_matches_unique_file_names_anywhere(tmp_path: Path) -> None:
+    touch(tmp_path, "clips/deep/a.bvh")
+    labels = tmp_path / "elsewhere" / "mine.csv"
+    labels.parent.mkdir()
+    labels.write_text(f"{HEADER}other/A.bvh,0,9,idle,,,,\n")
+    sources, _ = find_sources([tmp_path / "clips"], labels)
+    assert sources[0].segments == (Segment(0, 9, "idle"),)
+
+
+def test_a_file_can_be_given_for_a_folder(tmp_path: Path) -> None:
+    touch(tmp_path, "walk.bvh")
+    sources, _ = find_sources([tmp_path / "walk.bvh"])
+    assert [s.segments[0].type for s in sources] == ["walk"]
+
+
+def test_no_bvh_files(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"no \.bvh files found"):
+        find_sources([tmp_path])
