@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from motionkit.motion.skeleton import Skeleton, leg_length
 from motionkit.synthesis.plan import TypePart, plan_controller, plan_weights
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.synthesis.start import clip_start, seed_start
+
+# Characters from which on the cores share the work.
+SHARED_FROM = 32
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,16 +120,13 @@ def on_character(motion: Motion, skeleton: Skeleton) -> Motion:
     return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * share)
 
 
-class inner_threads:
+@contextmanager
+def inner_threads(batch: int) -> Iterator[None]:
     """One thread while few characters run: the products are too small to share between cores."""
-
-    def __init__(self, batch: int) -> None:
-        self.single = batch < 32
-        self.before = torch.get_num_threads()
-
-    def __enter__(self) -> None:
-        if self.single:
-            torch.set_num_threads(1)
-
-    def __exit__(self, *_: object) -> None:
-        torch.set_num_threads(self.before)
+    before = torch.get_num_threads()
+    if batch < SHARED_FROM:
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)

@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
+from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FeatureLayout
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.bvh import write_bvh
@@ -28,6 +29,7 @@ from motionkit.synthesis.rollout import (
 )
 from motionkit.synthesis.synthesize import inner_threads
 
+LOW_TOE = 5.0  # cm; the standing toe joint is at 4.1
 MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
 
 
@@ -37,7 +39,7 @@ class TypeScore:
 
     joint_speed: mean joint speed against the real one (0: frozen, 1: as real). pose_distance: mean distance
     per joint (cm) to the nearest real pose of any training clip of the type. slide: horizontal speed of
-    low feet against the real one. height: lowest and highest root height (cm).
+    low toes against the real one. height: lowest and highest root height (cm).
     """
 
     type: str
@@ -97,7 +99,7 @@ def _real_frames(dataset: Dataset, kind: int) -> Tensor:
 def _score(kind: str, made: Tensor, real: Tensor, layout: FeatureLayout) -> TypeScore:
     positions = layout.blocks["joint_positions"]
     distance = torch.cdist(made[::4, positions], real[:, positions]).min(dim=1).values.mean() / 23**0.5
-    height = made[:, layout.joint_columns(0)][:, -3 if layout.version.startswith("sixd") else -5]
+    height = root_height(made, layout.version)
     return TypeScore(
         kind,
         float(_joint_speed(made, layout) / _joint_speed(real, layout).clamp(min=1e-3)),
@@ -113,7 +115,7 @@ def _joint_speed(features: Tensor, layout: FeatureLayout) -> Tensor:
 
 
 def _slide(features: Tensor, layout: FeatureLayout) -> Tensor:
-    """Mean horizontal speed (cm/s) of toes lower than 5 cm."""
+    """Mean horizontal speed (cm/s) of toes near the floor."""
     names = [(c.block, c.joint, c.component) for c in layout.columns]
     toes = [j for j in FOOT_JOINTS if j in (FOOT_JOINTS[1], FOOT_JOINTS[3])]
     heights = features[:, [names.index(("joint_positions", j, 1)) for j in toes]]
@@ -126,8 +128,6 @@ def _slide(features: Tensor, layout: FeatureLayout) -> Tensor:
 
 
 def _write_samples(model: MotionModel, dataset: Dataset, rollout: Rollout, folder: Path) -> None:
-    from motionkit.features.decode import decode_motion
-
     folder.mkdir(parents=True, exist_ok=True)
     skeleton = model.character("default")
     for i, kind in enumerate(model.types):
