@@ -69,20 +69,28 @@ class Dataset:
             self.manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
             raise DatasetError(f"{path}: cannot be read ({error})") from None
-        if self.manifest.get("format") != FORMAT:
-            raise DatasetError(f"{path}: dataset format {self.manifest.get('format')!r}, expected {FORMAT}")
-        self.types: tuple[str, ...] = tuple(self.manifest["types"])
-        self.fps: float = self.manifest["fps"]
-        self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
-        self.layout: FeatureLayout = feature_layout(self.manifest["layout"])
+        if not isinstance(self.manifest, dict) or self.manifest.get("format") != FORMAT:
+            found = self.manifest.get("format") if isinstance(self.manifest, dict) else None
+            raise DatasetError(f"{path}: dataset format {found!r}, expected {FORMAT}")
+        try:
+            self.types: tuple[str, ...] = tuple(self.manifest["types"])
+            self.fps: float = self.manifest["fps"]
+            self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
+            self.layout: FeatureLayout = feature_layout(self.manifest["layout"])
+        except (KeyError, TypeError) as error:
+            raise DatasetError(f"{path}: the manifest is damaged ({error})") from None
         self._arrays = {name: self._open(name) for name in ARRAYS}
 
     def _open(self, name: str) -> np.ndarray:
         path = self.folder / f"{name}.npy"
         try:
-            return np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError) as error:
-            raise DatasetError(f"{path}: cannot be read ({error})") from None
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+        except (OSError, ValueError, EOFError) as error:
+            raise DatasetError(f"{path}: cannot be read ({str(error).splitlines()[0]})") from None
+        rows = max((clip.start + clip.frames for clip in self.clips), default=0)
+        if array.ndim == 0 or len(array) < rows:
+            raise DatasetError(f"{path}: expected {rows} rows, found {array.shape[0] if array.ndim else 0}")
+        return array
 
     @cached_property
     def scaling(self) -> Scaling:

@@ -118,11 +118,7 @@ def preprocess(
     """
     options = options or PreprocessOptions()
     output = Path(output)
-    if (
-        output.exists()
-        and not (output / "manifest.json").is_file()
-        and any(output.iterdir() if output.is_dir() else [1])
-    ):
+    if not _may_replace(output):
         raise DatasetError(f"{output}: exists and is not a dataset folder; choose another place")
     sources, table = find_sources([Path(f) for f in folders], options.labels)
     output.parent.mkdir(parents=True, exist_ok=True)
@@ -142,6 +138,19 @@ def preprocess(
         raise DatasetError(f"{output}: cannot be written ({error.strerror or error})") from None
     finally:
         shutil.rmtree(staging, ignore_errors=True)
+
+
+def _may_replace(output: Path) -> bool:
+    """Whether nothing but a dataset, or an empty folder, stands at the place of the new one."""
+    if not output.exists():
+        return True
+    if not output.is_dir():
+        return False
+    try:  # other programs keep a manifest.json too: theirs does not name motionkit
+        manifest = json.loads((output / "manifest.json").read_text(encoding="utf-8"))
+        return isinstance(manifest, dict) and "motionkit" in manifest
+    except (OSError, ValueError):
+        return not any(output.iterdir())
 
 
 def _workers(jobs: int) -> int:
@@ -264,7 +273,8 @@ def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, i
     """A split for each (file, run) that has none: whole clips held out, spread evenly over each type.
 
     A type with a single clip gets the value "mirror": the clip trains and its mirror image tests, or,
-    for every other such clip, the other way round (paper section 3).
+    for every other such clip, the other way round (paper section 3). The mirror image of a one-sided
+    type shows another type, so its single clip trains.
     """
     open_runs: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for i, item in enumerate(prepared):
@@ -279,7 +289,9 @@ def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, i
             key=lambda k: hashlib.sha256(f"{prepared[k[0]].report.name}{k[1]}".encode()).digest(),
         )
         if len(keys) == 1:
-            out[keys[0]] = "mirror" if mirror else "train"
+            i, r = keys[0]
+            same = all(mirrored_type(shown) == shown for _, _, shown in prepared[i].runs[r][2])
+            out[keys[0]] = "mirror" if mirror and same else "train"
             continue
         held = max(1, round(TEST_SHARE * len(keys)))
         out.update({key: "test" if n < held else "train" for n, key in enumerate(keys)})
@@ -456,7 +468,11 @@ def _type_table(
         k: {"clips": 0, "mirrored": 0, "test_clips": 0, "train_seconds": 0.0, "test_seconds": 0.0}
         for k in types
     }
+    trained: set[int] = set()  # rows of clips counted: a clip and its twin show the same recording
     for clip in clips:
+        counted = clip.start in trained
+        if clip.split == "train":
+            trained.add(clip.start)
         kinds, counts = np.unique(types_array[clip.start : clip.start + clip.frames], return_counts=True)
         for kind, count in zip(kinds, counts, strict=True):
             name = types[kind]
@@ -470,6 +486,6 @@ def _type_table(
             if clip.split == "test":
                 row["test_clips"] += 1
                 row["test_seconds"] += float(count) / FPS
-            elif not clip.mirrored:
+            elif not counted:
                 row["train_seconds"] += float(count) / FPS
     return table

@@ -116,14 +116,12 @@ def _joint_speed(features: Tensor, layout: FeatureLayout) -> Tensor:
 
 def _slide(features: Tensor, layout: FeatureLayout) -> Tensor:
     """Mean horizontal speed (cm/s) of toes near the floor."""
-    names = [(c.block, c.joint, c.component) for c in layout.columns]
-    toes = [j for j in FOOT_JOINTS if j in (FOOT_JOINTS[1], FOOT_JOINTS[3])]
-    heights = features[:, [names.index(("joint_positions", j, 1)) for j in toes]]
-    speeds = torch.stack(
-        [features[:, [names.index(("joint_velocities", j, k)) for k in (0, 2)]].norm(dim=-1) for j in toes],
-        -1,
-    )
-    low = (heights < 5.0).float()
+    place = {(c.block, c.joint, c.component): index for index, c in enumerate(layout.columns)}
+    toes = (FOOT_JOINTS[1], FOOT_JOINTS[3])
+    heights = features[:, [place["joint_positions", toe, 1] for toe in toes]]
+    sideways = [features[:, [place["joint_velocities", toe, k] for k in (0, 2)]] for toe in toes]
+    speeds = torch.stack([velocity.norm(dim=-1) for velocity in sideways], dim=-1)
+    low = (heights < LOW_TOE).float()
     return (speeds * low).sum() / low.sum().clamp(min=1.0)
 
 
