@@ -224,8 +224,10 @@ class _Run:
         if self.rank == 0:
             self._save_checkpoint()
             save_model(self.output, self.model(), self.options.half)
-        if dist.is_initialized() and self.world > 1:
-            dist.barrier()
+        if self.world > 1:
+            if finished:  # after a stop the others may not come any more
+                dist.barrier()
+            dist.destroy_process_group()
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
 
     def _catch_signals(self) -> dict[int, Any]:
