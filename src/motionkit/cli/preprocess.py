@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.cli.common import json_option, print_json, progress_bar, stderr_console, stdout_console
+from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessReport
@@ -69,7 +70,7 @@ def command(
 
     Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
     the 276 numbers per frame, with mirrored twins and a train/test split. Files that cannot be used are
-    skipped and listed; exit code 1 if none can.
+    skipped and listed; the dataset then holds the others and the exit code is 1.
     """
     from motionkit.data.preprocess import PreprocessOptions, preprocess
 
@@ -87,6 +88,11 @@ def command(
         print_json(_as_dict(report))
     else:
         _print(report)
+    faults = sum(file.fault for file in report.files)
+    if faults:
+        raise MotionkitError(
+            f"{faults} of {len(report.files)} files cannot be used; the dataset holds the others"
+        )
 
 
 def _as_dict(report: PreprocessReport) -> dict:

@@ -59,12 +59,13 @@ class PreprocessOptions:
 
 @dataclass
 class FileReport:
-    """What became of one file."""
+    """What became of one file; skipped says why it was not used, fault whether the file is to blame."""
 
     name: str
     clips: int = 0
     frames: int = 0
     skipped: str = ""
+    fault: bool = False
     mapping: dict[str, Any] = field(default_factory=dict)
     cleaning: dict[str, Any] = field(default_factory=dict)
     leaps: int = 0
@@ -190,7 +191,7 @@ def _pass_one(
     items = [(source, str(staging / "motions" / f"{i}.npz"), options) for i, source in enumerate(sources)]
     prepared = []
     for done, result in enumerate(_map(_prepare_file, items, options.jobs), 1):
-        if options.strict and result.report.skipped and not result.report.skipped.startswith("not in "):
+        if options.strict and result.report.fault:
             raise DatasetError(f"{result.report.skipped} (stopped: --strict)")
         prepared.append(result)
         if progress:
@@ -217,7 +218,7 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
         native_fps = motion.fps
         motion = resample(motion, FPS)
     except MotionkitError as error:
-        report.skipped = str(error)
+        report.skipped, report.fault = str(error), True
         return _Prepared(report, motion_file, nothing, [], [], None)
     report.mapping = {
         "source_joints": mapping.source_joints,
