@@ -1,0 +1,79 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from motionkit.data.dataset import Clip, Dataset
+from motionkit.data.splice import HEAD, TAIL, splice_clips
+from motionkit.features.decode import decode_motion
+from motionkit.motion.kinematics import motion_kinematics
+
+
+def clip_of(dataset: Dataset, name: str, mirrored: bool = False) -> Clip:
+    return next(c for c in dataset.clips if name in c.name and c.mirrored == mirrored)
+
+
+def splice(dataset: Dataset, first: str, second: str, seed: int = 0, mirrored: bool = False):
+    a, b = clip_of(dataset, first), clip_of(dataset, second, mirrored)
+    draw = torch.Generator().manual_seed(seed)
+    return splice_clips(dataset, (a, 0, a.frames), (b, 0, b.frames), 30, draw)
+
+
+@pytest.mark.parametrize(
+    ("first", "second"), [("walk_02", "wheel_01"), ("idle_01", "run_01"), ("hop_left", "hop_left")]
+)
+def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str) -> None:
+    """At the join joints move no faster, nor change speed more, than in the two clips by themselves."""
+    data = splice(dataset, first, second)
+    motion = decode_motion(
+        data.features, dataset.skeleton(dataset.clips[0]), 60.0, data.ground[0], dataset.references
+    )
+    positions = motion_kinematics(motion)[1]
+    honest = []
+    for name in (first, second):
+        clip = clip_of(dataset, name)
+        own = dataset.read(clip)
+        honest.append(
+            motion_kinematics(
+                decode_motion(own.features, dataset.skeleton(clip), 60.0, own.ground[0], dataset.references)
+            )[1]
+        )
+    for order, slack in ((1, 1.6), (2, 2.5)):
+        made = torch.diff(positions, n=order, dim=0).norm(dim=-1).max()
+        real = max(float(torch.diff(p, n=order, dim=0).norm(dim=-1).max()) for p in honest)
+        assert float(made) < slack * real + 0.3
+
+
+def test_types_change_at_the_join(dataset: Dataset) -> None:
+    data = splice(dataset, "walk_02", "wheel_01")
+    walking, cartwheel = dataset.types.index("walking"), dataset.types.index("cartwheel")
+    assert set(data.types.tolist()) == {walking, cartwheel}
+    assert int((torch.diff(data.types) != 0).sum()) == 1
+    assert int(data.types[0]) == walking and int(data.types[-1]) == cartwheel
+
+
+def test_lengths_agree_and_are_bounded(dataset: Dataset) -> None:
+    data = splice(dataset, "walk_02", "wheel_01")
+    frames = len(data.types)
+    assert all(len(v) == frames for v in (data.features, data.contacts, data.ground))
+    assert frames <= TAIL + HEAD + 1
+
+
+def test_a_mirrored_clip_can_follow(dataset: Dataset) -> None:
+    data = splice(dataset, "hop_left", "hop_left", mirrored=True)
+    names = [dataset.types[i] for i in data.types.unique().tolist()]
+    assert sorted(names) == ["jumping-l", "jumping-r"]
+
+
+def test_the_same_seed_makes_the_same_splice(dataset: Dataset) -> None:
+    a, b = splice(dataset, "walk_02", "run_01", 3), splice(dataset, "walk_02", "run_01", 3)
+    assert torch.equal(a.features, b.features) and torch.equal(a.ground, b.ground)
+
+
+@pytest.mark.parametrize("frames", [12, 16, 24])
+def test_short_stretches_can_be_joined(dataset: Dataset, frames: int) -> None:
+    a, b = clip_of(dataset, "walk_02"), clip_of(dataset, "idle_01")
+    draw = torch.Generator().manual_seed(0)
+    data = splice_clips(dataset, (a, 50, 50 + frames), (b, 10, 10 + frames), 20, draw)
+    assert torch.isfinite(data.features).all()
+    assert 2 < len(data.types) <= 2 * frames
