@@ -23,7 +23,7 @@ class ModelConfig:
     kernel: int = 3  # causal convolution of the shallow modules (paper: 3; deep: 1)
     control_width: int = 32  # channels of the embedded controls, out of width
     shared_channels: int = 24  # first channels of the embedding, fed by the shared joints alone
-    input_dropout: float = 0.2  # on the motion that goes in (paper: 0.5)
+    input_dropout: float = 0.4  # on the motion that goes in (paper: 0.5)
     deep_dropout: float = 0.1  # on the features that enter the deep modules (paper: 0.5)
     spatial_dropout: float = 0.1  # whole channels, before the attention layers (paper: 0.1)
     position: str = "bias"  # "bias": learned per head and offset, streams; "sinusoidal": the paper's
