@@ -11,13 +11,16 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from motionkit.features.normalize import Scaling
 from motionkit.motion.rotations import rotate_ground
-from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, canonical_skeleton
 
 TRAJECTORY_OFFSETS: tuple[int, ...] = (10, 20, 30, 40, 50, 60)  # frames ahead, at 60 fps
 TRAJECTORY_COUNT = 4 * len(TRAJECTORY_OFFSETS)  # 6 positions (x, z), then 6 directions (x, z)
 SKELETON_COUNT = 3 * JOINT_COUNT
 TYPE_BLEND_FRAMES = 40
+# Rest-pose positions reach the network in units of 10 cm around the canonical body.
+SKELETON_UNIT = 10.0
 
 
 @dataclass(frozen=True)
@@ -95,3 +98,25 @@ def blend_types(type_ids: Tensor, count: int, blend: int = TYPE_BLEND_FRAMES) ->
     padded = torch.cat([weights[:1].expand(before, -1), weights, weights[-1:].expand(after, -1)])
     sums = torch.cumsum(torch.cat([torch.zeros(1, count), padded]).double(), dim=0)
     return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).float()
+
+
+def control_vector(
+    layout: ControlLayout,
+    skeleton_B69: Tensor,
+    type_weights: Tensor,
+    trajectory: Tensor,
+    given: Tensor,
+    trajectory_scaling: Scaling,
+) -> Tensor:
+    """Control vectors (..., C): trajectory normalised, and zero where it is not given."""
+    shown = trajectory_scaling.normalize(trajectory) * given[..., None]
+    parts = [skeleton_B69, type_weights, shown, given[..., None]]
+    out = torch.cat([p.expand(*type_weights.shape[:-1], p.shape[-1]) for p in parts], dim=-1)
+    assert out.shape[-1] == layout.size
+    return out
+
+
+def skeleton_signal(skeleton: Skeleton) -> Tensor:
+    """The 69 skeleton numbers: rest-pose joint positions against the canonical body's."""
+    difference = skeleton.rest_positions() - canonical_skeleton().rest_positions()
+    return (difference / SKELETON_UNIT).reshape(SKELETON_COUNT)

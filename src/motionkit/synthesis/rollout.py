@@ -9,18 +9,15 @@ import torch
 from torch import Tensor
 
 from motionkit.errors import ControlError
-from motionkit.features.control import SKELETON_COUNT, TRAJECTORY_COUNT, ControlLayout
+from motionkit.features.control import TRAJECTORY_COUNT, control_vector, skeleton_signal
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
-from motionkit.features.normalize import Scaling
 from motionkit.models.checkpoint import MotionModel, Seed
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.synthesis.stream import NetworkStream
 
-# Rest-pose positions reach the network in units of 10 cm around the canonical body.
-SKELETON_UNIT = 10.0
 NOISE_KINDS = ("mean", "sample", "correlated")
 
 
@@ -65,28 +62,6 @@ class Rollout:
     features: Tensor
     contacts: Tensor
     ground: Tensor
-
-
-def control_vector(
-    layout: ControlLayout,
-    skeleton_B69: Tensor,
-    type_weights: Tensor,
-    trajectory: Tensor,
-    given: Tensor,
-    trajectory_scaling: Scaling,
-) -> Tensor:
-    """Control vectors (..., C): trajectory normalised, and zero where it is not given."""
-    shown = trajectory_scaling.normalize(trajectory) * given[..., None]
-    parts = [skeleton_B69, type_weights, shown, given[..., None]]
-    out = torch.cat([p.expand(*type_weights.shape[:-1], p.shape[-1]) for p in parts], dim=-1)
-    assert out.shape[-1] == layout.size
-    return out
-
-
-def skeleton_signal(skeleton: Skeleton) -> Tensor:
-    """The 69 skeleton numbers: rest-pose joint positions against the canonical body's."""
-    difference = skeleton.rest_positions() - canonical_skeleton().rest_positions()
-    return (difference / SKELETON_UNIT).reshape(SKELETON_COUNT)
 
 
 class RolloutState:

@@ -15,10 +15,15 @@ from torch import Tensor
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
-from motionkit.features.control import ControlLayout, blend_types, future_trajectory
+from motionkit.features.control import (
+    ControlLayout,
+    blend_types,
+    control_vector,
+    future_trajectory,
+    skeleton_signal,
+)
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.motion.skeleton import canonical_skeleton
-from motionkit.synthesis.rollout import control_vector, skeleton_signal
 from motionkit.training.losses import Batch
 
 MIN_SPAN = 12  # frames; shorter stretches of a type are not spliced
