@@ -11,7 +11,7 @@ from motionkit.models.attention import BLOCK, LocalAttention
 
 def naive_attention(layer: LocalAttention, x: Tensor, residual: Tensor) -> Tensor:
     """The same with one full T x T mask and loops over parts and heads."""
-    P, B, T, D = x.shape
+    P, _, T, D = x.shape
     H, E = layer.heads, D // layer.heads
     out = torch.zeros_like(x)
     distance = torch.arange(T)[:, None] - torch.arange(T)[None, :]

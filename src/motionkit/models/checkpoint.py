@@ -153,8 +153,9 @@ def read_header(path: str | Path) -> dict[str, Any]:
         header = json.loads(metadata["motionkit"])
     except (KeyError, ValueError):
         raise ModelError(f"{path}: a safetensors file, but not a motionkit model") from None
-    if header.get("format") != FORMAT:
-        raise ModelError(f"{path}: format {header.get('format')!r}, expected {FORMAT!r}")
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        found = header.get("format") if isinstance(header, dict) else None
+        raise ModelError(f"{path}: format {found!r}, expected {FORMAT!r}")
     return header
 
 
@@ -186,7 +187,9 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
             {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
             header.get("card", {}),
         )
-    except (KeyError, RuntimeError, TypeError) as error:
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from None
+    except (KeyError, RuntimeError, TypeError, ValueError, AttributeError) as error:
         message = str(error).splitlines()[0]
         raise ModelError(f"{path}: the model file is damaged or of another release ({message})") from None
 

@@ -1,0 +1,185 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from motionkit.errors import ControlError, ModelError
+from motionkit.models.bundled import open_model
+from motionkit.models.checkpoint import MotionModel, load_model, model_tensors, read_header, save_model
+
+
+def predict(model: MotionModel) -> torch.Tensor:
+    draw = torch.Generator().manual_seed(1)
+    x = torch.randn(1, 30, 276, generator=draw)
+    contacts = torch.ones(1, 30, 4)
+    controls = torch.randn(1, 30, model.controls.size, generator=draw)
+    with torch.no_grad():
+        return model.network(x, contacts, controls).mean
+
+
+def raw(path: Path) -> tuple[dict[str, torch.Tensor], dict]:
+    """A model file taken apart: tensors and header."""
+    with safe_open(str(path), framework="pt") as file:
+        return {n: file.get_tensor(n) for n in file.keys()}, json.loads(file.metadata()["motionkit"])
+
+
+def test_what_is_saved_is_what_is_loaded(tiny_model: MotionModel, tmp_path: Path) -> None:
+    save_model(tmp_path / "copy.safetensors", tiny_model)
+    copy = load_model(tmp_path / "copy.safetensors")
+    assert torch.equal(predict(copy), predict(tiny_model))
+    assert copy.types == tiny_model.types and copy.fps == tiny_model.fps
+    assert copy.config == tiny_model.config and copy.card == tiny_model.card
+    assert copy.gaits == tiny_model.gaits and list(copy.characters) == list(tiny_model.characters)
+    for kind, seeds in tiny_model.seeds.items():
+        for a, b in zip(seeds, copy.seeds[kind], strict=True):
+            assert torch.equal(a.features, b.features) and torch.equal(a.contacts, b.contacts)
+            assert torch.equal(a.ground, b.ground)
+    for name in ("scaling", "trajectory_scaling"):
+        assert torch.equal(getattr(copy, name).mean, getattr(tiny_model, name).mean)
+        assert torch.equal(getattr(copy, name).std, getattr(tiny_model, name).std)
+    assert torch.equal(copy.references, tiny_model.references)
+
+
+def test_the_same_model_gives_the_same_bytes(tiny_model: MotionModel, tmp_path: Path) -> None:
+    for name in "ab":
+        save_model(tmp_path / name, tiny_model)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+def test_half_precision_is_half_the_size_and_close(tiny_model: MotionModel, tmp_path: Path) -> None:
+    save_model(tmp_path / "whole", tiny_model)
+    save_model(tmp_path / "half", tiny_model, half=True)
+    assert (tmp_path / "half").stat().st_size < 0.6 * (tmp_path / "whole").stat().st_size
+    half = load_model(tmp_path / "half")
+    assert (predict(half) - predict(tiny_model)).abs().max() < 0.02
+    assert half.network.aggregate.weight.dtype == torch.float32
+    for kind, seeds in tiny_model.seeds.items():
+        assert torch.allclose(half.seeds[kind][0].features, seeds[0].features, rtol=1e-3, atol=1e-2)
+
+
+def test_consistency_modules_are_not_in_the_file(tiny_model: MotionModel) -> None:
+    names = set(model_tensors(tiny_model, half=False))
+    assert not any("consistency" in name for name in names)
+    assert {n for n in names if n.startswith("network.")} == {
+        f"network.{n}" for n in tiny_model.network.state_dict()
+    }
+
+
+def test_every_type_has_seed_frames_of_its_own(tiny_model: MotionModel) -> None:
+    assert set(tiny_model.seeds) == set(tiny_model.types)
+    for seeds in tiny_model.seeds.values():
+        assert 1 <= len(seeds) <= 3
+        for seed in seeds:
+            assert seed.features.shape[1] == 276 and len(seed.features) == len(seed.contacts) >= 2
+
+
+def test_header_without_weights(tiny_model_file: Path) -> None:
+    header = read_header(tiny_model_file)
+    assert header["types"] == ["cartwheel", "idle", "jumping-l", "jumping-r", "running", "walking"]
+    assert header["card"]["steps"] == 20
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(ModelError) as caught:
+        load_model(path)
+    message = str(caught.value)
+    assert str(path) in message and "\n" not in message
+    return message
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.999])
+def test_truncated_file(tiny_model_file: Path, tmp_path: Path, share: float) -> None:
+    data = tiny_model_file.read_bytes()
+    path = tmp_path / "cut.safetensors"
+    path.write_bytes(data[: int(share * len(data))])
+    refused(path)
+
+
+def test_text_file_folder_and_nothing_at_all(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("HIERARCHY\nROOT Hips\n" * 100)
+    refused(tmp_path / "notes.txt")
+    refused(tmp_path)
+    assert "no such model file" in refused(tmp_path / "missing.safetensors")
+
+
+def test_somebody_elses_safetensors(tmp_path: Path) -> None:
+    path = tmp_path / "other.safetensors"
+    save_file({"weight": torch.zeros(3)}, path)
+    assert "not a motionkit model" in refused(path)
+    save_file({"weight": torch.zeros(3)}, path, metadata={"motionkit": "no json"})
+    assert "not a motionkit model" in refused(path)
+    for text in ("[]", "3", "null"):
+        save_file({"weight": torch.zeros(3)}, path, metadata={"motionkit": text})
+        refused(path)
+    save_file({"weight": torch.zeros(3)}, path, metadata={"motionkit": '{"format": "motionkit-model-99"}'})
+    assert "motionkit-model-99" in refused(path)
+
+
+@pytest.mark.parametrize(
+    "name", ["network.aggregate.bias", "scaling.mean", "references", "character.default"]
+)
+def test_a_missing_tensor(tiny_model_file: Path, tmp_path: Path, name: str) -> None:
+    tensors, header = raw(tiny_model_file)
+    del tensors[name]
+    save_file(tensors, tmp_path / "m", metadata={"motionkit": json.dumps(header)})
+    refused(tmp_path / "m")
+
+
+def test_a_tensor_of_another_shape(tiny_model_file: Path, tmp_path: Path) -> None:
+    tensors, header = raw(tiny_model_file)
+    tensors["network.aggregate.bias"] = torch.zeros(5)
+    save_file(tensors, tmp_path / "m", metadata={"motionkit": json.dumps(header)})
+    refused(tmp_path / "m")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"types": None},
+        {"fps": "sixty"},
+        {"seeds": []},
+        {"seeds": {"walking": 9}},
+        {"characters": ["giant"]},
+        {"gaits": {"walking": [1.0]}},
+        {"config": {"wings": 2}},
+        {"config": {"partition": "nine"}},
+        {"config": None},
+    ],
+)
+def test_a_header_that_does_not_fit(tiny_model_file: Path, tmp_path: Path, change: dict) -> None:
+    tensors, header = raw(tiny_model_file)
+    save_file(tensors, tmp_path / "m", metadata={"motionkit": json.dumps(header | change)})
+    refused(tmp_path / "m")
+
+
+def test_unknown_type_lists_the_known_ones_and_the_nearest(tiny_model: MotionModel) -> None:
+    with pytest.raises(ControlError) as caught:
+        tiny_model.type_id("Runing")
+    assert str(caught.value) == (
+        "unknown motion type 'Runing'; did you mean 'running'? "
+        "(known: cartwheel, idle, jumping-l, jumping-r, running, walking)"
+    )
+    with pytest.raises(ControlError, match="unknown motion type 'xyz' \\(known: "):
+        tiny_model.type_id("xyz")
+
+
+def test_characters(tiny_model: MotionModel) -> None:
+    assert len(tiny_model.character("default")) == 23
+    with pytest.raises(ControlError, match="unknown character 'Default'; did you mean 'default'"):
+        tiny_model.character("Default")
+
+
+def test_saving_into_a_missing_folder_is_told_in_a_line(tiny_model: MotionModel, tmp_path: Path) -> None:
+    from motionkit.errors import MotionkitError
+
+    with pytest.raises(MotionkitError, match="cannot be written"):
+        save_model(tmp_path / "nowhere" / "m.safetensors", tiny_model)
+
+
+def test_open_model_takes_the_file_given(tiny_model_file: Path) -> None:
+    assert open_model(tiny_model_file).types[0] == "cartwheel"
