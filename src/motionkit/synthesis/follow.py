@@ -130,19 +130,17 @@ def follow_path(
         raise ControlError("a path is followed by one character at a time")
     follower = PathFollower(model, path)
     first = path.parts[0].type
-    features, contacts = (
-        seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
-    )
+    start = seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
     weights = torch.zeros(1, len(model.types))
     weights[0, model.type_id(first)] = 1.0
     tangent = path.tangents[0]
     heading = torch.atan2(tangent[0], tangent[1]) - follower.facings[0]
-    start = torch.cat([path.points[0], heading[None]])[None]
+    place = torch.cat([path.points[0], heading[None]])[None]
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
     made: list[tuple[Tensor, Tensor, Tensor]] = []
     with inner_threads(1):
         state = RolloutState(model, 1, options.noise, options.seed)
-        state.start(features, contacts, weights, start)
+        state.start(start.features, start.contacts, weights, place)
         began = time.perf_counter()
         for frame in range(limit):
             made.append(state.step(follower(frame, state.ground)))

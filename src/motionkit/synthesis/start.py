@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -15,21 +16,34 @@ from motionkit.motion.motion import resample
 INIT_FRAMES = 87  # the receptive field; the paper's number for its comparisons
 
 
-def seed_start(model: MotionModel, kind: str, count: int) -> tuple[Tensor, Tensor]:
-    """The seeds of a type for count characters in turn: features (B, T, 276), contacts (B, T, 4)."""
+@dataclass(frozen=True, eq=False)
+class Start:
+    """Frames B characters start from: features (B, T, 276), contacts (B, T, 4), place of the last one (B, 3)."""
+
+    features: Tensor
+    contacts: Tensor
+    ground: Tensor
+
+
+def seed_start(model: MotionModel, kind: str, count: int) -> Start:
+    """The seeds of a type for count characters in turn, at the origin facing +Z."""
     seeds = model.seeds.get(kind)
     if not seeds:
         raise ControlError(f"the model has no frames to start {kind!r} from")
     chosen = [seeds[i % len(seeds)] for i in range(count)]
     frames = min(len(seed.features) for seed in chosen)
-    return (
+    return Start(
         torch.stack([seed.features[:frames] for seed in chosen]),
         torch.stack([seed.contacts[:frames] for seed in chosen]),
+        torch.zeros(count, 3),
     )
 
 
-def clip_start(model: MotionModel, path: str | Path, count: int) -> tuple[Tensor, Tensor]:
-    """The first frames of a BVH file, any rig, for count characters; raises MotionkitError if it cannot be used."""
+def clip_start(model: MotionModel, path: str | Path, count: int) -> Start:
+    """The first frames of a BVH file, any rig, for count characters that go on where the last of them is.
+
+    Raises MotionkitError if the file cannot be used.
+    """
     from motionkit.motion.retarget import retarget_file
 
     motion, _ = retarget_file(path)
@@ -38,4 +52,8 @@ def clip_start(model: MotionModel, path: str | Path, count: int) -> tuple[Tensor
         raise ControlError(f"{path}: expected at least 2 frames to start from, found {len(motion)}")
     motion = motion.cut(0, INIT_FRAMES)
     encoded = encode_motion(motion, model.references, model.config.layout)
-    return encoded.features.expand(count, -1, -1), encoded.contacts.expand(count, -1, -1)
+    return Start(
+        encoded.features.expand(count, -1, -1),
+        encoded.contacts.expand(count, -1, -1),
+        encoded.ground[-1].expand(count, -1),
+    )

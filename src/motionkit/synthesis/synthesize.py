@@ -82,12 +82,12 @@ def synthesize(
     skeleton = model.character(options.character)
     weights = plan_weights(model, parts)
     if options.init is not None:
-        features, contacts = clip_start(model, options.init, options.count)
+        start = clip_start(model, options.init, options.count)
     else:
-        features, contacts = seed_start(model, parts[0].type, options.count)
+        start = seed_start(model, parts[0].type, options.count)
     with inner_threads(options.count):
         state = RolloutState(model, options.count, options.noise, options.seed)
-        state.start(features, contacts, weights[:1].expand(options.count, -1))
+        state.start(start.features, start.contacts, weights[:1].expand(options.count, -1), start.ground)
         started = time.perf_counter()
         rollout = run(state, len(weights), plan_controller(weights, options.count), progress)
         seconds = time.perf_counter() - started

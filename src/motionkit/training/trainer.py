@@ -19,7 +19,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from motionkit.data.dataset import Dataset
-from motionkit.errors import DatasetError
+from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.models.checkpoint import MotionModel, save_model
 from motionkit.models.config import ModelConfig
@@ -35,6 +35,10 @@ from motionkit.training.scores import TypeScore, score_rollouts
 
 # The paper's sum counts 276 columns; per column the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / 276.0
+# Options that may change when a run goes on: how long, how often it reports, what it writes.
+FREE_ON_RESUME = (
+    "steps", "minutes", "checkpoint_seconds", "score_minutes", "score_seconds", "log_every", "half",
+)  # fmt: skip
 
 
 class TrainingModule(nn.Module):
@@ -118,10 +122,16 @@ def train(
 
 
 def resolve_device(name: str) -> torch.device:
-    """The device "auto" means: CUDA where there is one."""
+    """A device by name, "auto" being CUDA where there is one; raises MotionkitError for one that is not there."""
     if name == "auto":
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
-    return torch.device(name)
+    try:
+        device = torch.device(name)
+    except RuntimeError:
+        raise MotionkitError(f"unknown device {name!r}, expected auto, cpu, cuda or cuda:1") from None
+    if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
+        raise MotionkitError(f"device {name!r} is not there; found {torch.cuda.device_count()} CUDA devices")
+    return device
 
 
 def _use_bfloat16(precision: str, device: torch.device) -> bool:
@@ -178,6 +188,7 @@ class _Run:
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
+        self.asked_to_stop = self.stops = False
 
     @property
     def checkpoint(self) -> Path:
@@ -188,6 +199,11 @@ class _Run:
         if not self.checkpoint.is_file():
             raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
         facts = load_run(self.checkpoint, self.module, self.average, self.optimizer)
+        before, now = facts["options"], json.loads(json.dumps(self.options.to_dict()))
+        changed = [k for k in before if k in now and before[k] != now[k] and k not in FREE_ON_RESUME]
+        if changed:
+            words = ", ".join(f"{name} {before[name]!r} (now {now[name]!r})" for name in changed)
+            raise ModelError(f"{self.checkpoint}: this run was started with {words}; resume it with the same")
         self.step, self.seconds = int(facts["step"]), float(facts["seconds"])
 
     def progress(self) -> float:
@@ -208,6 +224,7 @@ class _Run:
 
     def go(self) -> TrainResult:
         self.folder.mkdir(parents=True, exist_ok=True)
+        self.output.parent.mkdir(parents=True, exist_ok=True)  # found out now, not after hours
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
         self.sampler.make_splices()
         self._note(f"{len(self.sampler.splices)} spliced transitions")
@@ -216,7 +233,7 @@ class _Run:
         try:
             self._loop()
             finished = True
-        except (KeyboardInterrupt, _Stop):
+        except _Stop:
             self._note("stopped; the checkpoint holds everything, go on with --resume")
         finally:
             for number, handler in previous.items():
@@ -231,11 +248,15 @@ class _Run:
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
 
     def _catch_signals(self) -> dict[int, Any]:
+        """Ctrl-C and SIGTERM end the run after the step at hand: a checkpoint holds whole steps only."""
+
         def stop(number: int, frame: Any) -> None:
-            raise _Stop
+            if self.asked_to_stop:
+                raise KeyboardInterrupt
+            self.asked_to_stop = True
 
         try:
-            return {signal.SIGTERM: signal.signal(signal.SIGTERM, stop)}
+            return {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
         except ValueError:  # not in the main thread
             return {}
 
@@ -248,6 +269,8 @@ class _Run:
             self.seconds, clock = self.seconds + now - clock, now
             if self.world > 1 and self.options.minutes:
                 self.seconds = self._agree(self.seconds)
+            if self.stops:
+                raise _Stop
             if self.step % self.options.log_every == 0 or self.progress() >= 1.0:
                 self._emit("log")
             if self.rank == 0 and now - saved > self.options.checkpoint_seconds:
@@ -268,6 +291,10 @@ class _Run:
     def _train_step(self) -> dict[str, float]:
         options = self.options
         self.trainable.train()
+        if self.world > 1:
+            # Dropout differs between processes, and is that of an unbroken run after a resume: the
+            # checkpoint holds the random state of the first process only.
+            torch.manual_seed((options.seed + 1) * 1_000_003 + self.step * self.world + self.rank)
         share = options.batch // self.world
         batch = self.sampler.batch(self.step, options.batch, self.rank * share, share).to(self.device)
         for group in self.optimizer.param_groups:
@@ -282,11 +309,15 @@ class _Run:
             self._update_average()
         self.step += 1
         names = list(terms)
-        values = torch.stack([terms[n].detach() for n in names] + [loss.detach() / LOSS_SCALE, norm.detach()])
+        stop = loss.new_tensor(float(self.asked_to_stop))  # all processes stop at the same step
+        values = [terms[n].detach() for n in names] + [loss.detach() / LOSS_SCALE, norm.detach(), stop]
+        shared = torch.stack(values)
         if self.world > 1:
-            dist.all_reduce(values)
-            values = values / self.world
-        return dict(zip([*names, "total", "gradient"], values.tolist(), strict=True))
+            dist.all_reduce(shared)
+            shared = shared / self.world
+        *means, stops = shared.tolist()
+        self.stops = stops > 0
+        return dict(zip([*names, "total", "gradient"], means, strict=True))
 
     @torch.no_grad()
     def _update_average(self) -> None:
