@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
     from motionkit.synthesis.rollout import Noise
 
-SHOWN_METRICS = ("bm-geodesic", "afs", "foot-skate", "jerk", "penetration-mean")
+SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
 
 
 def synthesis_options(function: Callable) -> Callable:
