@@ -36,7 +36,7 @@ def _png(context: click.Context, parameter: click.Parameter, value: Path) -> Pat
 def command(
     clips: tuple[Path, ...], output: Path, poses: int, every: int | None, width: int, as_json: bool
 ) -> None:
-    """Draw a contact sheet of BVH files: stick figures in time, the path from above, foot heights."""
+    """Draw a contact sheet of BVH files (CLIPS): stick figures in time, the path from above, foot heights."""
     from motionkit.apps.contact_sheet import write_contact_sheet
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
