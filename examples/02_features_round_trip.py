@@ -1,0 +1,51 @@
+"""A motion to its 276 numbers per frame and back, and how little is lost.
+
+python examples/02_features_round_trip.py examples/data/49_06.bvh
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from motionkit.data.cleaning import clean
+from motionkit.features.decode import decode_motion
+from motionkit.features.encode import encode_motion
+from motionkit.features.layout import LAYOUTS, feature_layout
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.retarget import retarget_file
+from motionkit.motion.rotations import quat_angle
+
+
+def print_round_trip(motion: Motion, layout: str) -> None:
+    """What one layout of the 276 numbers loses, and how far its root rotation leaps."""
+    encoded = encode_motion(motion, layout=layout)
+    decoded = decode_motion(encoded.features, motion.skeleton, motion.fps, encoded.ground[0], layout=layout)
+    distance = (motion_kinematics(decoded)[1] - motion_kinematics(motion)[1]).norm(dim=-1).max()
+    turn = quat_angle(decoded.local_rotations.double(), motion.local_rotations.double()).max()
+    root = encoded.features[:, feature_layout(layout).blocks["root_rotation"]]
+    leap = torch.diff(root, dim=0).norm(dim=-1).max()
+    print(f"{layout}: joints within {distance:.5f} cm, rotations within {torch.rad2deg(turn):.5f} degrees")
+    print(f"  largest step of the root rotation from frame to frame: {leap:.2f}")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("file", type=Path)
+    arguments = parser.parse_args()
+
+    motion, _ = retarget_file(arguments.file)
+    motion, _ = clean(motion)
+    motion = resample(motion, 60.0)
+    for layout in LAYOUTS:
+        print_round_trip(motion, layout)
+    contacts = encode_motion(motion).contacts.mean(dim=0)
+    for name, share in zip(("left foot", "left toe", "right foot", "right toe"), contacts, strict=True):
+        print(f"{name} on the floor: {100 * share:.0f} % of the frames")
+
+
+if __name__ == "__main__":
+    main()

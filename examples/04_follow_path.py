@@ -1,0 +1,52 @@
+"""A path of your own making: a spiral to walk, then a straight line to run.
+
+python examples/04_follow_path.py -o spiral.bvh
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import torch
+
+from motionkit.models.bundled import open_model
+from motionkit.motion.bvh import write_bvh
+from motionkit.synthesis.follow import follow_path
+from motionkit.synthesis.path import PathPart, make_path
+
+
+def spiral(turns: float, radius: float) -> torch.Tensor:
+    """Points (N, 2) x, z in cm from the origin outwards."""
+    share = torch.linspace(0.15, 1.0, int(120 * turns) + 2)
+    angle = 2 * torch.pi * turns * share
+    points = radius * share[:, None] * torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
+    return points - points[0]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--turns", type=float, default=1.5)
+    parser.add_argument("--radius", type=float, default=4.0, help="of the spiral, metres")
+    parser.add_argument("--run", type=float, default=6.0, help="length of the run, metres")
+    parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
+    parser.add_argument("-o", "--output", type=Path, default=Path("spiral.bvh"))
+    arguments = parser.parse_args()
+
+    # In Python lengths are centimetres; files and options of the command are in metres.
+    walk = spiral(arguments.turns, 100.0 * arguments.radius)
+    way = torch.nn.functional.normalize(walk[-1] - walk[-2], dim=0)
+    run = walk[-1] + way * 100.0 * arguments.run
+    path = make_path([PathPart(walk, "walking", speed=130.0), PathPart(run[None], "running", speed=300.0)])
+
+    result = follow_path(open_model(arguments.model), path)
+    write_bvh(arguments.output, result.motion)
+    end = "reached the end" if result.finished else "did not reach the end"
+    print(f"wrote {arguments.output}: {result.motion.seconds:.1f} s along {path.length / 100:.1f} m, {end}")
+    print(
+        f"the root was {result.distance.mean:.2f} cm from the path on average, {result.distance.max:.1f} at most"
+    )
+
+
+if __name__ == "__main__":
+    main()
