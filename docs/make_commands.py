@@ -1,0 +1,103 @@
+"""Writes docs/commands.md from the help of the commands; run it after changing one.
+
+python docs/make_commands.py
+"""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import click
+
+from motionkit.cli.main import COMMANDS, cli
+
+PAGE = Path(__file__).resolve().parent / "commands.md"
+HEADER = """# Commands
+
+All commands and options, as `--help` shows them. This page is written by `python docs/make_commands.py`.
+
+Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage. Results go to stdout, progress and errors to stderr;
+`--json` prints the result as one JSON document.
+"""
+
+
+def subcommand(name: str) -> click.Command:
+    """A subcommand of motionkit by name."""
+    command = cli.get_command(click.Context(cli), name)
+    assert command is not None
+    return command
+
+
+def help_text(command: click.Command) -> str:
+    """The command's help as Markdown paragraphs."""
+    return inspect.cleandoc(command.help or "").replace("<", "\\<")
+
+
+def usage(name: str, command: click.Command) -> str:
+    """The line that says how to call the command."""
+    words = ["motionkit", name, "[OPTIONS]"]
+    for parameter in command.params:
+        if isinstance(parameter, click.Argument):
+            word = parameter.human_readable_name.upper()
+            word = word if parameter.required else f"[{word}]"
+            words.append(word + ("..." if parameter.nargs == -1 else ""))
+    return " ".join(words)
+
+
+def value_name(option: click.Option) -> str:
+    """What stands after the option: its choices or the kind of value; nothing for a flag."""
+    if option.is_flag or option.count:
+        return ""
+    kind = option.type
+    if isinstance(kind, click.Choice):
+        return "\\|".join(str(choice) for choice in kind.choices)
+    if isinstance(kind, (click.IntRange, click.FloatRange)):
+        return ("whole number" if isinstance(kind, click.IntRange) else "number") + limits(kind)
+    names = {"integer": "whole number", "float": "number", "text": "text", "path": "path"}
+    names |= {"file": "file", "directory": "folder"}
+    return names.get(kind.name, kind.name)
+
+
+def limits(kind: click.IntRange | click.FloatRange) -> str:
+    """The range of a number, as " 1 to 480", " at least 1" or " above 0"."""
+    if kind.min is not None and kind.max is not None:
+        return f" {kind.min:g} to {kind.max:g}"
+    if kind.min is not None:
+        return f" {'above' if kind.min_open else 'at least'} {kind.min:g}"
+    return "" if kind.max is None else f" at most {kind.max:g}"
+
+
+def default_text(option: click.Option) -> str:
+    """The default, where the help shows it."""
+    if not option.show_default:
+        return ""
+    if option.is_flag and option.secondary_opts:
+        return f"`{(option.opts if option.default else option.secondary_opts)[0]}`"
+    return f"`{option.default}`"
+
+
+def option_row(option: click.Option) -> str:
+    """A row of the table of options."""
+    names = ", ".join(f"`{name}`" for name in (*option.opts, *option.secondary_opts))
+    text = (option.help or "").replace("|", "\\|").replace("<", "\\<")
+    return f"| {names} | {value_name(option)} | {default_text(option)} | {text} |"
+
+
+def command_section(name: str) -> str:
+    """The page's section on one command."""
+    command = subcommand(name)
+    rows = [option_row(p) for p in command.params if isinstance(p, click.Option)]
+    table = ["| option | value | default | what it does |", "|---|---|---|---|", *rows]
+    return "\n".join(
+        [f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), "", *table, ""]
+    )
+
+
+def page_text() -> str:
+    """The whole page."""
+    return "\n".join([HEADER, *(command_section(name) for name in COMMANDS)])
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page_text(), encoding="utf-8")
