@@ -97,7 +97,7 @@ def fk_loss(
 ) -> Tensor:
     """Feet by forward kinematics near the true ones, and still on the ground while in contact (L_FK).
 
-    Paper eq. 9 compares the feet of two frames in the root's space, where a standing foot moves as the
+    Paper eq. 8 compares the feet of two frames in the root's space, where a standing foot moves as the
     body passes over it; here the step the root takes between the frames is taken out first.
     """
     features = scaling.denormalize(prediction.mean)
