@@ -48,7 +48,7 @@ def load_run(
             tensors = {name: file.get_tensor(name) for name in file.keys()}
     except (SafetensorError, OSError, ValueError) as error:
         raise ModelError(f"{path}: not a training checkpoint ({error})") from None
-    if facts.get("format") != FORMAT:
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
         raise ModelError(f"{path}: not a training checkpoint of this release")
     try:
         module.load_state_dict(_under(tensors, "weights."))
@@ -62,13 +62,13 @@ def load_run(
                     state[key] = moment.reshape(()) if key == "step" else moment.to(p.device)
             if state:
                 optimizer.state[p] = state
-    except (RuntimeError, KeyError) as error:
+        torch.set_rng_state(tensors["random.cpu"])
+        if torch.cuda.is_available() and "random.cuda" in tensors:
+            torch.cuda.set_rng_state(tensors["random.cuda"])
+    except (RuntimeError, KeyError, TypeError) as error:
         raise ModelError(
             f"{path}: the checkpoint does not fit this preset ({str(error).splitlines()[0]})"
         ) from None
-    torch.set_rng_state(tensors["random.cpu"])
-    if torch.cuda.is_available() and "random.cuda" in tensors:
-        torch.cuda.set_rng_state(tensors["random.cuda"])
     return facts
 
 

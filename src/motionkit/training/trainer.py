@@ -144,8 +144,13 @@ def _use_bfloat16(precision: str, device: torch.device) -> bool:
     return precision == "bfloat16"
 
 
-class _Stop(Exception):
-    pass
+def _flat(options: dict[str, Any]) -> dict[str, Any]:
+    """Options of options beside the others: "sampler.window"."""
+    flat = {key: value for key, value in options.items() if not isinstance(value, dict)}
+    for group, values in options.items():
+        if isinstance(values, dict):
+            flat |= {f"{group}.{key}": value for key, value in values.items()}
+    return flat
 
 
 class _Run:
@@ -199,7 +204,7 @@ class _Run:
         if not self.checkpoint.is_file():
             raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
         facts = load_run(self.checkpoint, self.module, self.average, self.optimizer)
-        before, now = facts["options"], json.loads(json.dumps(self.options.to_dict()))
+        before, now = _flat(facts["options"]), _flat(json.loads(json.dumps(self.options.to_dict())))
         changed = [k for k in before if k in now and before[k] != now[k] and k not in FREE_ON_RESUME]
         if changed:
             words = ", ".join(f"{name} {before[name]!r} (now {now[name]!r})" for name in changed)
@@ -232,19 +237,18 @@ class _Run:
         finished = False
         try:
             self._loop()
-            finished = True
-        except _Stop:
-            self._note("stopped; the checkpoint holds everything, go on with --resume")
+            finished = self.progress() >= 1.0
+            if not finished:
+                self._note("stopped; the checkpoint holds everything, go on with --resume")
+            if self.rank == 0:
+                self._save_checkpoint()
+                save_model(self.output, self.model(), self.options.half)
+            if self.world > 1:
+                dist.barrier()  # all have stopped at the same step
+                dist.destroy_process_group()
         finally:
             for number, handler in previous.items():
                 signal.signal(number, handler)
-        if self.rank == 0:
-            self._save_checkpoint()
-            save_model(self.output, self.model(), self.options.half)
-        if self.world > 1:
-            if finished:  # after a stop the others may not come any more
-                dist.barrier()
-            dist.destroy_process_group()
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
 
     def _catch_signals(self) -> dict[int, Any]:
@@ -269,8 +273,6 @@ class _Run:
             self.seconds, clock = self.seconds + now - clock, now
             if self.world > 1 and self.options.minutes:
                 self.seconds = self._agree(self.seconds)
-            if self.stops:
-                raise _Stop
             if self.step % self.options.log_every == 0 or self.progress() >= 1.0:
                 self._emit("log")
             if self.rank == 0 and now - saved > self.options.checkpoint_seconds:
@@ -279,6 +281,8 @@ class _Run:
             if self.rank == 0 and now - scored > 60.0 * self.options.score_minutes:
                 self._score()
                 scored = time.monotonic()
+            if self.stops or (self.world == 1 and self.asked_to_stop):
+                return
         if self.rank == 0:
             self._score()
 

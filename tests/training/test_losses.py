@@ -1,0 +1,235 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from motionkit.data.dataset import Dataset
+from motionkit.features.decode import decode_rotations
+from motionkit.features.layout import feature_layout
+from motionkit.features.normalize import Scaling
+from motionkit.models.consistency import ConsistencyModules
+from motionkit.models.network import PartTransformer, Prediction
+from motionkit.models.presets import preset
+from motionkit.motion.kinematics import forward_kinematics
+from motionkit.motion.rotations import quat_from_yaw, quat_to_sixd
+from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS, canonical_skeleton
+from motionkit.training import losses
+from motionkit.training.losses import Batch
+from motionkit.training.sampler import SamplerOptions, WindowSampler
+
+ONES = torch.ones(1, 4)
+REFERENCES = torch.zeros(23, 4)
+REFERENCES[:, 0] = 1.0
+PLAIN = Scaling(torch.zeros(276), torch.ones(276))
+
+
+def prediction(mean: Tensor, logits: Tensor | None = None) -> Prediction:
+    B, T = mean.shape[:2]
+    zeros = torch.zeros(B, T, 24)
+    logits = torch.zeros(B, T, 4) if logits is None else logits
+    return Prediction(
+        mean, torch.zeros_like(mean), zeros, zeros, logits, torch.zeros(2, B, T, 8), torch.zeros(2, B, T, 8)
+    )
+
+
+def batch(targets: Tensor) -> Batch:
+    B, T = targets.shape[:2]
+    return Batch(
+        targets, targets, torch.ones(B, T, 4), torch.ones(B, T, 4), torch.zeros(B, T, 97),
+        torch.zeros(B, T, 24), canonical_skeleton().offsets.expand(B, -1, -1), torch.ones(B, T),
+    )  # fmt: skip
+
+
+def standing(frames: int, height: float = 95.0) -> Tensor:
+    """Features (1, T, 276) of a body that stands still in its rest pose."""
+    features = torch.zeros(1, frames, 276)
+    blocks = feature_layout().blocks
+    features[..., blocks["root_rotation"]] = torch.tensor([1.0, 0, 0, 0, 1, 0])
+    features[..., blocks["joint_positions"].start] = height
+    return features
+
+
+def fk(predicted: Prediction, data: Batch) -> float:
+    return float(losses.fk_loss(predicted, data, PLAIN, REFERENCES, "sixd-root-1", 60.0))
+
+
+# ---- each term by hand ----
+
+
+def test_gaussian_loss_by_hand() -> None:
+    mean = torch.tensor([[[1.0, 0.0], [0.0, 0.0]]])
+    log_sigma = torch.tensor([[[0.0, math.log(2.0)], [0.0, 0.0]]])
+    target = torch.tensor([[[3.0, 4.0], [0.0, 1.0]]])
+    half_log = 0.5 * math.log(2 * math.pi)
+    first = (0.5 * 4.0 + half_log) + (0.5 * 4.0 + math.log(2.0) + half_log)
+    second = half_log + (0.5 + half_log)
+    value = losses.gaussian_loss(mean, log_sigma, target, torch.ones(1, 2))
+    assert float(value) == pytest.approx((first + second) / 2, abs=1e-5)
+
+
+def test_gaussian_loss_is_the_log_density() -> None:
+    draw = torch.Generator().manual_seed(0)
+    mean, log_sigma, target = (torch.randn(2, 5, 7, generator=draw) for _ in range(3))
+    density = torch.distributions.Normal(mean, log_sigma.exp()).log_prob(target)
+    value = losses.gaussian_loss(mean, log_sigma, target, torch.ones(2, 5))
+    assert float(value) == pytest.approx(float(-density.sum(-1).mean()), rel=1e-5)
+
+
+def test_smoothness_loss_by_hand() -> None:
+    mean = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [2.0, 4.0], [3.0, 8.0]]])
+    value = losses.smoothness_loss(mean, ONES)
+    assert float(value) == pytest.approx((4.0 + 0.0) / 2, abs=1e-3)
+    straight = torch.arange(6.0).reshape(1, 6, 1).expand(1, 6, 3)
+    assert float(losses.smoothness_loss(straight, torch.ones(1, 6))) < 2e-4
+    assert float(losses.smoothness_loss(mean[:, :2], ONES[:, :2])) == 0.0
+
+
+def test_contact_loss_by_hand() -> None:
+    logits = torch.tensor([[[0.0, 2.0, -2.0, 0.0]]])
+    target = torch.tensor([[[1.0, 1.0, 1.0, 0.0]]])
+    expected = 2 * math.log(2) + math.log(1 + math.exp(-2)) + math.log(1 + math.exp(2))
+    value = losses.contact_loss(logits, target, torch.ones(1, 1))
+    assert float(value) == pytest.approx(expected, abs=1e-5)
+
+
+def test_mean_over_windows_does_not_depend_on_their_share_of_a_batch() -> None:
+    values = torch.arange(12.0).reshape(4, 3)
+    mask = torch.tensor([[1.0, 1.0, 1.0], [1.5, 1.5, 0.0], [3.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    whole = losses._mean(values, mask)
+    by_hand = (1.0 + (3.0 + 4.0) / 2 + 6.0 + 10.0) / 4
+    assert float(whole) == pytest.approx(by_hand), "a short window weighs as much as a full one"
+    halves = (losses._mean(values[:2], mask[:2]) + losses._mean(values[2:], mask[2:])) / 2
+    assert float(halves) == pytest.approx(float(whole))
+
+
+def test_fk_loss_is_zero_for_the_truth_with_standing_feet() -> None:
+    truth = standing(5)
+    touching = torch.full((1, 5, 4), 50.0)
+    assert fk(prediction(truth, touching), batch(truth)) < 1e-3
+
+
+def test_fk_loss_counts_the_distance_of_feet() -> None:
+    truth = standing(5)
+    wrong = truth.clone()
+    # Thighs 0.2 rad forward about X: both feet off by the chord over the length of the leg.
+    blocks = feature_layout().blocks
+    start = blocks["joint_rotations"].start
+    wrong[..., [start, start + 12]] = 0.2
+    offsets = canonical_skeleton().offsets
+    expected = 0.0
+    for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
+        leg = offsets[PARENTS[ankle]] + offsets[ankle]
+        for bone in (leg, leg + offsets[toe]):
+            expected += 2 * math.sin(0.1) * float(bone[[1, 2]].norm())
+    released = torch.full((1, 5, 4), -50.0)
+    assert fk(prediction(wrong, released), batch(truth)) == pytest.approx(
+        expected / losses.FOOT_UNIT, rel=1e-3
+    )
+
+
+def test_fk_loss_counts_feet_that_slide_while_they_touch() -> None:
+    sliding = standing(6)
+    sliding[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])  # 1 cm a frame
+    data = batch(sliding)
+    touching, released = (torch.full((1, 6, 4), sign * 50.0) for sign in (1.0, -1.0))
+    slip = 4 * 1.0 / losses.FOOT_UNIT
+    assert fk(prediction(sliding, touching), data) == pytest.approx(slip, abs=1e-3)
+    assert fk(prediction(sliding, released), data) < 1e-3
+
+
+def test_fk_loss_takes_the_turn_of_the_heading_out() -> None:
+    """A body that stands still in the world while its heading turns: no foot slips."""
+    yaw = 0.8 * torch.arange(8) / 60.0
+    features = standing(8)
+    features[..., 0] = 0.8
+    features[0, :, feature_layout().blocks["root_rotation"]] = quat_to_sixd(quat_from_yaw(-yaw))
+    assert fk(prediction(features, torch.full((1, 8, 4), 50.0)), batch(features)) < 2e-3
+
+
+def test_fk_loss_counts_feet_that_sink_with_the_root() -> None:
+    features = standing(8)
+    height = feature_layout().blocks["joint_positions"].start
+    features[0, :, height] = 95.0 - 0.5 * torch.arange(8)
+    touching, released = (torch.full((1, 8, 4), sign * 50.0) for sign in (1.0, -1.0))
+    slip = 4 * 0.5 / losses.FOOT_UNIT
+    assert fk(prediction(features, touching), batch(features)) == pytest.approx(slip, abs=2e-3)
+    assert fk(prediction(features, released), batch(features)) < 1e-3
+
+
+def test_foot_positions_are_those_of_forward_kinematics(dataset: Dataset) -> None:
+    clip = dataset.clips[0]
+    data = dataset.read(clip, 0, 20)
+    rotations = decode_rotations(data.features, dataset.references)
+    offsets = dataset.skeleton(clip).offsets
+    _, positions = forward_kinematics(rotations, torch.zeros(20, 3), offsets, PARENTS)
+    feet = losses.foot_positions(data.features[None], offsets[None], dataset.references, "sixd-root-1")
+    assert torch.allclose(feet[0], positions[:, list(FOOT_JOINTS)], atol=1e-3)
+
+
+# ---- all terms together ----
+
+
+@pytest.fixture
+def real(dataset: Dataset) -> tuple[PartTransformer, ConsistencyModules, Batch]:
+    sampler = WindowSampler(dataset, SamplerOptions(window=24, splices=0), 0)
+    torch.manual_seed(0)
+    network = PartTransformer(preset("tiny"), sampler.controls.size)
+    return network, ConsistencyModules(network), sampler.batch(0, 3)
+
+
+def terms_of(dataset: Dataset, network, modules, data: Batch) -> dict[str, Tensor]:
+    out = network(data.inputs, data.contacts, data.controls)
+    return losses.training_losses(network, modules, out, data, dataset.scaling, dataset.references, 60.0)
+
+
+def test_all_six_terms_are_finite_with_finite_gradients(dataset: Dataset, real) -> None:
+    network, modules, data = real
+    terms = terms_of(dataset, network, modules, data)
+    assert list(terms) == ["gauss", "smooth", "contact", "fk", "consistency", "trajectory"]
+    assert all(bool(torch.isfinite(v)) and v.dim() == 0 for v in terms.values())
+    for name, value in terms.items():
+        network.zero_grad()
+        modules.zero_grad()
+        value.backward(retain_graph=True)
+        grads = [p.grad for p in network.parameters() if p.grad is not None]
+        assert grads and all(bool(torch.isfinite(g).all()) for g in grads), name
+        assert any(bool((g != 0).any()) for g in grads), name
+
+
+def test_total_is_the_weighted_sum_of_the_paper() -> None:
+    terms = {name: torch.tensor(float(i + 1)) for i, name in enumerate(losses.WEIGHTS)}
+    assert losses.WEIGHTS == {
+        "gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0
+    }  # fmt: skip
+    assert float(losses.total_loss(terms)) == pytest.approx(1 + 20 + 15 + 20 + 5 + 6)
+    assert float(losses.total_loss(terms, {**losses.WEIGHTS, "smooth": 0.0})) == pytest.approx(47.0)
+
+
+def test_without_consistency_modules_the_term_is_zero(dataset: Dataset, real) -> None:
+    network, _, data = real
+    assert float(terms_of(dataset, network, None, data)["consistency"]) == 0.0
+
+
+def test_frames_beyond_the_end_of_a_window_do_not_count(dataset: Dataset, real) -> None:
+    """What stands in the padding changes neither losses nor gradients, but for the consistency features."""
+    network, _, data = real
+    network.eval()
+    ended = Batch(**{**vars(data), "mask": torch.cat([torch.full((3, 16), 1.5), torch.zeros(3, 8)], dim=1)})
+    noisy = {}
+    for name in ("inputs", "targets", "contacts", "next_contacts", "controls", "trajectory"):
+        value = getattr(ended, name).clone()
+        value[:, 16:] = 0.5
+        noisy[name] = value
+    changed = Batch(**{**vars(ended), **noisy})
+    a, b = terms_of(dataset, network, None, ended), terms_of(dataset, network, None, changed)
+    for name in a:
+        assert a[name].item() == pytest.approx(b[name].item(), rel=1e-5), name
+
+
+def test_batch_parts(real) -> None:
+    _, _, data = real
+    two = Batch(**{n: v[:2] for n, v in vars(data).items()})
+    assert torch.equal(two.part(1, 2).inputs, data.inputs[1:2])

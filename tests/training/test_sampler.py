@@ -1,0 +1,137 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError
+from motionkit.training.sampler import SamplerOptions, WindowSampler
+
+WINDOW = 40
+
+
+def sampler(dataset: Dataset, seed: int = 0, **changes) -> WindowSampler:
+    made = WindowSampler(dataset, SamplerOptions(**({"window": WINDOW, "splices": 0} | changes)), seed)
+    made.make_splices()
+    return made
+
+
+def types_of(made: WindowSampler, batch) -> torch.Tensor:
+    """Type weights (B, T, N) in a batch."""
+    return batch.controls[..., made.controls.type]
+
+
+def test_shapes(dataset: Dataset) -> None:
+    batch = sampler(dataset).batch(0, 5)
+    size = sampler(dataset).controls.size
+    shapes = {name: tuple(value.shape) for name, value in vars(batch).items()}
+    assert shapes == {
+        "inputs": (5, WINDOW, 276),
+        "targets": (5, WINDOW, 276),
+        "contacts": (5, WINDOW, 4),
+        "next_contacts": (5, WINDOW, 4),
+        "controls": (5, WINDOW, size),
+        "trajectory": (5, WINDOW, 24),
+        "offsets": (5, 23, 3),
+        "mask": (5, WINDOW),
+    }
+
+
+def test_targets_are_one_frame_ahead_of_inputs(dataset: Dataset) -> None:
+    batch = sampler(dataset, noise=0.0).batch(0, 6)
+    assert torch.equal(batch.inputs[:, 1:], batch.targets[:, :-1])
+    assert torch.equal(batch.contacts[:, 1:], batch.next_contacts[:, :-1])
+
+
+def test_noise_is_on_the_inputs_only(dataset: Dataset) -> None:
+    clean, noisy = (sampler(dataset, noise=level).batch(3, 8) for level in (0.0, 0.05))
+    assert torch.equal(clean.targets, noisy.targets)
+    assert float((noisy.inputs - clean.inputs).std()) == pytest.approx(0.05, rel=0.05)
+
+
+def test_windows_depend_on_seed_step_and_place_alone(dataset: Dataset) -> None:
+    one, two = sampler(dataset, splices=4), sampler(dataset, splices=4)
+    one.batch(0, 4)  # what was drawn before does not count
+    for name, value in vars(one.batch(7, 4)).items():
+        assert torch.equal(value, getattr(two.batch(7, 4), name)), name
+    assert not torch.equal(one.batch(7, 4).inputs, one.batch(8, 4).inputs)
+    assert not torch.equal(one.batch(7, 4).inputs, sampler(dataset, 1, splices=4).batch(7, 4).inputs)
+
+
+def test_shares_of_a_batch_are_the_batch(dataset: Dataset) -> None:
+    made = sampler(dataset, splices=3)
+    whole = made.batch(2, 6)
+    shares = [made.batch(2, 6, first, 3) for first in (0, 3)]
+    for name, value in vars(whole).items():
+        assert torch.equal(value, torch.cat([getattr(s, name) for s in shares])), name
+
+
+def test_windows_of_one_batch_differ(dataset: Dataset) -> None:
+    inputs = sampler(dataset).batch(0, 8).targets
+    assert len({tuple(w[0, :5].tolist()) for w in inputs}) > 4
+
+
+def test_balance_makes_types_equally_often(dataset: Dataset) -> None:
+    made = sampler(dataset, balance=1.0)
+    assert torch.allclose(made.probabilities, torch.full((6,), 1 / 6).double())
+    recorded = sampler(dataset, balance=0.0).probabilities
+    walking, cartwheel = (dataset.types.index(n) for n in ("walking", "cartwheel"))
+    frames = {
+        i: sum(int((dataset.clip_types(c) == i).sum()) for c in dataset.select("train"))
+        for i in (walking, cartwheel)
+    }
+    ratio = float(recorded[walking] / recorded[cartwheel])
+    assert ratio == pytest.approx(frames[walking] / frames[cartwheel])
+
+
+def test_test_clips_are_never_drawn(dataset: Dataset) -> None:
+    made = sampler(dataset)
+    assert all(clip.split == "train" for clip in made.clips)
+    held = next(c for c in dataset.clips if c.split == "test")
+    assert held not in made.clips
+
+
+def test_trajectory_dropout_and_its_flag(dataset: Dataset) -> None:
+    always, never = sampler(dataset, trajectory_dropout=0.0), sampler(dataset, trajectory_dropout=1.0)
+    flag, trajectory = always.controls.flag, always.controls.trajectory
+    shown, hidden = always.batch(0, 8).controls, never.batch(0, 8).controls
+    assert (shown[..., flag] == 1).all() and (shown[..., trajectory] != 0).any()
+    assert (hidden[..., flag] == 0).all() and (hidden[..., trajectory] == 0).all()
+    some = sampler(dataset, trajectory_dropout=0.5).batch(0, 40).controls[:, 0, flag].mean()
+    assert 0.2 < float(some) < 0.8
+
+
+def test_a_type_is_announced_ahead_of_a_change_never_late(dataset: Dataset) -> None:
+    prompt, early = (sampler(dataset, lead_share=share, splices=30) for share in (0.0, 1.0))
+    compared = 0
+    for step in range(12):
+        a, b = types_of(prompt, prompt.batch(step, 8)), types_of(early, early.batch(step, 8))
+        for before, after in zip(a, b, strict=True):
+            if before[0].argmax() != before[-1].argmax():
+                new = int(before[-1].argmax())
+                assert (after[:, new] >= before[:, new] - 1e-6).all()
+                compared += 1
+    assert compared > 3
+
+
+def test_short_clips_are_padded_and_weigh_as_much(dataset: Dataset) -> None:
+    long = max(c.frames for c in dataset.select("train"))
+    batch = sampler(dataset, window=long + 100).batch(0, 4)
+    assert torch.allclose(batch.mask.mean(dim=1), torch.ones(4), atol=1e-5)
+    ended = batch.mask == 0
+    assert ended.any()
+    for name in ("inputs", "targets", "controls", "trajectory", "contacts"):
+        assert (getattr(batch, name)[ended] == 0).all(), name
+
+
+def test_splices_are_made_once_for_a_seed(dataset: Dataset) -> None:
+    one, two = sampler(dataset, splices=5), sampler(dataset, splices=5)
+    assert len(one.splices) == 5
+    for a, b in zip(one.splices, two.splices, strict=True):
+        assert torch.equal(a.features, b.features) and torch.equal(a.types, b.types)
+
+
+def test_a_dataset_without_training_clips(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(dataset, "clips", ())
+    with pytest.raises(DatasetError, match="no training clips"):
+        WindowSampler(dataset, SamplerOptions())
