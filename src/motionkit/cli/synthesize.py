@@ -26,7 +26,9 @@ from motionkit.cli.synthesis_options import (
     "-o", "--output", type=click.Path(path_type=Path), help="The BVH file; named after the types by default."
 )
 @click.option(
-    "--seconds", type=click.FloatRange(0.1, 3600), help="Length of the whole; 4 s for each type by default."
+    "--seconds",
+    type=click.FloatRange(0.1, 3600),
+    help="Length of the whole; by default 4 s for each type, one performance of a flip.",
 )
 @click.option(
     "--count",
@@ -70,8 +72,8 @@ def command(
     from motionkit.synthesis.plan import parse_types
     from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 
-    parts = parse_types(types, seconds)
     model = open_model(model_path)
+    parts = parse_types(types, seconds, model.phase_seconds)
     for part in parts:
         model.type_id(part.type)
     options = SynthesisOptions(count, seed, make_noise(noise, temperature), character, init, ik, fps)

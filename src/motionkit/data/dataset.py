@@ -5,6 +5,7 @@ features.npy    (N, 276) float32, unnormalised
 contacts.npy    (N, 4) uint8
 ground.npy      (N, 3) float32: root x, z (cm), heading (radians)
 types.npy       (N,) int16, index into the manifest's types
+phases.npy      (N,) float32: progress through a stretch that turns over, -1 elsewhere
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from motionkit.features.normalize import Scaling
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
-ARRAYS = ("features", "contacts", "ground", "types")
+ARRAYS = ("features", "contacts", "ground", "types", "phases")
 
 
 @dataclass(frozen=True)
@@ -47,12 +48,17 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class ClipData:
-    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids (T,)."""
+    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,)."""
 
     features: Tensor
     contacts: Tensor
     ground: Tensor
     types: Tensor
+    phases: Tensor
+
+    def cut(self, start: int, end: int) -> ClipData:
+        """Frames start to end (exclusive)."""
+        return ClipData(**{name: value[start:end] for name, value in vars(self).items()})
 
 
 class Dataset:
@@ -120,6 +126,11 @@ class Dataset:
             for name, body in self.manifest["characters"].items()
         }
 
+    @property
+    def phase_seconds(self) -> dict[str, float]:
+        """How long a performance of each type with a phase takes on average."""
+        return self.manifest["phase_seconds"]
+
     def skeleton(self, clip: Clip) -> Skeleton:
         """The skeleton a clip's features are on."""
         return canonical_skeleton(self.bodies[clip.body])
@@ -150,7 +161,8 @@ class Dataset:
         contacts = torch.from_numpy(self._arrays["contacts"][rows].astype(np.float32))
         ground = torch.from_numpy(np.array(self._arrays["ground"][rows]))
         types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
-        data = ClipData(features, contacts, ground, types)
+        phases = torch.from_numpy(np.array(self._arrays["phases"][rows]))
+        data = ClipData(features, contacts, ground, types, phases)
         return mirror_clip(data, self.layout, self.mirrored_type_ids) if clip.mirrored else data
 
 
@@ -163,6 +175,7 @@ def mirror_clip(data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor
         data.contacts[:, contact_mirror()],
         ground,
         mirrored_type_ids[data.types],
+        data.phases,
     )
 
 

@@ -27,6 +27,7 @@ from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
+from motionkit.data.phases import phase_track, phase_types
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
@@ -317,6 +318,7 @@ def _pass_two(
         "contacts": _create(staging, "contacts", (total, 4), np.uint8),
         "ground": _create(staging, "ground", (total, 3), np.float32),
         "types": _create(staging, "types", (total,), np.int16),
+        "phases": _create(staging, "phases", (total,), np.float32),
     }
     layout = feature_layout(options.layout)
     moments, trajectory_moments = RunningMoments(FEATURE_COUNT), RunningMoments(TRAJECTORY_COUNT)
@@ -348,6 +350,7 @@ def _pass_two(
             item.report.frames += frames
         if progress:
             progress("encoding", done, len(items))
+    phase_seconds = _write_phases(arrays, clips, types, options.layout)
     for array in arrays.values():
         array.flush()
     manifest = {
@@ -356,6 +359,7 @@ def _pass_two(
         "fps": FPS,
         "layout": options.layout,
         "types": list(types),
+        "phase_seconds": phase_seconds,
         "bodies": bodies,
         "characters": _characters(prepared),
         "references": references.tolist(),
@@ -373,6 +377,18 @@ def _pass_two(
         total / FPS,
     )
     return manifest, report
+
+
+def _write_phases(
+    arrays: dict[str, np.memmap], clips: list[Clip], types: tuple[str, ...], layout: str
+) -> dict[str, float]:
+    """Fill the phase column; the seconds a performance takes for each type that has one."""
+    rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}
+    shown = ((torch.from_numpy(np.array(arrays["features"][r])), arrays["types"][r]) for r in rows.values())
+    lengths = phase_types(shown, layout)
+    for r in rows.values():
+        arrays["phases"][r] = phase_track(arrays["types"][r], lengths)
+    return {types[kind]: round(frames / FPS, 3) for kind, frames in sorted(lengths.items())}
 
 
 def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
@@ -448,6 +464,7 @@ def _add_moments(
         torch.from_numpy(contacts.astype(np.float32)),
         torch.from_numpy(ground),
         torch.from_numpy(kinds.astype(np.int64)),
+        torch.zeros(len(kinds)),
     )
     for clip in clips:
         if clip.split != "train":

@@ -40,6 +40,7 @@ class _Piece:
     positions: Tensor  # (T, 23, 3) in the heading frame of each frame
     velocities: Tensor
     types: Tensor
+    phases: Tensor
 
 
 def splice_clips(
@@ -71,7 +72,8 @@ def splice_clips(
     )
     encoded = encode_motion(motion, dataset.references, dataset.layout.version)
     types = torch.cat([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
-    return ClipData(encoded.features, encoded.contacts, encoded.ground, types)
+    phases = torch.cat([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
+    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases)
 
 
 def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
@@ -95,6 +97,7 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
         quat_rotate(turn, positions - origin[:, None]),
         quat_rotate(turn, velocities),
         data.types,
+        data.phases,
     )
 
 

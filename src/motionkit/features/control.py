@@ -1,7 +1,8 @@
 """Control signals C_n: skeleton, motion type, and where the root is to be over the coming second.
 
-Paper section 3, "Control Signal Representation". Beside the paper's four there is a flag that says
-whether a trajectory is given, so that one model serves both with and without a path.
+Paper section 3, "Control Signal Representation". Beside the paper's four there are a flag that says
+whether a trajectory is given, so that one model serves both with and without a path, and the phase of
+types that turn the body over, which says when to begin.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ SKELETON_UNIT = 10.0
 
 @dataclass(frozen=True)
 class ControlLayout:
-    """Where each signal stands in the control vector: skeleton, type, trajectory, flag."""
+    """Where each signal stands in the control vector: skeleton, type, trajectory, flag, phase."""
 
     types: tuple[str, ...]
 
@@ -50,9 +51,14 @@ class ControlLayout:
         return self.trajectory.stop
 
     @property
+    def phase(self) -> slice:
+        """Sine and cosine of the phase, both zero for types without one."""
+        return slice(self.flag + 1, self.flag + 3)
+
+    @property
     def size(self) -> int:
         """Numbers in a control vector."""
-        return self.flag + 1
+        return self.phase.stop
 
 
 def future_trajectory(ground: Tensor, frames: Tensor) -> Tensor:
@@ -100,17 +106,27 @@ def blend_types(type_ids: Tensor, count: int, blend: int = TYPE_BLEND_FRAMES) ->
     return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).float()
 
 
+def phase_signal(progress: Tensor) -> Tensor:
+    """Sine and cosine (..., 2) of a turn for progress (...) in [0, 1); zeros where it is negative: no phase."""
+    angle = 2.0 * torch.pi * progress
+    return torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1) * (progress >= 0)[..., None]
+
+
 def control_vector(
     layout: ControlLayout,
     skeleton_B69: Tensor,
     type_weights: Tensor,
     trajectory: Tensor,
     given: Tensor,
+    progress: Tensor,
     trajectory_scaling: Scaling,
 ) -> Tensor:
-    """Control vectors (..., C): trajectory normalised, and zero where it is not given."""
+    """Control vectors (..., C): trajectory normalised, and zero where it is not given.
+
+    progress (...) is that of phase_signal, negative for types without a phase.
+    """
     shown = trajectory_scaling.normalize(trajectory) * given[..., None]
-    parts = [skeleton_B69, type_weights, shown, given[..., None]]
+    parts = [skeleton_B69, type_weights, shown, given[..., None], phase_signal(progress)]
     out = torch.cat([p.expand(*type_weights.shape[:-1], p.shape[-1]) for p in parts], dim=-1)
     assert out.shape[-1] == layout.size
     return out

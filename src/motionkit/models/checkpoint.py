@@ -39,10 +39,12 @@ class Seed:
 
 @dataclass(frozen=True)
 class Gait:
-    """How a type moves over the ground: speed in cm/s, and the angle from where it faces to where it goes."""
+    """How a type goes: speed over the ground in cm/s, the angle from where it faces to where it goes, and
+    the seconds a performance takes for a type with a phase, zero for others."""
 
     speed: float
     facing: float
+    seconds: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,11 @@ class MotionModel:
         if name in self.types:
             return self.types.index(name)
         raise ControlError(unknown_name("motion type", name, self.types))
+
+    def phase_seconds(self, kind: str) -> float:
+        """How long a performance of a type takes; zero for types without a phase."""
+        gait = self.gaits.get(kind)
+        return 0.0 if gait is None else gait.seconds
 
     def character(self, name: str) -> Skeleton:
         """A character's skeleton; raises ControlError for an unknown name."""
@@ -131,7 +138,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "fps": model.fps,
         "characters": list(model.characters),
         "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
-        "gaits": {kind: [gait.speed, gait.facing] for kind, gait in model.gaits.items()},
+        "gaits": {kind: [gait.speed, gait.facing, gait.seconds] for kind, gait in model.gaits.items()},
         "card": model.card,
     }
     data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})

@@ -16,7 +16,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import rotate_ground
 from motionkit.synthesis.path import SPACING, Path2D
-from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState
+from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState, progress_at
 from motionkit.synthesis.start import clip_start, seed_start
 from motionkit.synthesis.synthesize import SynthesisOptions, finish_motion, inner_threads
 
@@ -62,6 +62,8 @@ class PathFollower:
             [part.speed if part.speed is not None else s for part, s in zip(path.parts, typical, strict=True)]
         ).clamp(min=20.0)
         self.facings = torch.tensor([0.0 if gait is None else gait.facing for gait in gaits])
+        self.lengths = [model.phase_seconds(part.type) * model.fps for part in path.parts]
+        self.entered: dict[int, int] = {}  # the frame at which each part was reached
         self.arc = 0.0
         self.arcs: list[float] = []
 
@@ -80,7 +82,13 @@ class PathFollower:
         facing = self.facings[self.path.part_at(ahead)]
         directions = rotate_ground(-heading - facing, tangents)
         trajectory = torch.cat([positions.flatten(), directions.flatten()])
-        return FrameControls(self._type_weights()[None], trajectory[None], torch.ones(1))
+        progress = torch.tensor([self._progress(frame)])
+        return FrameControls(self._type_weights()[None], trajectory[None], torch.ones(1), progress)
+
+    def _progress(self, frame: int) -> float:
+        """Progress through the performance of the part the character is on."""
+        part = int(self.path.part_at(torch.tensor(self.arc)))
+        return progress_at(frame - self.entered.setdefault(part, frame), self.lengths[part])
 
     def _project(self, point: Tensor) -> float:
         first = max(0, int((self.arc - SEARCH_BACK) / SPACING))

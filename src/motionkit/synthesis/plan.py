@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -10,7 +11,7 @@ from torch import Tensor
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_COUNT, blend_types
 from motionkit.models.checkpoint import MotionModel
-from motionkit.synthesis.rollout import Controller, FrameControls
+from motionkit.synthesis.rollout import Controller, FrameControls, progress_at
 
 DEFAULT_SECONDS = 4.0
 MAX_SECONDS = 3600.0
@@ -24,11 +25,15 @@ class TypePart:
     seconds: float
 
 
-def parse_types(text: str, seconds: float | None = None) -> list[TypePart]:
+def parse_types(
+    text: str, seconds: float | None = None, usual: Callable[[str], float] | None = None
+) -> list[TypePart]:
     """Parts from "running,cartwheel" or "running:4,cartwheel:3".
 
     Args:
-        seconds: the whole length, shared by the parts that name none; 4 s for each of them if not given.
+        seconds: the whole length, shared by the parts that name none.
+        usual: tells how long a type usually takes, zero for any time; without seconds, a part that
+            names none takes so long, or 4 s.
 
     Raises:
         ControlError: for a part without a type, or a time that is no positive number.
@@ -52,7 +57,8 @@ def parse_types(text: str, seconds: float | None = None) -> list[TypePart]:
         # Every part says its time: stretch them to the whole.
         return [TypePart(name, time * seconds / given) for name, time in timed if time is not None]
     else:
-        share = DEFAULT_SECONDS
+        natural = usual or (lambda name: 0.0)
+        return [TypePart(name, time or natural(name) or DEFAULT_SECONDS) for name, time in timed]
     return [TypePart(name, share if time is None else time) for name, time in timed]
 
 
@@ -73,12 +79,13 @@ def type_track(model: MotionModel, parts: list[TypePart]) -> Tensor:
     return torch.cat([torch.full((count,), i) for i, count in zip(ids, counts, strict=True)])
 
 
-def plan_controller(weights: Tensor, batch: int) -> Controller:
-    """Type weights (T, N) over time for every character, no trajectory."""
+def plan_controller(weights: Tensor, progress: Tensor, batch: int) -> Controller:
+    """Type weights (T, N) and progress (T,) over time for every character, no trajectory."""
     none, never = torch.zeros(batch, TRAJECTORY_COUNT), torch.zeros(batch)
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
-        return FrameControls(weights[min(frame, len(weights) - 1)].expand(batch, -1), none, never)
+        now = min(frame, len(weights) - 1)
+        return FrameControls(weights[now].expand(batch, -1), none, never, progress[now].expand(batch))
 
     return controls
 
@@ -86,3 +93,18 @@ def plan_controller(weights: Tensor, batch: int) -> Controller:
 def plan_weights(model: MotionModel, parts: list[TypePart]) -> Tensor:
     """Blended type weights (T, N) of the parts: 40 frames at each change."""
     return blend_types(type_track(model, parts), len(model.types))
+
+
+def plan_progress(model: MotionModel, parts: list[TypePart], first_frame: int = 0) -> Tensor:
+    """Progress (T,) through performances of the parts' types, negative for types without a phase.
+
+    Args:
+        first_frame: frames of the first part's performance that lie behind already.
+    """
+    out: list[float] = []
+    for number, part in enumerate(parts):
+        frames = max(1, round(part.seconds * model.fps))
+        length = model.phase_seconds(part.type) * model.fps
+        skipped = first_frame if number == 0 else 0
+        out.extend(progress_at(frame + skipped, length) for frame in range(frames))
+    return torch.tensor(out)

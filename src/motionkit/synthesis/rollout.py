@@ -43,12 +43,13 @@ class FrameControls:
     """What is asked of B characters at one frame.
 
     type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
-    the trajectory counts.
+    the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative.
     """
 
     type_weights: Tensor
     trajectory: Tensor
     given: Tensor
+    progress: Tensor
 
 
 # Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
@@ -62,6 +63,11 @@ class Rollout:
     features: Tensor
     contacts: Tensor
     ground: Tensor
+
+
+def progress_at(frame: float, phase_frames: float) -> float:
+    """Progress through performances of a length that follow each other; negative without a length."""
+    return (frame / phase_frames) % 1.0 if phase_frames > 0 else -1.0
 
 
 class RolloutState:
@@ -85,18 +91,25 @@ class RolloutState:
         self.skeleton = torch.stack([skeleton_signal(s) for s in skeletons])
 
     def start(
-        self, features: Tensor, contacts: Tensor, type_weights: Tensor, ground: Tensor | None = None
+        self,
+        features: Tensor,
+        contacts: Tensor,
+        type_weights: Tensor,
+        ground: Tensor | None = None,
+        phase_frames: float = 0.0,
     ) -> None:
         """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
 
+        phase_frames is the length of a performance, if the frames are the beginning of one.
         The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
         """
         self.stream.reset()
         x = self.model.scaling.normalize(features)
         none = torch.zeros(self.batch, TRAJECTORY_COUNT)
-        controls = self._controls(FrameControls(type_weights, none, torch.zeros(self.batch)))
         for t in range(x.shape[1] - 1):
-            self.stream.step(x[:, t], contacts[:, t], controls)
+            progress = torch.full((self.batch,), progress_at(t, phase_frames))
+            asked = FrameControls(type_weights, none, torch.zeros(self.batch), progress)
+            self.stream.step(x[:, t], contacts[:, t], self._controls(asked))
         self.x, self.contacts = x[:, -1], contacts[:, -1]
         self.ground = torch.zeros(self.batch, 3) if ground is None else ground.clone()
         self.noise_state = torch.randn(self.batch, FEATURE_COUNT, generator=self.generator)
@@ -109,6 +122,7 @@ class RolloutState:
             asked.type_weights,
             asked.trajectory,
             asked.given,
+            asked.progress,
             self.model.trajectory_scaling,
         )
 

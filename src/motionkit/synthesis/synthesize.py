@@ -16,7 +16,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
-from motionkit.synthesis.plan import TypePart, plan_controller, plan_weights
+from motionkit.synthesis.plan import TypePart, plan_controller, plan_progress, plan_weights
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.synthesis.start import clip_start, seed_start
 
@@ -87,9 +87,13 @@ def synthesize(
         start = seed_start(model, parts[0].type, options.count)
     with inner_threads(options.count):
         state = RolloutState(model, options.count, options.noise, options.seed)
-        state.start(start.features, start.contacts, weights[:1].expand(options.count, -1), start.ground)
+        first = weights[:1].expand(options.count, -1)
+        length = 0.0 if options.init is not None else model.phase_seconds(parts[0].type) * model.fps
+        state.start(start.features, start.contacts, first, start.ground, length)
+        behind = start.features.shape[1] if length else 0
+        controller = plan_controller(weights, plan_progress(model, parts, behind), options.count)
         started = time.perf_counter()
-        rollout = run(state, len(weights), plan_controller(weights, options.count), progress)
+        rollout = run(state, len(weights), controller, progress)
         seconds = time.perf_counter() - started
     motions = tuple(
         Synthesis(

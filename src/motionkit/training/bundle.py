@@ -85,5 +85,7 @@ def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
         if frames:
             steady = math.hypot(x, z) > 0.8 * distance
             facing = math.atan2(x, z) if steady else 0.0
-            gaits[kind] = Gait(round(distance / frames, 2), round(facing, 3))
+            gaits[kind] = Gait(
+                round(distance / frames, 2), round(facing, 3), dataset.phase_seconds.get(kind, 0.0)
+            )
     return gaits

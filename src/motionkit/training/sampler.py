@@ -139,8 +139,7 @@ class WindowSampler:
         if spliced:
             data, body = self.splices[span.source], self.splice_bodies[span.source]
             start = max(0, min(anchor - place, len(data.types) - options.window - 1))
-            shown = slice(start, start + options.window + 62)
-            data = ClipData(data.features[shown], data.contacts[shown], data.ground[shown], data.types[shown])
+            data = data.cut(start, start + options.window + 62)
         else:
             clip = self.clips[span.source]
             body = clip.body
@@ -161,7 +160,13 @@ class WindowSampler:
         given = torch.full((frames,), 0.0 if u < options.trajectory_dropout else 1.0)
         skeleton = skeleton_signal(canonical_skeleton(self.dataset.bodies[body]))
         controls = control_vector(
-            self.controls, skeleton, weights, trajectory[:frames], given, self.dataset.trajectory_scaling
+            self.controls,
+            skeleton,
+            weights,
+            trajectory[:frames],
+            given,
+            data.phases[:frames],
+            self.dataset.trajectory_scaling,
         )
         noise = torch.randn(frames, FEATURE_COUNT, generator=generator) * options.noise
         # A short window counts as much as a full one.

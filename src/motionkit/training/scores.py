@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
+from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FeatureLayout
 from motionkit.models.checkpoint import MotionModel
@@ -23,6 +24,7 @@ from motionkit.synthesis.rollout import (
     Noise,
     Rollout,
     RolloutState,
+    progress_at,
     rollout_motion,
     run,
     seed_batch,
@@ -82,8 +84,15 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     weights = torch.eye(count)
     features, contacts = seed_batch([model.seeds[kind][0] for kind in model.types])
     state.start(features, contacts, weights)
-    asked = FrameControls(weights, torch.zeros(count, 24), torch.zeros(count))
-    return run(state, frames, lambda t, ground: asked)
+    lengths = [model.phase_seconds(kind) * model.fps for kind in model.types]
+    behind = features.shape[1]
+    none, never = torch.zeros(count, TRAJECTORY_COUNT), torch.zeros(count)
+
+    def controls(frame: int, ground: Tensor) -> FrameControls:
+        progress = torch.tensor([progress_at(frame + behind, length) for length in lengths])
+        return FrameControls(weights, none, never, progress)
+
+    return run(state, frames, controls)
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Tensor:
