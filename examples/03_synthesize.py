@@ -27,7 +27,8 @@ def main() -> None:
     model = open_model(arguments.model)
     print(f"the model knows {', '.join(model.types)}")
     options = SynthesisOptions(seed=arguments.seed, noise=Noise("correlated", temperature=0.3), ik=True)
-    result = synthesize(model, parse_types(arguments.types), options)
+    parts = parse_types(arguments.types, usual=model.phase_seconds)
+    result = synthesize(model, parts, options)
     motion = result.motions[0].motion
     write_bvh(arguments.output, motion)
     print(f"wrote {arguments.output}: {motion.seconds:.1f} s, made in {result.seconds:.2f} s")
