@@ -95,7 +95,7 @@ def blocks(page: Path, language: str) -> list[str]:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
 def test_python_examples_import_what_exists(page: Path) -> None:
     for code in blocks(page, "python"):
-        imports = [
+        imports: list[ast.stmt] = [
             node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Import | ast.ImportFrom)
         ]
         exec(compile(ast.Module(imports, []), page.name, "exec"), {})
