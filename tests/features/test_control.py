@@ -10,7 +10,9 @@ from motionkit.features.control import (
     TRAJECTORY_OFFSETS,
     ControlLayout,
     blend_types,
+    control_vector,
     future_trajectory,
+    phase_signal,
     trajectory_mirror,
 )
 
@@ -27,7 +29,26 @@ def test_control_vector_parts_stand_side_by_side() -> None:
     assert layout.skeleton == slice(0, 69)
     assert layout.type == slice(69, 72)
     assert layout.trajectory == slice(72, 96)
-    assert (layout.flag, layout.size) == (96, 97)
+    assert layout.flag == 96
+    assert layout.phase == slice(97, 99)
+    assert layout.size == 99
+
+
+def test_phase_is_a_turn_and_silent_without_one() -> None:
+    signal = phase_signal(torch.tensor([0.0, 0.25, 0.5, -1.0]))
+    assert torch.allclose(signal, torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]]), atol=1e-6)
+
+
+def test_control_vector_hides_a_trajectory_that_is_not_given() -> None:
+    layout = ControlLayout(("walking", "running"))
+    scaling = Scaling(torch.zeros(TRAJECTORY_COUNT), torch.full((TRAJECTORY_COUNT,), 2.0))
+    weights, trajectory = torch.tensor([[1.0, 0.0]] * 2), torch.full((2, TRAJECTORY_COUNT), 6.0)
+    given, progress = torch.tensor([0.0, 1.0]), torch.tensor([-1.0, 0.25])
+    vectors = control_vector(layout, torch.zeros(69), weights, trajectory, given, progress, scaling)
+    assert vectors[:, layout.flag].tolist() == [0.0, 1.0]
+    assert torch.equal(vectors[0, layout.trajectory], torch.zeros(TRAJECTORY_COUNT))
+    assert torch.allclose(vectors[1, layout.trajectory], torch.full((TRAJECTORY_COUNT,), 3.0))
+    assert torch.allclose(vectors[1, layout.phase], torch.tensor([1.0, 0.0]), atol=1e-6)
 
 
 def test_straight_ahead() -> None:

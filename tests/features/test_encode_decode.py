@@ -93,7 +93,8 @@ def test_mirror_in_features_is_the_mirror_of_the_motion(name: str, layout: str) 
 
 def as_clip(encoded: EncodedMotion) -> ClipData:
     types = torch.zeros(len(encoded.features), dtype=torch.long)
-    return ClipData(encoded.features, encoded.contacts, encoded.ground, types)
+    none = torch.full((len(types),), -1.0)
+    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, none)
 
 
 def test_mirroring_a_clip_twice_gives_it_back() -> None:
