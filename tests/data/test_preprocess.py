@@ -41,7 +41,7 @@ def clips_by_file(dataset: Dataset) -> dict[str, list[Clip]]:
 
 
 def test_folder_holds_the_arrays_and_the_manifest_and_nothing_else(dataset_folder: Path) -> None:
-    expected = ["contacts.npy", "features.npy", "ground.npy", "manifest.json", "types.npy"]
+    expected = ["contacts.npy", "features.npy", "ground.npy", "manifest.json", "phases.npy", "types.npy"]
     assert files_in(dataset_folder) == expected
 
 

@@ -15,6 +15,7 @@ from motionkit.features.control import (
     phase_signal,
     trajectory_mirror,
 )
+from motionkit.features.normalize import Scaling
 
 
 def circle(frames: int, radius: float = 200.0, rate: float = 0.8) -> torch.Tensor:
