@@ -60,8 +60,12 @@ def make_walk(
     phase: float = 0.0,
     swing: float = 0.45,
     cadence: float = 1.0,
+    crouch: float = 0.0,
 ) -> Motion:
-    """A walk with swinging legs and arms along a curve: speed in cm/s, turn in radians per second."""
+    """A walk with swinging legs and arms along a curve: speed in cm/s, turn in radians per second.
+
+    crouch bends hips, knees and ankles, in radians of the knee.
+    """
     time = torch.arange(frames, dtype=torch.float64) / fps
     beat = 2 * math.pi * cadence * time + phase
     rotations = standing_rotations(frames)
@@ -69,9 +73,12 @@ def make_walk(
         at = {n: JOINT_NAMES.index(side + n) for n in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm")}
         thigh = sign * swing * torch.sin(beat)
         knee = swing * (1.0 + torch.sin(beat * 1.0 + (0.0 if sign > 0 else math.pi) - 1.2))
-        rotations[:, at["UpLeg"]] = quat_multiply(_about("X", -thigh), rotations[:, at["UpLeg"]])
-        rotations[:, at["Leg"]] = _about("X", knee)
-        rotations[:, at["Foot"]] = quat_multiply(_about("X", 0.3 * (thigh - knee)), rotations[:, at["Foot"]])
+        ankle = 0.3 * (thigh - knee) - 0.5 * crouch
+        rotations[:, at["UpLeg"]] = quat_multiply(
+            _about("X", -thigh - 0.5 * crouch), rotations[:, at["UpLeg"]]
+        )
+        rotations[:, at["Leg"]] = _about("X", knee + crouch)
+        rotations[:, at["Foot"]] = quat_multiply(_about("X", ankle), rotations[:, at["Foot"]])
         rotations[:, at["Arm"]] = quat_multiply(_about("X", 0.7 * thigh), rotations[:, at["Arm"]])
     sway = JOINT_NAMES.index("Spine")
     rotations[:, sway] = _about("Y", 0.22 * swing * torch.sin(beat))

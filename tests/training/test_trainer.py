@@ -7,7 +7,6 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
@@ -388,7 +387,6 @@ def close_losses(a: Path, b: Path, tolerance: float) -> bool:
     )
 
 
-@pytest.mark.slow
 def test_two_processes_train_as_one_does(dataset_folder: Path, tmp_path: Path) -> None:
     one, two = tmp_path / "one.safetensors", tmp_path / "two.safetensors"
     processes(tmp_path / "run.py", 1, dataset_folder, one, 5, "off", 0, "no")
@@ -418,11 +416,9 @@ def test_torchrun_on_the_command(dataset_folder: Path, tmp_path: Path) -> None:
         "-m", "motionkit", "train", str(dataset_folder), "-o", str(path), "--preset", "tiny", "--steps", "2",
         "--batch", "4", "--window", "32", "--splices", "2", "--device", "cpu", "--json",
     ]  # fmt: skip
-    began = time.monotonic()
     done = subprocess.run(
         command, capture_output=True, text=True, timeout=300, env=os.environ | {"OMP_NUM_THREADS": "1"}
     )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["steps"] == 2, "one process prints, the other is silent"
     assert load_model(path).card["steps"] == 2
-    assert time.monotonic() - began < 300

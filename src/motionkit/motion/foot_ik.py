@@ -57,7 +57,8 @@ def lock_feet(motion: Motion, contacts: Tensor) -> Motion:
     targets = [positions[:, leg.ankle] + shift for leg, shift in zip(LEGS, shifts, strict=True)]
     motion = _lower_hips(motion, positions, targets)
     for leg, target in zip(LEGS, targets, strict=True):
-        motion = _reach(motion, leg, target)
+        # Twice: the plane of a nearly straight leg is only known once it is bent.
+        motion = _reach(_reach(motion, leg, target), leg, target)
     return motion
 
 
@@ -76,36 +77,42 @@ def locked_spans(contacts: Tensor) -> list[tuple[int, int]]:
 
 
 def _still_spans(toe: Tensor, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Spans cut where the foot has slid further than a lock may hold it back: it then takes a new place."""
+    """Spans cut where the foot has slid further than a lock may hold it back: it then takes a new place.
+
+    The frames in which it goes over are left out, so that it does not jump.
+    """
     out = []
     for start, end in spans:
         first = start
         for t in range(start, end):
             if float((toe[t] - toe[first])[[0, 2]].norm()) > MAX_SLIDE:
-                out.append((first, t))
+                out.append((first, t - EASE_FRAMES))
                 first = t
         out.append((first, end))
-    return out
+    return [(start, end) for start, end in out if end > start]
 
 
 def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
     """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
     frames = len(toe)
-    total, weight = torch.zeros_like(toe), torch.zeros(frames, 1)
+    pulls, strength = torch.zeros(frames, 3, dtype=torch.float64), torch.zeros(frames, 1, dtype=torch.float64)
+    weights = torch.zeros(frames, 1, dtype=torch.float64)
     for start, end in _still_spans(toe, locked_spans(contacts)):
         lock = toe[start:end].median(dim=0).values
-        shift = torch.zeros_like(toe)
+        shift = torch.zeros_like(pulls)
         shift[start:end] = lock - toe[start:end]
         # Outside the lock the shift at its edge fades away.
-        shift[:start], shift[end:] = shift[start], shift[end - 1]
-        distance = torch.zeros(frames)
+        shift[:start], shift[end:] = shift[start].clone(), shift[end - 1].clone()
+        distance = torch.zeros(frames, dtype=torch.float64)
         distance[:start] = torch.arange(start, 0, -1)
         distance[end:] = torch.arange(1, frames - end + 1)
         x = (1.0 - distance / EASE_FRAMES).clamp(0.0, 1.0)
         share = (x * x * (3.0 - 2.0 * x))[:, None]
-        total, weight = total + share * shift, torch.maximum(weight, share)
-        # Two locks close together share the frames between them.
-        total = torch.where(share >= 1.0, shift, total)
+        # Frames between two near locks are shared by them; within a lock it alone counts.
+        weight = share / (1.0 - share + 1e-9)
+        pulls, weights = pulls + weight * shift, weights + weight
+        strength = torch.maximum(strength, share)
+    total = (strength * pulls / weights.clamp(min=1e-12)).to(toe.dtype)
     lifted = (toe + total)[:, 1]
     total[:, 1] += (LIFT_FLOOR - lifted).clamp(min=0.0)
     return total
@@ -127,6 +134,10 @@ def _lower_hips(motion: Motion, positions: Tensor, targets: list[Tensor]) -> Mot
     kernel = torch.hann_window(2 * EASE_FRAMES + 3, periodic=False)[1:-1]
     kernel = (kernel / kernel.sum())[None, None]
     half = kernel.shape[-1] // 2
+    # The largest need around each frame, so that the smoothed one nowhere falls short of it.
+    size = need.norm(dim=-1)[None, None]
+    _, largest = F.max_pool1d(size, 2 * half + 1, stride=1, padding=half, return_indices=True)
+    need = need[largest[0, 0]]
     padded = F.pad(need.T[:, None], (half, half), mode="replicate")
     return replace(motion, root_positions=motion.root_positions + F.conv1d(padded, kernel)[:, 0].T)
 

@@ -1,0 +1,193 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionkit.motion.foot_ik import (
+    CONTACT_OFF,
+    CONTACT_ON,
+    EASE_FRAMES,
+    LIFT_FLOOR,
+    MAX_SLIDE,
+    MIN_LOCK_FRAMES,
+    lock_feet,
+    locked_spans,
+)
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_angle
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
+from synthetic_motions import make_idle, make_walk, placed
+
+LEFT_TOE, RIGHT_TOE = FOOT_JOINTS[1], FOOT_JOINTS[3]
+LEGS = [JOINT_NAMES.index(s + n) for s in ("Left", "Right") for n in ("UpLeg", "Leg", "Foot")]
+
+
+def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> torch.Tensor:
+    """Contacts (T, 4) with the feet down over the given frames."""
+    contacts = torch.zeros(frames, 4)
+    for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
+        for start, end in spans:
+            contacts[start:end, columns] = 1.0
+    return contacts
+
+
+def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Motion:
+    """A body whose standing feet slide with its root, at speed in cm/s; its knees bent by crouch radians."""
+    return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
+
+
+def toe_track(motion: Motion, toe: int) -> torch.Tensor:
+    return motion_kinematics(motion)[1][:, toe]
+
+
+def drift(motion: Motion, toe: int, start: int, end: int) -> float:
+    """How far a toe strays from where it is on average over some frames, cm."""
+    track = toe_track(motion, toe)[start:end]
+    return float((track - track.mean(dim=0)).norm(dim=-1).max())
+
+
+@pytest.mark.parametrize("crouch", [0.0, 0.1, 0.4])
+def test_a_locked_foot_of_a_sliding_walk_stays_where_it_is(crouch: float) -> None:
+    motion = sliding(crouch=crouch)
+    spans_left, spans_right = [(10, 40), (70, 100)], [(40, 70)]
+    contacts = feet_down(120, spans_left, spans_right)
+    for start, end in spans_left:
+        assert 1.0 < drift(motion, LEFT_TOE, start, end) < MAX_SLIDE / 2, "the feet are to slide a little"
+    locked = lock_feet(motion, contacts)
+    for toe, spans in ((LEFT_TOE, spans_left), (RIGHT_TOE, spans_right)):
+        for start, end in spans:
+            assert drift(locked, toe, start, end) < 0.1
+
+
+def test_locks_close_together_all_hold() -> None:
+    """Three steps of one foot a few frames apart: no lock is disturbed by the easing of the next."""
+    motion = sliding(100, 20.0)
+    spans = [(20, 35), (38, 52), (56, 75)]
+    locked = lock_feet(motion, feet_down(100, spans, []))
+    for start, end in spans:
+        assert drift(locked, LEFT_TOE, start, end) < 0.1
+    # Between two locks the foot goes over from one to the other, not beyond.
+    steps = torch.diff(toe_track(locked, LEFT_TOE), dim=0).norm(dim=-1)
+    assert float(steps.max()) < 3.0
+
+
+def test_a_foot_that_slides_far_takes_new_places_without_jumping() -> None:
+    motion = sliding(120, 60.0)
+    locked = lock_feet(motion, feet_down(120, [(10, 110)], []))
+    steps = torch.diff(toe_track(locked, LEFT_TOE), dim=0).norm(dim=-1)
+    slides = torch.diff(toe_track(motion, LEFT_TOE), dim=0).norm(dim=-1)
+    assert float(steps.max()) < 3.0 * float(slides.max())
+    assert (toe_track(locked, LEFT_TOE) - toe_track(motion, LEFT_TOE)).norm(dim=-1).max() < 14.0
+    assert int((steps[10:109] < 0.01).sum()) > 15, "in between it stands"
+
+
+@pytest.mark.parametrize("crouch", [0.0, 0.4])
+def test_both_feet_at_once(crouch: float) -> None:
+    motion = sliding(80, 6.0, crouch)
+    locked = lock_feet(motion, feet_down(80, [(20, 60)], [(20, 60)]))
+    assert drift(locked, LEFT_TOE, 20, 60) < 0.1 and drift(locked, RIGHT_TOE, 20, 60) < 0.1
+
+
+def test_frames_away_from_a_lock_are_unchanged() -> None:
+    motion = sliding()
+    locked = lock_feet(motion, feet_down(120, [(50, 70)], []))
+    near = 3 * EASE_FRAMES + 1  # the foot eases in and out, the hips a little longer
+    away = torch.ones(120, dtype=torch.bool)
+    away[50 - near : 70 + near] = False
+    assert int(away.sum()) > 30
+    assert torch.equal(locked.local_rotations[away], motion.local_rotations[away])
+    assert (locked.root_positions - motion.root_positions)[away].abs().max() < 1e-4
+
+
+def test_without_contacts_nothing_changes() -> None:
+    motion = sliding()
+    locked = lock_feet(motion, torch.zeros(120, 4))
+    assert torch.equal(locked.local_rotations, motion.local_rotations)
+    assert torch.allclose(locked.root_positions, motion.root_positions)
+
+
+def test_only_the_legs_turn_and_feet_keep_their_orientation() -> None:
+    motion = sliding()
+    locked = lock_feet(motion, feet_down(120, [(10, 60)], [(50, 100)]))
+    others = [j for j in range(23) if j not in LEGS]
+    assert torch.equal(locked.local_rotations[:, others], motion.local_rotations[:, others])
+    before, after = motion_kinematics(motion)[0], motion_kinematics(locked)[0]
+    for ankle in (FOOT_JOINTS[0], FOOT_JOINTS[2]):
+        assert quat_angle(before[:, ankle], after[:, ankle]).max() < 2e-3
+
+
+def test_bones_keep_their_lengths() -> None:
+    motion = sliding()
+    locked = lock_feet(motion, feet_down(120, [(10, 60)], [(50, 100)]))
+    positions = motion_kinematics(locked)[1]
+    parents = motion.skeleton.parents
+    for joint in range(1, 23):
+        length = (positions[:, joint] - positions[:, parents[joint]]).norm(dim=-1)
+        assert torch.allclose(length, motion.skeleton.offsets[joint].norm(), atol=1e-3)
+    norms = locked.local_rotations.norm(dim=-1)
+    assert torch.allclose(norms, torch.ones_like(norms), atol=1e-5)
+
+
+def test_knees_bend_forward_when_the_hips_come_down() -> None:
+    """A lock with the hips 6 cm lower: both knees go forward, neither backward nor aside."""
+    motion = make_idle(60)
+    root = motion.root_positions.clone()
+    root[20:40, 1] -= 6.0
+    lowered = replace(motion, root_positions=root)
+    toes = toe_track(motion, LEFT_TOE)[0]
+    locked = lock_feet(lowered, feet_down(60, [(0, 60)], [(0, 60)]))
+    assert (toe_track(locked, LEFT_TOE) - toes)[20:40, 1].abs().max() < 1.0
+    positions = motion_kinematics(locked)[1][30]
+    for side in ("Left", "Right"):
+        hip, knee, ankle = (positions[JOINT_NAMES.index(side + n)] for n in ("UpLeg", "Leg", "Foot"))
+        assert float(knee[2]) > float(max(hip[2], ankle[2])), "a knee bends forward"
+
+
+def test_motion_stays_smooth_at_the_edges_of_a_lock() -> None:
+    motion = sliding(120, 15.0)
+    locked = lock_feet(motion, feet_down(120, [(40, 70)], []))
+    before = torch.diff(motion_kinematics(motion)[1], n=2, dim=0).norm(dim=-1).max()
+    after = torch.diff(motion_kinematics(locked)[1], n=2, dim=0).norm(dim=-1).max()
+    assert float(after) < float(before) + 0.8
+
+
+def test_no_toe_stays_under_the_floor() -> None:
+    motion = make_idle(40)
+    motion = replace(motion, root_positions=motion.root_positions - torch.tensor([0.0, 6.0, 0.0]))
+    assert float(toe_track(motion, LEFT_TOE)[:, 1].min()) < 0
+    locked = lock_feet(motion, torch.zeros(40, 4))
+    for toe in (LEFT_TOE, RIGHT_TOE):
+        assert float(toe_track(locked, toe)[:, 1].min()) > LIFT_FLOOR - 0.1
+
+
+def test_turned_and_placed_motions_lock_alike() -> None:
+    motion, contacts = sliding(), feet_down(120, [(20, 60)], [(60, 100)])
+    there = lock_feet(placed(motion, 1.3, (100.0, -50.0)), contacts)
+    here = placed(lock_feet(motion, contacts), 1.3, (100.0, -50.0))
+    assert (motion_kinematics(here)[1] - motion_kinematics(there)[1]).abs().max() < 0.05
+
+
+@pytest.mark.parametrize(
+    ("level", "spans"),
+    [
+        ([0.0] * 3 + [1.0] * 6 + [0.0] * 3, [(3, 9)]),
+        ([1.0] * 12, [(0, 12)]),
+        ([0.5] * 12, []),  # never sure enough to begin
+        ([1.0] + [0.5] * 11, [(0, 12)]),  # but sure enough to go on
+        ([1.0] * (MIN_LOCK_FRAMES - 1) + [0.0] * 9, []),
+        ([1.0] * 5 + [0.0] + [1.0] * 6, [(0, 5), (6, 12)]),
+        ([0.0] * 12, []),
+    ],
+)
+def test_locked_spans(level: list[float], spans: list[tuple[int, int]]) -> None:
+    assert CONTACT_OFF < 0.5 < CONTACT_ON
+    assert locked_spans(torch.tensor([[v, 0.0] for v in level])) == spans
+    assert locked_spans(torch.tensor([[0.0, v] for v in level])) == spans
+
+
+def test_a_single_frame_comes_back() -> None:
+    motion = make_idle(5).cut(0, 1)
+    assert lock_feet(motion, torch.ones(1, 4)) is motion
