@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import hashlib
 import json
+import multiprocessing
 import os
 import shutil
 import tempfile
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -126,8 +128,9 @@ def preprocess(
     output.parent.mkdir(parents=True, exist_ok=True)
     staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
     try:
-        prepared = _pass_one(sources, staging, options, progress)
-        manifest, report = _pass_two(prepared, staging, options, progress)
+        with _processes(options.jobs, len(sources)) as each:
+            prepared = _pass_one(sources, staging, options, each, progress)
+            manifest, report = _pass_two(prepared, staging, options, each, progress)
         report.folder, report.labels = output, table
         (staging / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
         shutil.rmtree(staging / "motions")
@@ -155,25 +158,27 @@ def _may_replace(output: Path) -> bool:
         return not any(output.iterdir())
 
 
-def _workers(jobs: int) -> int:
-    return jobs if jobs > 0 else max(1, os.cpu_count() or 1)
-
-
 def _single_thread() -> None:
     torch.set_num_threads(1)
 
 
-def _map(function: Callable, items: list, jobs: int) -> Iterator:
-    """Results in order, by processes where more than one is wanted and worth it."""
-    if _workers(jobs) == 1 or len(items) < 4:
-        yield from map(function, items)
-        return
-    import multiprocessing
+# Maps a function over items, in order.
+_Map = Callable[[Callable, list], Iterator]
+# A process takes seconds to import torch: below this many files for each it does not pay.
+_FILES_PER_PROCESS = 40
 
+
+@contextmanager
+def _processes(jobs: int, files: int) -> Iterator[_Map]:
+    """A map over files, by one pool of processes for both passes where that pays."""
+    wanted = jobs if jobs > 0 else min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
+    if wanted <= 1:
+        yield map
+        return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(_workers(jobs), mp_context=context, initializer=_single_thread) as pool:
+    with ProcessPoolExecutor(wanted, mp_context=context, initializer=_single_thread) as pool:
         try:
-            yield from pool.map(function, items, chunksize=1)
+            yield lambda function, items: pool.map(function, items, chunksize=1)
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
@@ -186,12 +191,13 @@ def _pass_one(
     sources: list[SourceFile],
     staging: Path,
     options: PreprocessOptions,
+    each: _Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> list[_Prepared]:
     (staging / "motions").mkdir()
     items = [(source, str(staging / "motions" / f"{i}.npz"), options) for i, source in enumerate(sources)]
     prepared = []
-    for done, result in enumerate(_map(_prepare_file, items, options.jobs), 1):
+    for done, result in enumerate(each(_prepare_file, items), 1):
         if options.strict and result.report.fault:
             raise DatasetError(f"{result.report.skipped} (stopped: --strict)")
         prepared.append(result)
@@ -307,6 +313,7 @@ def _pass_two(
     prepared: list[_Prepared],
     staging: Path,
     options: PreprocessOptions,
+    each: _Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], PreprocessReport]:
     references = _references(prepared)
@@ -327,9 +334,7 @@ def _pass_two(
     row = 0
     items = [(p, references, options.layout) for p in prepared if p.runs]
     indices = [i for i, p in enumerate(prepared) if p.runs]
-    for done, (index, encoded) in enumerate(
-        zip(indices, _map(_encode_file, items, options.jobs), strict=True), 1
-    ):
+    for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
         item = prepared[index]
         if item.body not in bodies:
             bodies.append(item.body)
