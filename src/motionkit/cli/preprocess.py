@@ -37,7 +37,9 @@ SHOWN_SKIPS = 20
 @click.option(
     "--scale", type=click.FloatRange(1e-4, 1e4), help="Centimetres per file unit, instead of a guess."
 )
-@click.option("--jobs", default=0, type=click.IntRange(0, 256), help="Processes; by default as many cores as pay.")
+@click.option(
+    "--jobs", default=0, type=click.IntRange(0, 256), help="Processes; by default as many cores as pay."
+)
 @click.option(
     "--mirror/--no-mirror", default=True, show_default=True, help="Add a mirrored twin of each clip."
 )

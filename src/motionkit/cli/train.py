@@ -41,18 +41,20 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 @click.option("--steps", type=click.IntRange(min=1), help="Train for so many steps.")
 @click.option("--resume", is_flag=True, help="Go on from the run folder's checkpoint.")
 @click.option(
-    "--batch", default=16, show_default=True, type=click.IntRange(1, 4096), help="Windows per step."
+    "--batch",
+    type=click.IntRange(1, 4096),
+    help="Windows per step; the preset's 16 (tptn-paper 56) by default.",
 )
 @click.option(
-    "--window", default=96, show_default=True, type=click.IntRange(16, 1200), help="Frames per window."
+    "--window",
+    type=click.IntRange(16, 1200),
+    help="Frames per window; the preset's 96 (tptn-paper 300) by default.",
 )
 @click.option("--rate", type=click.FloatRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
     "--splices",
-    default=2000,
-    show_default=True,
     type=click.IntRange(0, 100_000),
-    help="Spliced transitions to make.",
+    help="Spliced transitions to make; the preset's 2000 (tptn-paper none) by default.",
 )
 @click.option(
     "--run-folder",
@@ -84,10 +86,10 @@ def command(
     minutes: float | None,
     steps: int | None,
     resume: bool,
-    batch: int,
-    window: int,
+    batch: int | None,
+    window: int | None,
     rate: float | None,
-    splices: int,
+    splices: int | None,
     run_folder: Path | None,
     device: str,
     precision: str,

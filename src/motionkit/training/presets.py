@@ -26,13 +26,13 @@ def train_options(
     preset(name)
     options = TrainOptions(preset=name, steps=steps, minutes=minutes)
     if name == "tptn-paper":
-        # Paper section 4.3: types equally often, no spliced transitions, trajectory always given, 1e-4.
-        paper = SamplerOptions(balance=1.0, splices=0, trajectory_dropout=0.0, lead_share=0.0)
-        options = replace(options, rate=1e-4, sampler=paper)
+        # Paper section 4.3: 56 windows of 300 frames, types equally often, no spliced transitions, 1e-4.
+        paper = SamplerOptions(window=300, balance=1.0, splices=0, trajectory_dropout=0.0, lead_share=0.0)
+        options = replace(options, batch=56, rate=1e-4, sampler=paper)
     sampler = options.sampler
     if window is not None:
         sampler = replace(sampler, window=window)
-    if splices is not None and name != "tptn-paper":
+    if splices is not None:
         sampler = replace(sampler, splices=splices)
     changes = {key: value for key, value in changes.items() if value is not None}
     if rate is not None:
