@@ -146,9 +146,13 @@ def follow_path(
     place = torch.cat([path.points[0], heading[None]])[None]
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
     made: list[tuple[Tensor, Tensor, Tensor]] = []
+    # Seed frames are the beginning of a performance; what comes after them goes on from there.
+    length = follower.lengths[0] if options.init is None else 0.0
+    if length:
+        follower.entered[0] = -start.features.shape[1]
     with inner_threads(1):
         state = RolloutState(model, 1, options.noise, options.seed)
-        state.start(start.features, start.contacts, weights, place)
+        state.start(start.features, start.contacts, weights, place, length)
         began = time.perf_counter()
         for frame in range(limit):
             made.append(state.step(follower(frame, state.ground)))

@@ -237,7 +237,7 @@ def read_path(file: str | Path) -> Path2D:
 def _json_parts(file: Path, text: str) -> list[PathPart]:
     try:
         value = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ControlError(f"{file}: not JSON ({error})") from None
     entries = value.get("parts") if isinstance(value, dict) else value
     if not isinstance(entries, list) or not entries:
@@ -277,22 +277,32 @@ def _part(where: str, points: list, kind: str, speed: float | None) -> PathPart:
 
 def _csv_parts(file: Path, text: str) -> list[PathPart]:
     reader = csv.DictReader(text.splitlines())
-    missing = [name for name in ("x", "z", "type") if name not in (reader.fieldnames or [])]
-    if missing:
-        raise ControlError(f"{file}:1: path table lacks the columns {', '.join(missing)}")
     groups: list[tuple[str, float | None, list[list[float]]]] = []
-    for row in reader:
-        try:
-            point = [float(row["x"]), float(row["z"])]
-            speed = float(row["speed"]) if (row.get("speed") or "").strip() else None
-        except (TypeError, ValueError):
-            raise ControlError(f"{file}:{reader.line_num}: expected numbers for x, z and speed") from None
-        if not all(math.isfinite(v) for v in (*point, speed or 0.0)):
-            raise ControlError(f"{file}:{reader.line_num}: expected finite numbers")
-        kind = (row["type"] or "").strip()
-        if not groups or groups[-1][:2] != (kind, speed):
-            groups.append((kind, speed, []))
-        groups[-1][2].append(point)
+    try:
+        missing = [name for name in ("x", "z", "type") if name not in (reader.fieldnames or [])]
+        if missing:
+            raise ControlError(f"{file}:1: path table lacks the columns {', '.join(missing)}")
+        for row in reader:
+            kind, speed, point = _csv_row(f"{file}:{reader.line_num}", row)
+            if not groups or groups[-1][:2] != (kind, speed):
+                groups.append((kind, speed, []))
+            groups[-1][2].append(point)
+    except csv.Error as error:
+        raise ControlError(f"{file}:{reader.line_num + 1}: not a table row ({error})") from None
     return [
         _part(f"{file}: part {i}", points, kind, speed) for i, (kind, speed, points) in enumerate(groups, 1)
     ]
+
+
+def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, list[float]]:
+    try:
+        point = [float(row["x"]), float(row["z"])]
+        speed = float(row["speed"]) if (row.get("speed") or "").strip() else None
+    except (TypeError, ValueError):
+        raise ControlError(f"{where}: expected numbers for x, z and speed") from None
+    if not all(math.isfinite(v) for v in (*point, speed or 0.0)):
+        raise ControlError(f"{where}: expected finite numbers")
+    kind = (row["type"] or "").strip()
+    if not kind:
+        raise ControlError(f"{where}: expected a motion type, found none")
+    return kind, speed, point

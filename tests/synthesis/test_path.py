@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from motionkit.errors import ControlError
+from motionkit.synthesis.path import SHAPES, SPACING, PathPart, make_path, read_path, shape_path
+
+# Name, size in metres, expected length in metres.
+LENGTHS = [
+    ("line", 10.0, 10.0),
+    ("circle", 3.0, 2 * math.pi * 3),
+    ("figure-eight", 2.0, 4 * math.pi * 2),
+    ("square", 5.0, 20.0),
+    ("pentagram", 4.0, 20.0),
+    ("u-turn", 6.0, 2 * 6 + math.pi * 0.6),
+]
+
+
+@pytest.mark.parametrize(("name", "size", "metres"), LENGTHS)
+def test_length_of_shapes(name: str, size: float, metres: float) -> None:
+    assert shape_path(name, size, ["walking"], None).length == pytest.approx(100 * metres, rel=0.005, abs=2.5)
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_shapes_start_at_the_origin_facing_ahead(name: str) -> None:
+    path = shape_path(name, None, ["walking"], None)
+    assert path.points[0].norm() < 0.1
+    assert torch.allclose(path.tangents[0], torch.tensor([0.0, 1.0]), atol=0.02)
+
+
+@pytest.mark.parametrize("name", ["circle", "figure-eight", "square", "pentagram"])
+def test_closed_shapes_end_where_they_start(name: str) -> None:
+    path = shape_path(name, 2.0, ["walking"], None)
+    assert (path.points[-1] - path.points[0]).norm() < 2 * SPACING
+
+
+def test_points_are_evenly_spaced_and_tangents_are_unit() -> None:
+    for name in SHAPES:
+        path = shape_path(name, 3.0, ["walking"], None)
+        steps = torch.diff(path.points, dim=0).norm(dim=-1)
+        assert steps.max() < 1.001 * SPACING
+        assert float((steps < 0.95 * SPACING).float().mean()) < 0.01, "shorter ones at corners only"
+        assert torch.allclose(path.tangents.norm(dim=-1), torch.ones(len(path.points)), atol=1e-5)
+
+
+def test_a_circle_turns_left_about_its_centre() -> None:
+    path = shape_path("circle", 3.0, ["walking"], None)
+    distance = (path.points - torch.tensor([300.0, 0.0])).norm(dim=-1)
+    assert (distance - 300.0).abs().max() < 0.1
+
+
+def test_corners_of_a_square() -> None:
+    path = shape_path("square", 5.0, ["walking"], None)
+    assert path.points.amin() > -1 and path.points.amax() < 501
+    for corner in ([0.0, 500.0], [500.0, 500.0], [500.0, 0.0]):
+        assert (path.points - torch.tensor(corner)).norm(dim=-1).min() < SPACING
+
+
+def test_a_u_turn_comes_back_beside_itself() -> None:
+    path = shape_path("u-turn", 6.0, ["walking"], None)
+    assert torch.allclose(path.points[-1], torch.tensor([120.0, 0.0]), atol=2 * SPACING)
+    assert torch.allclose(path.tangents[-1], torch.tensor([0.0, -1.0]), atol=0.02)
+
+
+def test_types_share_the_length_of_a_shape() -> None:
+    path = shape_path("line", 9.0, ["walking", "running", "walking"], 2.0)
+    assert [part.type for part in path.parts] == ["walking", "running", "walking"]
+    assert all(part.speed == 200.0 for part in path.parts)
+    shares = torch.bincount(path.part).float() / len(path.part)
+    assert torch.allclose(shares, torch.full((3,), 1 / 3), atol=0.01)
+    assert (torch.diff(path.part) >= 0).all()
+
+
+def test_places_and_directions_on_and_beyond_a_path() -> None:
+    path = shape_path("line", 1.0, ["walking"], None)
+    points, directions = path.at(torch.tensor([-10.0, 0.0, 3.0, 100.0, 150.0]))
+    assert torch.allclose(points[:, 1], torch.tensor([-10.0, 0.0, 3.0, 100.0, 150.0]), atol=1e-3)
+    assert torch.allclose(directions, torch.tensor([0.0, 1.0]).expand(5, 2))
+    assert path.part_at(torch.tensor([-5.0, 50.0, 500.0])).tolist() == [0, 0, 0]
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "speed", "complaint"),
+    [
+        ("spiral", 1.0, None, "spiral"),
+        ("circel", 1.0, None, "did you mean 'circle'"),
+        ("circle", 0.0, None, "expected a size between 0.2 and 1000"),
+        ("circle", -2.0, None, "size"),
+        ("circle", math.nan, None, "size"),
+        ("circle", 1e9, None, "size"),
+        ("circle", 1.0, 0.0, "expected a speed between 0.05 and 15"),
+        ("circle", 1.0, math.inf, "speed"),
+    ],
+)
+def test_impossible_shapes(name: str, size: float, speed: float | None, complaint: str) -> None:
+    with pytest.raises(ControlError, match=complaint):
+        shape_path(name, size, ["walking"], speed)
+
+
+def test_more_types_than_a_shape_has_room_for() -> None:
+    with pytest.raises(ControlError, match="cm long, expected at least 4 cm"):
+        shape_path("line", 0.2, ["walking"] * 30, None)
+
+
+def test_parts_that_go_nowhere() -> None:
+    with pytest.raises(ControlError, match="no parts"):
+        make_path([])
+    still = torch.zeros(5, 2)
+    with pytest.raises(ControlError, match=r"part 1 of the path \(idle\) is 0\.0 cm long"):
+        make_path([PathPart(still, "idle")])
+
+
+def test_repeated_points_do_no_harm() -> None:
+    points = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, 50.0], [0.0, 50.0], [0.0, 100.0]])
+    path = make_path([PathPart(points, "walking")])
+    assert path.length == pytest.approx(100.0)
+    assert torch.isfinite(path.points).all() and torch.isfinite(path.tangents).all()
+
+
+def test_a_part_begins_where_the_one_before_ends() -> None:
+    a = PathPart(torch.tensor([[0.0, 0.0], [0.0, 100.0]]), "walking")
+    b = PathPart(torch.tensor([[100.0, 100.0], [100.0, 200.0]]), "running")
+    path = make_path([a, b])
+    assert path.length == pytest.approx(300.0)
+    assert path.part_at(torch.tensor([50.0, 99.0, 103.0, 299.0])).tolist() == [0, 0, 1, 1]
+
+
+# ---- files ----
+
+GOOD = {"parts": [
+    {"type": "walking", "speed": 1.4, "points": [[0, 0], [0, 2]]},
+    {"type": "running", "points": [[0, 4], [1, 5]]},
+]}  # fmt: skip
+
+
+def write(tmp_path: Path, text: str, name: str = "path.json") -> Path:
+    file = tmp_path / name
+    file.write_text(text, encoding="utf-8")
+    return file
+
+
+def test_json_in_metres(tmp_path: Path) -> None:
+    path = read_path(write(tmp_path, json.dumps(GOOD)))
+    assert path.length == pytest.approx(400.0 + 100 * math.sqrt(2), abs=SPACING)
+    assert [(p.type, p.speed) for p in path.parts] == [("walking", 140.0), ("running", None)]
+
+
+def test_json_may_be_a_bare_list(tmp_path: Path) -> None:
+    assert len(read_path(write(tmp_path, json.dumps(GOOD["parts"]))).parts) == 2
+
+
+def test_csv_rows_of_one_type_make_a_part(tmp_path: Path) -> None:
+    text = "x,z,type,speed\n0,0,walking,1.4\n0,2,walking,1.4\n0,4,running,\n1,5,running,\n"
+    path = read_path(write(tmp_path, text, "path.csv"))
+    assert [(p.type, p.speed) for p in path.parts] == [("walking", 140.0), ("running", None)]
+    assert path.length == pytest.approx(400.0 + 100 * math.sqrt(2), abs=SPACING)
+    plain = write(tmp_path, "x,z,type\n0,0,walking\n0,2,walking\n", "plain.csv")
+    assert read_path(plain).parts[0].speed is None
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", "not JSON"),
+        ("{", "not JSON"),
+        ("3", "expected {\"parts\": [...]} with at least one part"),
+        ("{}", "at least one part"),
+        ('{"parts": []}', "at least one part"),
+        ('{"parts": [1]}', "part 1: expected an object with type and points"),
+        ('{"parts": [{"points": [[0, 0], [0, 1]]}]}', "part 1: expected an object with type and points"),
+        ('{"parts": [{"type": "walking"}]}', "part 1: expected points as a list of [x, z] numbers"),
+        ('{"parts": [{"type": "walking", "points": [[0, 0, 0]]}]}', "part 1: expected points"),
+        ('{"parts": [{"type": "walking", "points": [[0, "a"]]}]}', "part 1: expected points"),
+        ('{"parts": [{"type": "walking", "points": [[0, NaN], [0, 1]]}]}', "part 1: expected points"),
+        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, true]]}]}', "part 1: expected points"),
+        ('{"parts": [{"type": "walking", "speed": "fast", "points": [[0, 0], [0, 1]]}]}', "part 1: expected a number for speed"),
+        ('{"parts": [{"type": "walking", "speed": -1, "points": [[0, 0], [0, 1]]}]}', "part 1: expected a speed between"),
+        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, 0.001]]}]}', "part 1 of the path (walking) is 0.1 cm long"),
+        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, 1]]}, {"type": "running", "points": [[0, 1]]}]}', "part 2 of the path (running)"),
+        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, 1e9]]}]}', "longer than"),
+    ],
+)  # fmt: skip
+def test_broken_json_names_the_part(tmp_path: Path, text: str, complaint: str) -> None:
+    file = write(tmp_path, text)
+    with pytest.raises(ControlError) as caught:
+        read_path(file)
+    message = str(caught.value)
+    assert message.startswith(f"{file}: ") and complaint in message and "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("", ":1: path table lacks the columns x, z, type"),
+        ("x,y,type\n0,0,walking\n", ":1: path table lacks the columns z"),
+        ("x,z,type\n0,0,walking\n0,one,walking\n", ":3: expected numbers for x, z and speed"),
+        ("x,z,type\n0,0,walking\n0\n", ":3: expected numbers for x, z and speed"),
+        ("x,z,type,speed\n0,0,walking,quick\n", ":2: expected numbers for x, z and speed"),
+        ("x,z,type\n0,0,walking\n0,inf,walking\n", ":3: expected finite numbers"),
+        ("x,z,type\n0,0,\n0,1,\n", ":2: expected a motion type, found none"),
+        ("x,z,type\n", "no parts"),
+        ('x,z,type\n0,0,"' + "w" * 200_000 + '"\n', ":2: "),
+    ],
+)
+def test_broken_csv_names_the_line(tmp_path: Path, text: str, complaint: str) -> None:
+    file = write(tmp_path, text, "path.csv")
+    with pytest.raises(ControlError) as caught:
+        read_path(file)
+    assert str(file) in str(caught.value) and complaint in str(caught.value)
+
+
+def test_files_that_are_no_text(tmp_path: Path) -> None:
+    (tmp_path / "path.json").write_bytes(b"\xff\xfe\x00")
+    for place in (tmp_path / "path.json", tmp_path, tmp_path / "missing.csv"):
+        with pytest.raises(ControlError, match="cannot be read as a path"):
+            read_path(place)
+
+
+def test_deeply_nested_json_is_told_in_a_line(tmp_path: Path) -> None:
+    with pytest.raises(ControlError, match="not JSON"):
+        read_path(write(tmp_path, "[" * 100_000))

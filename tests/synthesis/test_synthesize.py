@@ -1,0 +1,207 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+
+from motionkit.errors import ControlError, MotionkitError
+from motionkit.features.decode import decode_motion
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import leg_length
+from motionkit.synthesis.plan import parse_types
+from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState, run, seed_batch
+from motionkit.synthesis.start import clip_start, seed_start
+from motionkit.synthesis.synthesize import SynthesisOptions, on_character, synthesize
+
+PARTS = parse_types("walking:0.6,cartwheel:0.4")
+
+
+def made(model: MotionModel, **options) -> list[Motion]:
+    return [s.motion for s in synthesize(model, PARTS, SynthesisOptions(**options)).motions]
+
+
+def same(a: Motion, b: Motion) -> bool:
+    return torch.equal(a.local_rotations, b.local_rotations) and torch.equal(
+        a.root_positions, b.root_positions
+    )
+
+
+def test_length_rate_and_joints(tiny_model: MotionModel) -> None:
+    seen: list[int] = []
+    result = synthesize(tiny_model, PARTS, progress=seen.append)
+    motion = result.motions[0].motion
+    assert (len(motion), motion.fps, len(motion.skeleton)) == (60, 60.0, 23)
+    assert result.motions[0].contacts.shape == (60, 4) and result.frames == 60
+    assert torch.isfinite(motion.local_rotations).all() and torch.isfinite(motion.root_positions).all()
+    assert seen == list(range(1, 61))
+
+
+@pytest.mark.parametrize("kind", ["mean", "sample", "correlated"])
+def test_the_same_seed_writes_the_same_file(tiny_model: MotionModel, tmp_path: Path, kind: str) -> None:
+    for name, seed in (("a", 3), ("b", 3), ("c", 4)):
+        write_bvh(tmp_path / name, made(tiny_model, seed=seed, noise=Noise(kind))[0])
+    a, b, c = ((tmp_path / name).read_bytes() for name in "abc")
+    assert a == b
+    assert (a == c) == (kind == "mean"), "the mean does not depend on the seed, draws do"
+
+
+def test_global_random_numbers_play_no_part(tiny_model: MotionModel) -> None:
+    torch.manual_seed(1)
+    first = made(tiny_model)[0]
+    torch.manual_seed(2)
+    torch.rand(7)
+    assert same(first, made(tiny_model)[0])
+
+
+def test_temperature_zero_is_the_mean(tiny_model: MotionModel) -> None:
+    mean = made(tiny_model, noise=Noise("mean"))[0]
+    assert same(mean, made(tiny_model, noise=Noise("sample", temperature=0.0))[0])
+    assert not same(mean, made(tiny_model, noise=Noise("sample", temperature=1.0))[0])
+
+
+def test_correlated_noise_follows_itself_and_keeps_its_size(tiny_model: MotionModel) -> None:
+    state = RolloutState(tiny_model, 1, Noise("correlated", 0.5, 0.95), 0)
+    state.noise_state = torch.randn(1, 276, generator=state.generator)
+    draws = torch.cat([state._noise() for _ in range(400)])
+    assert float(draws.std()) == pytest.approx(0.5, rel=0.1)
+    neighbours = (draws[1:] * draws[:-1]).mean() / draws.square().mean()
+    assert float(neighbours) == pytest.approx(0.95, abs=0.02)
+    white = RolloutState(tiny_model, 1, Noise("sample", 0.5), 0)
+    draws = torch.cat([white._noise() for _ in range(400)])
+    assert abs(float((draws[1:] * draws[:-1]).mean() / draws.square().mean())) < 0.02
+
+
+def test_unknown_noise() -> None:
+    with pytest.raises(
+        ControlError, match="noise 'pink' is unknown, expected one of mean, sample, correlated"
+    ):
+        Noise("pink")
+
+
+def test_unknown_types_and_characters(tiny_model: MotionModel) -> None:
+    with pytest.raises(ControlError, match="did you mean 'walking'"):
+        synthesize(tiny_model, parse_types("walkin"))
+    with pytest.raises(ControlError, match="unknown character 'giant'"):
+        synthesize(tiny_model, PARTS, SynthesisOptions(character="giant"))
+    with pytest.raises(ControlError, match="count of at least 1"):
+        synthesize(tiny_model, PARTS, SynthesisOptions(count=0))
+
+
+def test_several_at_once_differ_and_each_equals_its_own_stream(tiny_model: MotionModel) -> None:
+    motions = made(tiny_model, count=3)
+    assert len(motions) == 3
+    assert not same(motions[0], motions[1]) and not same(motions[1], motions[2])
+
+
+def test_characters_in_a_batch_do_not_touch_each_other(tiny_model: MotionModel) -> None:
+    seeds = [tiny_model.seeds[kind][0] for kind in ("walking", "idle")]
+    features, contacts = seed_batch(seeds)
+    weights = torch.eye(len(tiny_model.types))[[tiny_model.type_id("walking"), tiny_model.type_id("idle")]]
+    none = torch.zeros(2, 24)
+
+    def rollout(rows: slice) -> torch.Tensor:
+        count = len(features[rows])
+        state = RolloutState(tiny_model, count, Noise("mean"))
+        state.start(features[rows], contacts[rows], weights[rows])
+        asked = replace(
+            FrameControls(weights[rows], none[:count], torch.zeros(count), torch.full((count,), -1.0))
+        )
+        return run(state, 20, lambda frame, ground: asked).features
+
+    together, alone = rollout(slice(0, 2)), rollout(slice(1, 2))
+    assert torch.allclose(together[1:2], alone, rtol=1e-4, atol=1e-3)
+
+
+def test_another_rate(tiny_model: MotionModel) -> None:
+    whole, half = made(tiny_model)[0], made(tiny_model, fps=30.0)[0]
+    assert (half.fps, len(half)) == (30.0, 30)
+    assert torch.allclose(half.root_positions, whole.root_positions[::2], atol=1e-4)
+    assert len(made(tiny_model, fps=144.0)[0]) == int(59 * 144 / 60) + 1
+
+
+def test_another_character_turns_the_same_joints(tiny_model: MotionModel) -> None:
+    tall = {**tiny_model.characters, "tall": 1.2 * tiny_model.characters["default"]}
+    model = replace(tiny_model, characters=tall)
+    small, large = made(model)[0], made(model, character="tall")[0]
+    assert torch.equal(small.local_rotations, large.local_rotations)
+    assert leg_length(large.skeleton) == pytest.approx(1.2 * leg_length(small.skeleton))
+    assert torch.allclose(large.root_positions, 1.2 * small.root_positions, rtol=1e-5)
+
+
+def test_on_character_keeps_feet_on_the_floor(tiny_model: MotionModel) -> None:
+    motion = made(tiny_model)[0]
+    larger = on_character(motion, motion.skeleton.scaled(1.3))
+    heights = motion_kinematics(larger)[1][..., 1] - 1.3 * motion_kinematics(motion)[1][..., 1]
+    assert heights.abs().max() < 1e-3
+
+
+def test_foot_locks_move_feet_only(tiny_model: MotionModel) -> None:
+    plain, locked = made(tiny_model, ik=False)[0], made(tiny_model, ik=True)[0]
+    upper = [plain.skeleton.index(n) for n in ("Spine", "LeftArm", "RightHand", "Head")]
+    assert torch.equal(plain.local_rotations[:, upper], locked.local_rotations[:, upper])
+
+
+# ---- where it starts ----
+
+
+def test_seeds_are_taken_in_turn(tiny_model: MotionModel) -> None:
+    count = len(tiny_model.seeds["walking"])
+    assert count > 1
+    start = seed_start(tiny_model, "walking", count + 1)
+    assert torch.equal(start.features[0], start.features[count])
+    assert not torch.equal(start.features[0], start.features[1])
+
+
+def test_a_type_without_seeds(tiny_model: MotionModel) -> None:
+    with pytest.raises(ControlError, match="no frames to start 'walking' from"):
+        seed_start(replace(tiny_model, seeds={}), "walking", 1)
+
+
+def test_start_frames_are_the_clips(tiny_model: MotionModel, clips_folder: Path) -> None:
+    start = clip_start(tiny_model, clips_folder / "walk_02.bvh", 2)
+    assert start.features.shape == (2, 87, 276) and start.contacts.shape == (2, 87, 4)
+    motion = bvh_to_motion(read_bvh(clips_folder / "walk_02.bvh"))
+    back = decode_motion(
+        start.features[0], motion.skeleton, 60.0, None, tiny_model.references, tiny_model.config.layout
+    )
+    assert torch.allclose(back.root_positions[:, 1], motion.root_positions[:87, 1], atol=0.01)
+
+
+def test_the_first_frame_goes_on_from_the_start(tiny_model: MotionModel, clips_folder: Path) -> None:
+    """One step from the last frame of the clip: the pose is near it, in place as in posture."""
+    clip = clips_folder / "idle_01.bvh"
+    model = tiny_model
+    motion = synthesize(
+        model, parse_types("idle:0.1"), SynthesisOptions(init=clip, noise=Noise("mean"))
+    ).motions
+    first = motion_kinematics(motion[0].motion)[1][0]
+    last = motion_kinematics(bvh_to_motion(read_bvh(clip)))[1][86]
+    assert float((first[0] - last[0])[[0, 2]].norm()) < 5.0
+
+
+def test_another_clip_another_motion(tiny_model: MotionModel, clips_folder: Path) -> None:
+    a = made(tiny_model, init=clips_folder / "walk_02.bvh")[0]
+    b = made(tiny_model, init=clips_folder / "wheel_01.bvh")[0]
+    assert not same(a, b) and not same(a, made(tiny_model)[0])
+
+
+def test_a_start_that_is_no_clip(tiny_model: MotionModel, tmp_path: Path, clips_folder: Path) -> None:
+    (tmp_path / "bad.bvh").write_text("HIERARCHY")
+    with pytest.raises(MotionkitError, match=r"bad\.bvh"):
+        made(tiny_model, init=tmp_path / "bad.bvh")
+    write_bvh(tmp_path / "one.bvh", bvh_to_motion(read_bvh(clips_folder / "idle_01.bvh")).cut(0, 1))
+    with pytest.raises(ControlError, match=r"one\.bvh: expected at least 2 frames"):
+        made(tiny_model, init=tmp_path / "one.bvh")
+
+
+def test_written_motion_is_what_was_rolled_out(tiny_model: MotionModel, tmp_path: Path) -> None:
+    motion = made(tiny_model)[0]
+    write_bvh(tmp_path / "out.bvh", motion)
+    back = bvh_to_motion(read_bvh(tmp_path / "out.bvh"))
+    assert back.fps == 60.0 and back.skeleton.names == motion.skeleton.names
+    assert (motion_kinematics(motion)[1] - motion_kinematics(back)[1]).norm(dim=-1).max() < 0.01
