@@ -163,28 +163,34 @@ def test_csv_rows_of_one_type_make_a_part(tmp_path: Path) -> None:
     assert read_path(plain).parts[0].speed is None
 
 
+def one_part(**changes: object) -> str:
+    """A path of one good part, with some of it changed; None leaves it out."""
+    part = {"type": "walking", "points": [[0, 0], [0, 1]]} | changes
+    return json.dumps({"parts": [{key: value for key, value in part.items() if value is not None}]})
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
         ("", "not JSON"),
         ("{", "not JSON"),
-        ("3", "expected {\"parts\": [...]} with at least one part"),
+        ("3", 'expected {"parts": [...]} with at least one part'),
         ("{}", "at least one part"),
         ('{"parts": []}', "at least one part"),
         ('{"parts": [1]}', "part 1: expected an object with type and points"),
-        ('{"parts": [{"points": [[0, 0], [0, 1]]}]}', "part 1: expected an object with type and points"),
-        ('{"parts": [{"type": "walking"}]}', "part 1: expected points as a list of [x, z] numbers"),
-        ('{"parts": [{"type": "walking", "points": [[0, 0, 0]]}]}', "part 1: expected points"),
-        ('{"parts": [{"type": "walking", "points": [[0, "a"]]}]}', "part 1: expected points"),
-        ('{"parts": [{"type": "walking", "points": [[0, NaN], [0, 1]]}]}', "part 1: expected points"),
-        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, true]]}]}', "part 1: expected points"),
-        ('{"parts": [{"type": "walking", "speed": "fast", "points": [[0, 0], [0, 1]]}]}', "part 1: expected a number for speed"),
-        ('{"parts": [{"type": "walking", "speed": -1, "points": [[0, 0], [0, 1]]}]}', "part 1: expected a speed between"),
-        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, 0.001]]}]}', "part 1 of the path (walking) is 0.1 cm long"),
-        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, 1]]}, {"type": "running", "points": [[0, 1]]}]}', "part 2 of the path (running)"),
-        ('{"parts": [{"type": "walking", "points": [[0, 0], [0, 1e9]]}]}', "longer than"),
+        (one_part(type=None), "part 1: expected an object with type and points"),
+        (one_part(points=None), "part 1: expected points as a list of [x, z] numbers"),
+        (one_part(points=[[0, 0, 0]]), "part 1: expected points"),
+        (one_part(points=[[0, "a"]]), "part 1: expected points"),
+        (one_part(points=[[0, math.nan], [0, 1]]), "part 1: expected points"),
+        (one_part(points=[[0, 0], [0, True]]), "part 1: expected points"),
+        (one_part(speed="fast"), "part 1: expected a number for speed"),
+        (one_part(speed=-1), "part 1: expected a speed between"),
+        (one_part(points=[[0, 0], [0, 0.001]]), "part 1 of the path (walking) is 0.1 cm long"),
+        (one_part(points=[[0, 0], [0, 1e9]]), "longer than"),
+        (json.dumps(GOOD["parts"] + [{"type": "idle", "points": [[1, 5]]}]), "part 3 of the path (idle)"),
     ],
-)  # fmt: skip
+)
 def test_broken_json_names_the_part(tmp_path: Path, text: str, complaint: str) -> None:
     file = write(tmp_path, text)
     with pytest.raises(ControlError) as caught:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import importlib
+import signal
 import sys
+from typing import Any
 
 import click
 
@@ -43,8 +45,14 @@ def cli() -> None:
     """
 
 
+def _stop(number: int, frame: Any) -> None:
+    """A terminated command stops as with Ctrl-C, and takes what it has half written away."""
+    raise KeyboardInterrupt
+
+
 def main() -> None:
     """Entry point of the console script."""
+    signal.signal(signal.SIGTERM, _stop)
     try:
         cli.main(standalone_mode=False)
     except click.UsageError as error:

@@ -1,0 +1,64 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from motionkit.motion.bvh import read_bvh
+
+
+@pytest.fixture
+def follow(motionkit, tiny_model_file: Path):
+    return lambda *words: motionkit("follow-path", "--model", tiny_model_file, *words)
+
+
+def test_a_named_shape(follow, tmp_path: Path) -> None:
+    said = follow("line", "--size", 0.5, "--speed", 3, "--types", "walking,running")
+    assert said.code == 0 and said.err == ""
+    assert [p.name for p in tmp_path.iterdir()] == ["line-walking.bvh"]
+    assert "along 0.5 m" in said.out and "reach" in said.out
+    assert "part 1 walking: " in said.out and "part 2 running: " in said.out
+    assert "trajectory distance " in said.out and "cm per frame" in said.out
+
+
+def test_a_file_and_json(follow, tmp_path: Path) -> None:
+    (tmp_path / "way.json").write_text(
+        json.dumps({"parts": [{"type": "walking", "speed": 2.5, "points": [[0, 0], [0, 0.5]]}]})
+    )
+    said = follow("way.json", "-o", "out.bvh", "--json")
+    value = json.loads(said.out)
+    assert said.code == 0 and value["file"] == "out.bvh"
+    assert value["path_cm"] == pytest.approx(50.0)
+    assert isinstance(value["finished"], bool) and value["trajectory_distance_cm"] >= 0
+    assert [part["type"] for part in value["parts"]] == ["walking"]
+    assert len(read_bvh(tmp_path / "out.bvh").values) == value["frames"]
+
+
+def test_a_table(follow, tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text("x,z,type,speed\n0,0,walking,2\n0,0.4,walking,2\n")
+    assert follow("way.csv").code == 0
+    assert (tmp_path / "way-walking.bvh").is_file()
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["cirkle"], "did you mean 'circle'"),
+        (["circle", "--size", "0"], "expected a size"),
+        (["circle", "--size", "nan"], "expected a size"),
+        (["circle", "--speed", "99"], "expected a speed"),
+        (["circle", "--types", "floating"], "unknown motion type 'floating'"),
+        (["circle", "--character", "nobody"], "unknown character 'nobody'"),
+        (["missing.json"], "missing.json: cannot be read as a path"),
+    ],
+)
+def test_faults_leave_no_file(follow, tmp_path: Path, words: list[str], complaint: str) -> None:
+    assert follow(*words).failed_with(complaint)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_broken_table_names_the_line(follow, tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,far,walking\n")
+    assert follow("way.csv").failed_with("way.csv:3: expected numbers")
+    assert [p.name for p in tmp_path.iterdir()] == ["way.csv"]

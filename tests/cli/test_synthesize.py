@@ -1,0 +1,105 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from motionkit.motion.bvh import bvh_to_motion, read_bvh
+
+
+@pytest.fixture
+def synthesize(motionkit, tiny_model_file: Path):
+    return lambda *words: motionkit("synthesize", "--model", tiny_model_file, *words)
+
+
+def test_writes_a_file_named_after_the_types_and_says_what_it_made(synthesize, tmp_path: Path) -> None:
+    said = synthesize("--types", "running:0.5,cartwheel:0.3")
+    assert said.code == 0 and said.err == ""
+    assert [p.name for p in tmp_path.iterdir()] == ["running-cartwheel.bvh"]
+    assert "wrote running-cartwheel.bvh: running 0.5 s, cartwheel 0.3 s; 48 frames at 60 fps" in said.out
+    assert "frames per second" in said.out and "jerk" in said.out and "afs" in said.out
+    assert len(bvh_to_motion(read_bvh(tmp_path / "running-cartwheel.bvh"))) == 48
+
+
+def test_a_file_that_is_there_is_not_overwritten_by_default(synthesize, tmp_path: Path) -> None:
+    for _ in range(2):
+        assert synthesize("--types", "idle:0.2").code == 0
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["idle-2.bvh", "idle.bvh"]
+
+
+def test_the_same_seed_writes_the_same_bytes(synthesize, tmp_path: Path) -> None:
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        assert synthesize("--types", "idle:0.3", "--seed", seed, "-o", f"{name}.bvh").code == 0
+    a, b, c = ((tmp_path / f"{name}.bvh").read_bytes() for name in "abc")
+    assert a == b != c
+
+
+def test_several_files_are_numbered(synthesize, tmp_path: Path) -> None:
+    said = synthesize("--types", "idle:0.2", "--count", 3, "-o", "take.bvh", "--json")
+    names = ["take-1.bvh", "take-2.bvh", "take-3.bvh"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == names
+    assert [entry["file"] for entry in json.loads(said.out)["motions"]] == names
+    assert len({(tmp_path / name).read_bytes() for name in names}) == 3
+
+
+def test_json(synthesize) -> None:
+    value = json.loads(synthesize("--types", "walking,idle", "--seconds", 1, "--fps", 30, "--json").out)
+    (entry,) = value["motions"]
+    assert (entry["frames"], entry["fps"]) == (30, 30.0)
+    assert entry["types"] == [["walking", 0.5], ["idle", 0.5]]
+    assert {"value", "unit"} == set(entry["metrics"]["jerk"])
+    assert value["frames_per_second"] > 0 and value["seed"] == 0
+
+
+@pytest.mark.parametrize("noise", ["mean", "sample", "correlated"])
+def test_noise_and_foot_locks(synthesize, noise: str, tmp_path: Path) -> None:
+    said = synthesize("--types", "walking:0.3", "--noise", noise, "--ik", "--temperature", 0.2, "-o", "x.bvh")
+    assert said.code == 0 and (tmp_path / "x.bvh").is_file()
+
+
+def test_start_from_a_clip(synthesize, clips_folder: Path, tmp_path: Path) -> None:
+    said = synthesize("--types", "walking:0.3", "--init", clips_folder / "walk_02.bvh", "-o", "x.bvh")
+    assert said.code == 0 and (tmp_path / "x.bvh").is_file()
+
+
+def test_list_of_types(synthesize, tmp_path: Path) -> None:
+    said = synthesize("--list-types")
+    assert said.out.splitlines()[0] == "types: cartwheel, idle, jumping-l, jumping-r, running, walking"
+    assert json.loads(synthesize("--list-types", "--json").out)["characters"][0] == "default"
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--types", "runing"], "did you mean 'running'? (known: cartwheel, idle,"),
+        (["--types", "walking,qqq"], "unknown motion type 'qqq' (known: "),
+        (["--types", "walking:x"], "expected seconds after the colon"),
+        (["--types", "walking:5", "--character", "gaint"], "unknown character 'gaint'"),
+        (["--types", "walking:5,idle", "--seconds", "3"], "the parts alone take 5 s"),
+        (["--types", "idle:0.1", "-o", "no/such/folder/x.bvh"], "no/such/folder/x.bvh: cannot be written"),
+    ],
+)
+def test_faults_leave_no_file(synthesize, tmp_path: Path, words: list[str], complaint: str) -> None:
+    assert synthesize(*words).failed_with(complaint)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_in_the_place_of_the_file(synthesize, tmp_path: Path) -> None:
+    (tmp_path / "out").mkdir()
+    assert synthesize("--types", "idle:0.1", "-o", "out").failed_with("out: is a folder")
+
+
+@pytest.mark.parametrize("content", [b"", b"HIERARCHY\n" * 50, b"\x08\x00\x00\x00\x00\x00\x00\x00{}      "])
+def test_a_model_that_is_none(motionkit, tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "m.safetensors").write_bytes(content)
+    said = motionkit("synthesize", "--types", "idle:0.1", "--model", "m.safetensors")
+    assert said.failed_with("m.safetensors")
+    assert [p.name for p in tmp_path.iterdir()] == ["m.safetensors"]
+
+
+def test_a_broken_start_clip(synthesize, tmp_path: Path, broken_folder: Path) -> None:
+    said = synthesize("--types", "idle:0.1", "--init", broken_folder / "nan.bvh")
+    assert said.failed_with("nan.bvh")
+    assert not list(tmp_path.iterdir())

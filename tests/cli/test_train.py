@@ -1,0 +1,55 @@
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from motionkit.models.checkpoint import load_model
+
+QUICK = ("--preset", "tiny", "--batch", 2, "--window", 16, "--splices", 0, "--device", "cpu")
+
+
+def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr(
+        "motionkit.training.trainer.score_rollouts", lambda *_: ()
+    )  # ten seconds of each type
+    said = motionkit("train", dataset_folder, "-o", "m.safetensors", *QUICK, "--steps", 2)
+    assert said.code == 0
+    assert said.out.startswith("trained after 2 steps") and said.out.rstrip().endswith("wrote m.safetensors")
+    assert "parameters on cpu" in said.err
+    said = motionkit(
+        "train", dataset_folder, "-o", "m.safetensors", *QUICK, "--steps", 3, "--resume", "--json"
+    )
+    value = json.loads(said.out)
+    assert said.code == 0 and (value["steps"], value["finished"]) == (3, True)
+    assert {"gauss", "smooth", "contact", "fk", "consistency", "trajectory", "total"} <= set(value["losses"])
+    assert load_model(tmp_path / "m.safetensors").card["steps"] == 3
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["--resume"], "no checkpoint to resume from"),
+        (["--device", "cuda:77"], "device 'cuda:77' is not there"),
+        (["--device", "toaster"], "unknown device 'toaster'"),
+        (["--preset", "tptn-paper"], "run preprocess with --layout expmap-root-1"),
+    ],
+)
+def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str], complaint: str) -> None:
+    said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, *words)
+    assert said.failed_with(complaint)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_folder_that_is_no_dataset(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    assert motionkit("train", "clips", *QUICK, "--steps", 1).failed_with("not a dataset folder")
+
+
+def test_a_damaged_dataset(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(dataset_folder, tmp_path / "ds")
+    (tmp_path / "ds" / "features.npy").write_bytes(b"torn")
+    assert motionkit("train", "ds", *QUICK, "--steps", 1).failed_with("features.npy")
+    assert [p.name for p in tmp_path.iterdir()] == ["ds"]
