@@ -35,6 +35,7 @@ class SamplerOptions:
 
     window: int = 96  # frames of a window (paper: 300)
     balance: float = 0.75  # 0: types as often as they are recorded; 1: all equally often (paper)
+    phase_weight: float = 3.0  # more often for types that turn over (the paper favours hard types too)
     splices: int = 2000  # spliced transitions made before training; 0 for none
     splice_share: float = 0.4  # of windows
     trajectory_dropout: float = 0.5  # windows without a trajectory
@@ -80,6 +81,8 @@ class WindowSampler:
         for kind, spans in self.spans.items():
             frames[kind] = sum(s.end - s.start for s in spans)
         weights = torch.where(frames > 0, frames ** (1.0 - self.options.balance), 0.0)
+        for name in self.dataset.phase_seconds:
+            weights[self.dataset.types.index(name)] *= self.options.phase_weight
         return weights / weights.sum()
 
     def make_splices(self) -> None:
