@@ -72,9 +72,9 @@ def test_windows_of_one_batch_differ(dataset: Dataset) -> None:
 
 
 def test_balance_makes_types_equally_often(dataset: Dataset) -> None:
-    made = sampler(dataset, balance=1.0)
+    made = sampler(dataset, balance=1.0, phase_weight=1.0)
     assert torch.allclose(made.probabilities, torch.full((6,), 1 / 6).double())
-    recorded = sampler(dataset, balance=0.0).probabilities
+    recorded = sampler(dataset, balance=0.0, phase_weight=1.0).probabilities
     walking, cartwheel = (dataset.types.index(n) for n in ("walking", "cartwheel"))
     frames = {
         i: sum(int((dataset.clip_types(c) == i).sum()) for c in dataset.select("train"))
@@ -82,6 +82,13 @@ def test_balance_makes_types_equally_often(dataset: Dataset) -> None:
     }
     ratio = float(recorded[walking] / recorded[cartwheel])
     assert ratio == pytest.approx(frames[walking] / frames[cartwheel])
+
+
+def test_types_that_turn_over_are_drawn_more_often(dataset: Dataset) -> None:
+    made = sampler(dataset, balance=1.0, phase_weight=3.0).probabilities
+    assert set(dataset.phase_seconds) == {"cartwheel"}
+    cartwheel, walking = (dataset.types.index(n) for n in ("cartwheel", "walking"))
+    assert float(made[cartwheel] / made[walking]) == pytest.approx(3.0)
 
 
 def test_test_clips_are_never_drawn(dataset: Dataset) -> None:

@@ -48,7 +48,9 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
     for clip in dataset.select("train"):
         mine = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
         if len(mine):
-            stretches.append((clip, int(mine[0]), min(len(mine), SEED_FRAMES)))
+            # Only up to where the clip first goes over to another type.
+            unbroken = int((mine == mine[0] + torch.arange(len(mine))).sum())
+            stretches.append((clip, int(mine[0]), min(unbroken, SEED_FRAMES)))
             shown = dataset.read(clip).features[mine][:, columns]
             total, count = total + shown.sum(dim=0), count + len(shown)
     if not stretches:

@@ -27,7 +27,9 @@ def train_options(
     options = TrainOptions(preset=name, steps=steps, minutes=minutes)
     if name == "tptn-paper":
         # Paper section 4.3: 56 windows of 300 frames, types equally often, no spliced transitions, 1e-4.
-        paper = SamplerOptions(window=300, balance=1.0, splices=0, trajectory_dropout=0.0, lead_share=0.0)
+        paper = SamplerOptions(
+            window=300, balance=1.0, splices=0, trajectory_dropout=0.0, lead_share=0.0, phase_weight=1.0
+        )
         options = replace(options, batch=56, rate=1e-4, sampler=paper)
     sampler = options.sampler
     if window is not None:
