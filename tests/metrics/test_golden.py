@@ -1,0 +1,61 @@
+"""Every metric of two committed clips: a change of any of these numbers is a change of a definition."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from motionkit.metrics.report import evaluate_files
+
+CLIPS = Path(__file__).resolve().parents[2] / "examples" / "data"
+
+# Two runs of one CMU subject: id, of 127_08 (taken as generated), of 127_07 (its ground truth).
+RUNS = {
+    "bm-euler": (100.1124, 92.7465),
+    "bm-geodesic": (60.6284, 55.7048),
+    "afs": (0.36685, 0.17528),
+    "skate-ratio": (0.103448, 0.083333),
+    "jerk": (553.535, 449.721),
+    "penetration-mean": (0.0012712, 0.0016769),
+    "penetration-max": (0.088986, 0.117386),
+    "floor-height": (2.534824, 1.948135),
+    "ssim-channel": (0.898063, 1.0),
+    "ssim-window": (0.968946, 1.0),
+    "mpjpe": (6.30459, 0.0),
+    "path-mean": (5.56333, 0.0),
+    "path-max": (22.78825, 0.0),
+    "path-coverage": (1.0, 1.0),
+}
+
+# A cartwheel by itself.
+CARTWHEEL = {
+    "bm-euler": 45.79780,
+    "bm-geodesic": 30.36268,
+    "afs": 0.0615995,
+    "skate-ratio": 0.0,
+    "jerk": 1075.5246,
+    "penetration-mean": 0.0188740,
+    "penetration-max": 0.8321249,
+    "floor-height": 0.5281141,
+}
+
+
+def near(value: float) -> object:
+    """Equal but for float32 sums in another order."""
+    return pytest.approx(value, rel=2e-3, abs=2e-4)
+
+
+def test_a_pair() -> None:
+    report = evaluate_files(CLIPS / "127_07.bvh", CLIPS / "127_08.bvh")
+    assert (report.frames, report.fps) == (70, 60.0)
+    assert [row.id for row in report.rows] == list(RUNS)
+    for row in report.rows:
+        generated, truth = RUNS[row.id]
+        assert row.motion.value == near(generated), row.id
+        assert row.ground_truth is not None and row.ground_truth.value == near(truth), row.id
+
+
+def test_one_clip() -> None:
+    report = evaluate_files(CLIPS / "49_06.bvh")
+    assert {row.id: row.motion.value for row in report.rows} == {i: near(v) for i, v in CARTWHEEL.items()}

@@ -1,0 +1,86 @@
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+import torch
+
+from motionkit.data.dataset import Clip, Dataset
+from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.features.control import ControlLayout
+from motionkit.models.network import PartTransformer
+from motionkit.models.presets import preset
+from motionkit.motion.bvh import write_bvh
+from motionkit.motion.motion import Motion
+from motionkit.training.bundle import SEED_FRAMES, SEEDS_PER_TYPE, bundle_model, measure_gaits, seed_frames
+from synthetic_motions import make_walk
+
+
+def test_seeds_are_beginnings_of_training_stretches_of_the_type(dataset: Dataset) -> None:
+    for kind in dataset.types:
+        seeds = seed_frames(dataset, kind)
+        assert 1 <= len(seeds) <= SEEDS_PER_TYPE
+        for seed in seeds:
+            assert len(seed.features) == SEED_FRAMES
+            assert any(begins(dataset, clip, kind, seed.features) for clip in dataset.select("train"))
+
+
+def begins(dataset: Dataset, clip: Clip, kind: str, features: torch.Tensor) -> bool:
+    mine = torch.nonzero(dataset.clip_types(clip) == dataset.types.index(kind)).flatten()
+    if len(mine) == 0:
+        return False
+    first = int(mine[0])
+    return torch.equal(dataset.read(clip, first, first + len(features)).features, features)
+
+
+def test_a_seed_ends_where_its_type_does(tmp_path: Path) -> None:
+    """Ten frames of walking, a while of idling, then walking again: the seed is not to hold the idling."""
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    write_bvh(folder / "a.bvh", make_walk(120))
+    (folder / "labels.csv").write_text(
+        "file,start_frame,end_frame,type,split\n"
+        "a.bvh,0,10,walking,train\na.bvh,10,60,idle,train\na.bvh,60,-1,walking,train\n"
+    )
+    preprocess([folder], tmp_path / "ds", PreprocessOptions(jobs=1, mirror=False))
+    (seed,) = seed_frames(Dataset(tmp_path / "ds"), "walking")
+    assert len(seed.features) == 10
+
+
+def test_a_type_without_training_clips_starts_from_any(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    kept = tuple(c for c in dataset.clips if "wheel" not in c.name)
+    monkeypatch.setattr(dataset, "clips", kept)
+    (seed,) = seed_frames(dataset, "cartwheel")
+    assert len(seed.features) == SEED_FRAMES
+
+
+def test_gaits_are_measured(dataset: Dataset) -> None:
+    gaits = measure_gaits(dataset)
+    assert gaits["idle"].speed < 10.0
+    assert gaits["running"].speed > gaits["walking"].speed > 80.0
+    assert abs(gaits["walking"].facing) < 0.1
+
+
+def test_a_type_that_goes_backwards_has_the_angle_of_its_way(tmp_path: Path) -> None:
+    folder = tmp_path / "clips"
+    folder.mkdir()
+    walk = make_walk(90, turn=0.0)
+    root = walk.root_positions * torch.tensor([1.0, 1.0, -1.0])
+    write_bvh(folder / "retreat.bvh", Motion(walk.skeleton, walk.local_rotations, root, walk.fps))
+    preprocess([folder], tmp_path / "ds", PreprocessOptions(jobs=1, mirror=False))
+    gait = measure_gaits(Dataset(tmp_path / "ds"))["retreat"]
+    assert abs(gait.facing) == pytest.approx(math.pi, abs=0.1)
+    assert gait.speed == pytest.approx(120.0, rel=0.05)
+
+
+def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
+    network = PartTransformer(preset("tiny"), ControlLayout(dataset.types).size)
+    model = bundle_model(network, dataset, {"note": "for a test"})
+    assert model.types == dataset.types and model.fps == 60.0
+    assert "default" in model.characters
+    assert set(model.seeds) == set(model.gaits) == set(dataset.types)
+    assert model.card == {"note": "for a test"}
+    assert torch.equal(model.references, dataset.references)
