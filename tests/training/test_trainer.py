@@ -78,9 +78,16 @@ GOLDEN = {1: 368.331, 5: 370.031, 10: 262.462}
 
 def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     path = tmp_path / "m.safetensors"
-    # Dropout off: its random stream is not promised to be the same between releases of torch.
+    # Dropout off: its random stream is not promised to be the same between releases of torch. The rest
+    # is told in full, so that other defaults are no other curve.
     config = {"input_dropout": 0.0, "deep_dropout": 0.0, "spatial_dropout": 0.0}
-    train(dataset_folder, path, tiny_options(steps=10, splices=0, config=config), device="cpu")
+    sampler = SamplerOptions(
+        window=32, balance=0.75, phase_weight=1.0, splices=0, splice_share=0.0, trajectory_dropout=0.5,
+        lead_share=0.5, lead_frames=30, noise=0.05,
+    )  # fmt: skip
+    weights = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
+    options = tiny_options(steps=10, config=config, sampler=sampler, weights=weights, rate=1e-3)
+    train(dataset_folder, path, options, device="cpu")
     totals = {line["step"]: line["total"] for line in log_of(path)}
     for step, value in GOLDEN.items():
         assert totals[step] == pytest.approx(value, rel=2e-3), step
@@ -281,8 +288,10 @@ def test_a_run_must_know_its_end() -> None:
 
 def test_train_options_of_presets() -> None:
     assert train_options("tptn", steps=5).rate == 1e-3
-    paper = train_options("tptn-paper", steps=5, splices=2000)
-    assert paper.rate == 1e-4 and paper.sampler.splices == 0 and paper.sampler.trajectory_dropout == 0.0
+    paper = train_options("tptn-paper", steps=5)
+    assert (paper.rate, paper.batch, paper.sampler.window) == (1e-4, 56, 300)
+    assert paper.sampler.splices == 0 and paper.sampler.trajectory_dropout == 0.0
+    assert train_options("tptn-paper", steps=5, splices=20, window=64).sampler.splices == 20
     changed = train_options("tiny", minutes=1.0, window=64, splices=3, rate=2e-3, batch=8)
     assert (changed.sampler.window, changed.sampler.splices) == (64, 3)
     assert (changed.rate, changed.batch, changed.seed) == (2e-3, 8, 0)
@@ -388,10 +397,11 @@ def close_losses(a: Path, b: Path, tolerance: float) -> bool:
     )
 
 
-def test_two_processes_train_as_one_does(dataset_folder: Path, tmp_path: Path) -> None:
+def test_two_processes_train_as_one_does(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     one, two = tmp_path / "one.safetensors", tmp_path / "two.safetensors"
-    processes(tmp_path / "run.py", 1, dataset_folder, one, 5, "off", 0, "no")
     processes(tmp_path / "run.py", 2, dataset_folder, two, 5, "off", 0, "no")
+    config = {"input_dropout": 0.0, "deep_dropout": 0.0, "spatial_dropout": 0.0}
+    train(dataset_folder, one, tiny_options(steps=5, splices=4, config=config), device="cpu")
     assert close_losses(one, two, 1e-3)
     a, b = weights_of(one), weights_of(two)
     for name in a:
