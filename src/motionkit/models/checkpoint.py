@@ -54,6 +54,7 @@ class MotionModel:
     Attributes:
         seeds: for each type name a few starts, real frames of the training data.
         characters: name to rest-pose offsets (23, 3) in cm; "default" is always there.
+        tracks: for types with a phase, trajectory numbers (L, 24) of whole recorded performances.
         gaits: how each type moves over the ground, for paths that do not say how fast.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
@@ -67,6 +68,7 @@ class MotionModel:
     characters: dict[str, Tensor]
     seeds: dict[str, list[Seed]]
     gaits: dict[str, Gait] = field(default_factory=dict)
+    tracks: dict[str, list[Tensor]] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -86,7 +88,9 @@ class MotionModel:
         raise ControlError(unknown_name("motion type", name, self.types))
 
     def phase_seconds(self, kind: str) -> float:
-        """How long a performance of a type takes; zero for types without a phase."""
+        """How long a performance of a type takes, its first track if it has one; zero for types without a phase."""
+        if self.tracks.get(kind):
+            return len(self.tracks[kind][0]) / self.fps
         gait = self.gaits.get(kind)
         return 0.0 if gait is None else gait.seconds
 
@@ -125,6 +129,9 @@ def model_tensors(model: MotionModel, half: bool) -> dict[str, Tensor]:
             tensors[f"{key}:features"] = seed.features.half() if half else seed.features
             tensors[f"{key}:contacts"] = seed.contacts.to(torch.uint8)
             tensors[f"{key}:ground"] = seed.ground
+    for kind, tracks in model.tracks.items():
+        for i, track in enumerate(tracks):
+            tensors[f"track.{i}.{kind}"] = track
     return {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
 
 
@@ -139,6 +146,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "characters": list(model.characters),
         "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
         "gaits": {kind: [gait.speed, gait.facing, gait.seconds] for kind, gait in model.gaits.items()},
+        "tracks": {kind: len(tracks) for kind, tracks in model.tracks.items()},
         "card": model.card,
     }
     data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})
@@ -192,6 +200,10 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
             {name: tensors[f"character.{name}"] for name in header["characters"]},
             seeds,
             {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
+            {
+                kind: [tensors[f"track.{i}.{kind}"] for i in range(count)]
+                for kind, count in header.get("tracks", {}).items()
+            },
             header.get("card", {}),
         )
     except ModelError as error:

@@ -79,13 +79,22 @@ def type_track(model: MotionModel, parts: list[TypePart]) -> Tensor:
     return torch.cat([torch.full((count,), i) for i, count in zip(ids, counts, strict=True)])
 
 
-def plan_controller(weights: Tensor, progress: Tensor, batch: int) -> Controller:
-    """Type weights (T, N) and progress (T,) over time for every character, no trajectory."""
-    none, never = torch.zeros(batch, TRAJECTORY_COUNT), torch.zeros(batch)
+def plan_controller(
+    weights: Tensor, progress: Tensor, batch: int, tracks: tuple[Tensor, Tensor] | None = None
+) -> Controller:
+    """Type weights (T, N), progress (T,) and, if given, the tracks of plan_tracks for every character."""
+    if tracks is None:
+        tracks = torch.zeros(len(weights), TRAJECTORY_COUNT), torch.zeros(len(weights))
+    trajectory, given = tracks
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
         now = min(frame, len(weights) - 1)
-        return FrameControls(weights[now].expand(batch, -1), none, never, progress[now].expand(batch))
+        return FrameControls(
+            weights[now].expand(batch, -1),
+            trajectory[now].expand(batch, -1),
+            given[now].expand(batch),
+            progress[now].expand(batch),
+        )
 
     return controls
 
@@ -108,3 +117,25 @@ def plan_progress(model: MotionModel, parts: list[TypePart], first_frame: int = 
         skipped = first_frame if number == 0 else 0
         out.extend(progress_at(frame + skipped, length) for frame in range(frames))
     return torch.tensor(out)
+
+
+def plan_tracks(
+    model: MotionModel, parts: list[TypePart], first_frame: int = 0, choice: int = 0
+) -> tuple[Tensor, Tensor]:
+    """Trajectory numbers (T, 24) of recorded performances, and where they count (T,), for types that have them.
+
+    A cartwheel to the left is as good as one to the right, and a model that knows both does neither;
+    the trajectory of a recorded one decides. choice picks among the tracks of a type.
+    """
+    trajectory, given = [], []
+    for number, part in enumerate(parts):
+        frames = max(1, round(part.seconds * model.fps))
+        tracks = model.tracks.get(part.type)
+        given.append(torch.full((frames,), float(bool(tracks))))
+        if not tracks:
+            trajectory.append(torch.zeros(frames, TRAJECTORY_COUNT))
+            continue
+        track = tracks[choice % len(tracks)]
+        behind = first_frame if number == 0 else 0
+        trajectory.append(track[(torch.arange(frames) + behind) % len(track)])
+    return torch.cat(trajectory), torch.cat(given)

@@ -16,7 +16,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
-from motionkit.synthesis.plan import TypePart, plan_controller, plan_progress, plan_weights
+from motionkit.synthesis.plan import TypePart, plan_controller, plan_progress, plan_tracks, plan_weights
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.synthesis.start import clip_start, seed_start
 
@@ -91,7 +91,8 @@ def synthesize(
         length = 0.0 if options.init is not None else model.phase_seconds(parts[0].type) * model.fps
         state.start(start.features, start.contacts, first, start.ground, length)
         behind = start.features.shape[1] if length else 0
-        controller = plan_controller(weights, plan_progress(model, parts, behind), options.count)
+        tracks = plan_tracks(model, parts, behind, options.seed)
+        controller = plan_controller(weights, plan_progress(model, parts, behind), options.count, tracks)
         started = time.perf_counter()
         rollout = run(state, len(weights), controller, progress)
         seconds = time.perf_counter() - started

@@ -6,14 +6,17 @@ import math
 from typing import Any
 
 import torch
+from torch import Tensor
 
 from motionkit.data.dataset import Clip, Dataset
+from motionkit.features.control import future_trajectory
 from motionkit.models.checkpoint import Gait, MotionModel, Seed
 from motionkit.models.network import PartTransformer
 from motionkit.motion.skeleton import canonical_skeleton
 
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
+TRACKS_PER_TYPE = 2  # a performance and its mirror image
 
 
 def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any]) -> MotionModel:
@@ -30,6 +33,7 @@ def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any
         characters,
         {kind: seed_frames(dataset, kind) for kind in dataset.types},
         measure_gaits(dataset),
+        {kind: performance_tracks(dataset, kind) for kind in dataset.phase_seconds},
         card,
     )
 
@@ -65,6 +69,21 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
             ranked.append((far, clip.name, Seed(data.features, data.contacts, data.ground)))
     ranked.sort(key=lambda entry: entry[:2])
     return [seed for _, _, seed in ranked[:SEEDS_PER_TYPE]]
+
+
+def performance_tracks(dataset: Dataset, kind: str) -> list[Tensor]:
+    """Trajectory numbers (L, 24) of the longest recorded performance of a type, and of its mirror image.
+
+    Left or right is the same to a model that learns from mirrored twins; a track says which it is to be.
+    """
+    wanted = dataset.types.index(kind)
+    found: list[tuple[int, str, Tensor]] = []
+    for clip in dataset.select("train"):
+        mine = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
+        if len(mine):
+            found.append((-len(mine), clip.name, future_trajectory(dataset.read(clip).ground, mine)))
+    found.sort(key=lambda entry: entry[:2])
+    return [track for _, _, track in found[:TRACKS_PER_TYPE]]
 
 
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
