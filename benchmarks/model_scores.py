@@ -54,7 +54,7 @@ def flip_table(model: MotionModel, seeds: int, noise: Noise) -> None:
             continue
         for before in ("running", "walking"):
             options = SynthesisOptions(count=seeds, seed=0, noise=noise)
-            parts = parse_types(f"{before}:3,{kind}:3,{before}:2")
+            parts = parse_types(f"{before}:3,{kind},{before}:2", None, model.phase_seconds)
             over = back = 0
             for made in synthesize(model, parts, options).motions:
                 _, positions = motion_kinematics(made.motion)
