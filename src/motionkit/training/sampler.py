@@ -13,6 +13,7 @@ import torch
 from torch import Tensor
 
 from motionkit.data.dataset import ClipData, Dataset
+from motionkit.data.phases import type_stretches
 from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
 from motionkit.features.control import (
@@ -62,6 +63,7 @@ class WindowSampler:
         if not self.clips:
             raise DatasetError(f"{dataset.folder}: no training clips")
         self.controls = ControlLayout(dataset.types)
+        self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]
         self.spans = self._index([dataset.clip_types(clip) for clip in self.clips])
         self.splices: list[ClipData] = []
         self.splice_spans: dict[int, list[Span]] = {}
@@ -71,9 +73,8 @@ class WindowSampler:
     def _index(self, type_tracks: list[Tensor]) -> dict[int, list[Span]]:
         spans: dict[int, list[Span]] = {}
         for source, types in enumerate(type_tracks):
-            edges = (torch.nonzero(torch.diff(types)).flatten() + 1).tolist()
-            for start, end in zip([0, *edges], [*edges, len(types)], strict=True):
-                spans.setdefault(int(types[start]), []).append(Span(source, start, end))
+            for start, end, kind in type_stretches(types.numpy()):
+                spans.setdefault(kind, []).append(Span(source, start, end))
         return spans
 
     def _probabilities(self) -> Tensor:
@@ -161,10 +162,9 @@ class WindowSampler:
             types = torch.cat([types[lead:], types[-1:].expand(lead)]) if lead < len(types) else types
         weights = blend_types(types, len(self.dataset.types))[:frames]
         given = torch.full((frames,), 0.0 if u < options.trajectory_dropout else 1.0)
-        skeleton = skeleton_signal(canonical_skeleton(self.dataset.bodies[body]))
         controls = control_vector(
             self.controls,
-            skeleton,
+            self.skeletons[body],
             weights,
             trajectory[:frames],
             given,
