@@ -1,0 +1,143 @@
+"""Live characters: controls in, a posed frame of every character out, one step at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.errors import ControlError
+from motionkit.features.control import TRAJECTORY_OFFSETS
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.skeleton import JOINT_COUNT, leg_length
+from motionkit.synthesis.foot_lock import FootLock
+from motionkit.synthesis.pose import BodyKinematics, PoseDecoder
+from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState
+from motionkit.synthesis.start import seed_start
+
+_POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
+
+
+@dataclass(frozen=True, eq=False)
+class CharacterFrame:
+    """One frame of N characters, float32, in cm and radians.
+
+    Attributes:
+        positions: (N, 23, 3) joints in the world.
+        rotations: (N, 23, 4) quaternions w, x, y, z in the parent's space.
+        root_positions: (N, 3) the hips in the world.
+        contacts: (N, 4) probabilities: left foot, left toe, right foot, right toe.
+        ground: (N, 3) root x, z and heading in the world, from which controllers make trajectories.
+    """
+
+    positions: Tensor
+    rotations: Tensor
+    root_positions: Tensor
+    contacts: Tensor
+    ground: Tensor
+
+
+class CharacterStream:
+    """N characters that each go their own way, moved on together by step().
+
+    Every character has a skeleton of the model: its rotations are those of the network, its path over
+    the ground is scaled by the length of its legs. Places, trajectories and frames are all in the
+    character's own world, so nothing outside has to know of the scale.
+    """
+
+    def __init__(
+        self,
+        model: MotionModel,
+        count: int = 1,
+        noise: Noise | None = None,
+        seed: int = 0,
+        ik: bool = True,
+        characters: Sequence[str] = ("default",),
+    ) -> None:
+        """count characters, taking the named skeletons in turn, at the origin in the model's first type.
+
+        Raises:
+            ControlError: for an unknown character or a count below one.
+        """
+        if count < 1:
+            raise ControlError(f"expected a count of at least 1, found {count}")
+        self.model, self.count, self.ik = model, count, ik
+        self.states = [RolloutState(model, 1, noise or Noise(), seed + i) for i in range(count)]
+        self.scale = np.ones(count, np.float32)
+        self.ground = torch.zeros(count, 3)
+        self.decoder = PoseDecoder(model.config.layout, model.references.numpy())
+        self.body = BodyKinematics(np.zeros((count, JOINT_COUNT, 3), np.float32))
+        self.feet = FootLock(count)
+        for index in range(count):
+            self.reset(index, characters[index % len(characters)])
+
+    def reset(
+        self,
+        index: int,
+        character: str = "default",
+        type: str | None = None,
+        place: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ) -> None:
+        """Start one character anew from seed frames of a type, at a place x, z (cm) and heading (radians).
+
+        Raises:
+            ControlError: for an unknown character or type.
+        """
+        model, kind = self.model, type or model_first_type(self.model)
+        skeleton = model.character(character)
+        weights = torch.zeros(1, len(model.types))
+        weights[0, model.type_id(kind)] = 1.0
+        start = seed_start(model, kind, 1)
+        self.scale[index] = leg_length(skeleton) / leg_length(model.character("default"))
+        self.ground[index] = torch.tensor(place)
+        ground = self.ground[index : index + 1].clone()
+        ground[:, :2] /= float(self.scale[index])
+        length = model.phase_seconds(kind) * model.fps
+        self.states[index].start(start.features, start.contacts, weights, ground, length)
+        self.body.set_offsets(index, skeleton.offsets.numpy())
+        self.feet.reset(index)
+
+    def step(self, controls: FrameControls) -> CharacterFrame:
+        """Move every character on by one frame (1 / model.fps seconds)."""
+        scale = torch.from_numpy(self.scale)[:, None]
+        trajectory = controls.trajectory.clone()
+        trajectory[:, :_POSITIONS] /= scale
+        controls = replace(controls, trajectory=trajectory)
+        steps = [
+            state.step(
+                FrameControls(
+                    controls.type_weights[i : i + 1],
+                    controls.trajectory[i : i + 1],
+                    controls.given[i : i + 1],
+                    controls.progress[i : i + 1],
+                )
+            )
+            for i, state in enumerate(self.states)
+        ]
+        features, contacts, ground = (torch.cat(parts) for parts in zip(*steps, strict=True))
+        rotations, root = self.decoder.decode(features.numpy(), ground.numpy())
+        root *= self.scale[:, None]
+        world = self.body.forward(rotations, root)
+        if self.ik:
+            positions = self.feet.apply(rotations, root, world, contacts.numpy(), self.scale)
+        else:
+            positions = np.ascontiguousarray(world[..., :3, 3])
+        self.ground = torch.cat([ground[:, :2] * scale, ground[:, 2:]], dim=-1)
+        return CharacterFrame(
+            torch.from_numpy(positions),
+            torch.from_numpy(rotations),
+            torch.from_numpy(root),
+            contacts,
+            self.ground,
+        )
+
+
+def model_first_type(model: MotionModel) -> str:
+    """The type a character begins in if none is asked for: idle if the model knows it, else its first with seeds."""
+    known = [kind for kind in model.types if model.seeds.get(kind)]
+    if not known:
+        raise ControlError("the model has no frames to start from")
+    return "idle" if "idle" in known else known[0]
