@@ -1,0 +1,208 @@
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from torch import Tensor
+
+from motionkit.errors import ControlError
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.rotations import rotate_ground
+from motionkit.synthesis.drive import DriveOptions, Driver, Wish, together
+from motionkit.synthesis.follow import PathFollower
+from motionkit.synthesis.path import shape_path
+from motionkit.synthesis.rollout import FrameControls
+
+AT_ORIGIN = torch.zeros(1, 3)
+
+
+def obey(ground: Tensor, asked: FrameControls) -> Tensor:
+    """Where a body is that goes just where its trajectory says; one without a trajectory stays."""
+    if not bool(asked.given[0]):
+        return ground
+    positions, directions = asked.trajectory[0].reshape(2, 6, 2)
+    step = rotate_ground(ground[0, 2], positions[0] / 10.0)
+    turn = torch.atan2(directions[0, 0], directions[0, 1]) / 10.0
+    return torch.cat([ground[0, :2] + step, (ground[0, 2] + turn)[None]])[None]
+
+
+def play(driver: Driver, frames: int, ground: Tensor = AT_ORIGIN, first: int = 0) -> tuple[list, Tensor]:
+    """Controls of some frames of an obedient body, and where it ends."""
+    out = []
+    for frame in range(first, first + frames):
+        asked = driver(frame, ground)
+        out.append(asked)
+        ground = obey(ground, asked)
+    return out, ground
+
+
+def shares(asked: list[FrameControls], model: MotionModel, kind: str) -> list[float]:
+    return [float(a.type_weights[0, model.type_id(kind)]) for a in asked]
+
+
+def test_it_stands_until_told(tiny_model: MotionModel) -> None:
+    asked, ground = play(Driver(tiny_model), 60)
+    assert shares(asked, tiny_model, "idle") == [1.0] * 60
+    assert torch.equal(ground, AT_ORIGIN)
+    assert all(float(a.given) == 1.0 and float(a.progress) == -1.0 for a in asked)
+
+
+def test_it_obeys_a_velocity_and_stops(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    driver.set_wish(Wish((200.0, 0.0), type="walking"))
+    _, ground = play(driver, 120)
+    assert float(ground[0, 0]) > 300.0 and abs(float(ground[0, 1])) < 60.0
+    assert float(ground[0, 2]) == pytest.approx(math.pi / 2, abs=0.05), "it faces its way"
+    driver.set_wish(Wish())
+    _, halt = play(driver, 90, ground, 120)
+    _, later = play(driver, 60, halt, 210)
+    assert float((halt - ground)[0, 0]) < 80.0, "it halts within less than a metre"
+    assert float((later - halt).abs().max()) < 2.0
+
+
+def test_a_facing_other_than_the_way(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    driver.set_wish(Wish((0.0, 100.0), facing=math.pi / 2, type="walking"))
+    _, ground = play(driver, 120)
+    assert float(ground[0, 2]) == pytest.approx(math.pi / 2, abs=0.02)
+    assert float(ground[0, 1]) > 120.0
+
+
+def test_weights_blend_from_the_frame_of_the_wish(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=8))
+    play(driver, 3)
+    driver.set_wish(Wish((0.0, 120.0), type="walking"))
+    walking = shares(play(driver, 12, first=3)[0], tiny_model, "walking")
+    assert walking == pytest.approx([min(1.0, i / 8) for i in range(1, 13)])
+
+
+def test_a_change_within_a_blend_has_no_jump(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=10))
+    driver.set_wish(Wish((0.0, 120.0), type="walking"))
+    asked = play(driver, 5)[0]
+    driver.set_wish(Wish((0.0, 300.0), type="running"))
+    asked += play(driver, 15, first=5)[0]
+    weights = torch.cat([a.type_weights for a in asked])
+    assert torch.diff(weights, dim=0).abs().max() < 0.11
+    assert torch.allclose(weights.sum(-1), torch.ones(len(weights)), atol=1e-5)
+    assert shares(asked, tiny_model, "running")[-1] == 1.0
+
+
+def test_no_velocity_gives_no_trajectory(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    driver.set_wish(Wish(None, type="walking"))
+    asked = driver(0, AT_ORIGIN)
+    assert float(asked.given) == 0.0 and not asked.trajectory.any()
+
+
+def test_a_performance_runs_once_along_its_track(tiny_model: MotionModel) -> None:
+    blend = 10
+    driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=blend))
+    track = tiny_model.tracks["cartwheel"][0]
+    driver.perform("cartwheel")
+    asked = play(driver, len(track) + 40)[0]
+    begins, ends = blend // 2, blend // 2 + len(track)
+    progress = [float(a.progress) for a in asked]
+    assert progress[:begins] == [-1.0] * begins and progress[ends:] == [-1.0] * (len(asked) - ends)
+    assert progress[begins:ends] == pytest.approx([i / len(track) for i in range(len(track))])
+    shown = torch.cat([a.trajectory for a in asked[begins:ends]])
+    assert torch.equal(shown, track)
+    cartwheel = shares(asked, tiny_model, "cartwheel")
+    assert cartwheel[begins - 1] == pytest.approx(0.5) and cartwheel[begins + blend] == 1.0
+    assert cartwheel[ends - 1] == pytest.approx(0.5) and cartwheel[-1] == 0.0
+    assert shares(asked, tiny_model, "idle")[-1] == 1.0, "back to what went before"
+    assert driver.performing is None
+
+
+def test_a_second_performance_waits_for_the_first(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    length = len(tiny_model.tracks["cartwheel"][0])
+    driver.perform("cartwheel")
+    play(driver, 5)
+    driver.perform("cartwheel", choice=1)
+    asked = play(driver, 2 * length + 20, first=5)[0]
+    starts = [i for i, a in enumerate(asked) if float(a.progress) == 0.0]
+    assert len(starts) == 2 and starts[1] - starts[0] == length
+    other = tiny_model.tracks["cartwheel"][1 % len(tiny_model.tracks["cartwheel"])]
+    assert torch.equal(asked[starts[1]].trajectory[0], other[0])
+
+
+def test_a_type_with_a_phase_that_is_held_is_repeated(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    length = len(tiny_model.tracks["cartwheel"][0])
+    driver.set_wish(Wish(type="cartwheel"))
+    asked = play(driver, 3 * length)[0]
+    starts = [i for i, a in enumerate(asked) if float(a.progress) == 0.0]
+    assert len(starts) == 3 and starts[2] - starts[1] == length
+    assert min(shares(asked, tiny_model, "cartwheel")[20:]) == 1.0
+    driver.set_wish(Wish())
+    asked = play(driver, length + 30, first=3 * length)[0]
+    assert shares(asked, tiny_model, "idle")[-1] == 1.0
+
+
+def test_a_type_without_a_length_is_performed_for_the_seconds_given(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    driver.perform("running", seconds=0.5)
+    asked = play(driver, 60)[0]
+    assert max(shares(asked, tiny_model, "running")) == 1.0
+    assert shares(asked, tiny_model, "idle")[-1] == 1.0
+    assert all(float(a.progress) == -1.0 for a in asked)
+
+
+def test_a_path_is_followed_as_follow_path_does_and_then_it_stands(tiny_model: MotionModel) -> None:
+    path = shape_path("line", 2.0, ["walking", "running"], 1.5)
+    driver, follower = Driver(tiny_model, "walking"), PathFollower(tiny_model, path)
+    driver.set_wish(Wish(path=path))
+    ground, frame = AT_ORIGIN, 0
+    while driver.following is not None and frame < 300:
+        asked, expected = driver(frame, ground), follower(frame, ground)
+        assert torch.equal(asked.trajectory, expected.trajectory)
+        if frame >= driver.options.blend_frames:
+            assert torch.allclose(asked.type_weights, expected.type_weights)
+        ground, frame = obey(ground, asked), frame + 1
+    assert frame < 300 and float(ground[0, 1]) == pytest.approx(200.0, abs=8.0)
+    asked, halt = play(driver, 120, ground, frame)
+    assert shares(asked, tiny_model, "idle")[-1] == 1.0
+    assert float((halt - ground)[0, 1]) < 60.0
+
+
+def test_a_new_wish_leaves_the_path(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    driver.set_wish(Wish(path=shape_path("circle", 2.0, ["walking"], 1.5)))
+    play(driver, 10)
+    assert driver.following is not None
+    driver.set_wish(Wish((0.0, 100.0)))
+    assert driver.following is None
+
+
+def test_the_same_wishes_give_the_same_controls(tiny_model: MotionModel) -> None:
+    def run() -> Tensor:
+        driver = Driver(tiny_model)
+        asked, ground = play(driver, 10)
+        driver.set_wish(Wish((90.0, 90.0), type="walking"))
+        more, ground = play(driver, 10, ground, 10)
+        driver.perform("cartwheel")
+        return torch.cat([a.trajectory for a in asked + more + play(driver, 60, ground, 20)[0]])
+
+    assert torch.equal(run(), run())
+
+
+def test_unknown_types_are_refused_and_change_nothing(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    with pytest.raises(ControlError, match="unknown motion type 'flying'"):
+        driver.set_wish(Wish(type="flying"))
+    with pytest.raises(ControlError, match="unknown motion type 'flying'"):
+        driver.set_wish(Wish(path=shape_path("line", 2.0, ["flying"], 1.0)))
+    with pytest.raises(ControlError, match="unknown motion type 'flying'"):
+        driver.perform("flying")
+    assert driver.wish == Wish() and driver.performing is None
+
+
+def test_characters_together_are_a_batch(tiny_model: MotionModel) -> None:
+    one, two = Driver(tiny_model), Driver(tiny_model)
+    two.set_wish(Wish(None, type="walking"))
+    both = together([one(0, AT_ORIGIN), two(0, AT_ORIGIN)])
+    assert both.type_weights.shape == (2, len(tiny_model.types))
+    assert both.trajectory.shape == (2, 24) and both.given.tolist() == [1.0, 0.0]
+    assert both.progress.tolist() == [-1.0, -1.0]
