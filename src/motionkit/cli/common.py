@@ -24,14 +24,15 @@ def seed_option(default: int = 0) -> Callable:
 
 def print_json(value: Any) -> None:
     """Write one JSON document to stdout; NaN and infinity become null."""
-    click.echo(json.dumps(_plain(value), indent=2))
+    click.echo(json.dumps(plain(value), indent=2))
 
 
-def _plain(value: Any) -> Any:
+def plain(value: Any) -> Any:
+    """The value as JSON can hold it: NaN and infinity become null, tuples lists."""
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value

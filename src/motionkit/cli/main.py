@@ -19,6 +19,7 @@ COMMANDS = {
     "synthesize": "synthesize",
     "follow-path": "follow_path",
     "metrics": "metrics",
+    "evaluate": "evaluate",
     "mirror": "mirror",
     "view": "view",
 }

@@ -17,9 +17,26 @@ if TYPE_CHECKING:
 SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
 
 
+def noise_options(function: Callable) -> Callable:
+    """How frames are drawn."""
+    temperature = click.option(
+        "--temperature",
+        type=click.FloatRange(0, 2),
+        help="Strength of the noise; 0.3 by default, 1 for sample.",
+    )
+    kind = click.option(
+        "--noise",
+        default="correlated",
+        show_default=True,
+        type=click.Choice(["mean", "sample", "correlated"]),
+        help="How frames are drawn from the predicted distribution.",
+    )
+    return kind(temperature(function))
+
+
 def synthesis_options(function: Callable) -> Callable:
     """Model, noise, body and output options."""
-    options = [
+    options: list[Callable] = [
         click.option(
             "--model",
             "model_path",
@@ -33,18 +50,7 @@ def synthesis_options(function: Callable) -> Callable:
             type=click.Path(exists=True, dir_okay=False, path_type=Path),
             help="Start from the first frames of this BVH file.",
         ),
-        click.option(
-            "--noise",
-            default="correlated",
-            show_default=True,
-            type=click.Choice(["mean", "sample", "correlated"]),
-            help="How frames are drawn from the predicted distribution.",
-        ),
-        click.option(
-            "--temperature",
-            type=click.FloatRange(0, 2),
-            help="Strength of the noise; 0.3 by default, 1 for sample.",
-        ),
+        noise_options,
         click.option(
             "--ik/--no-ik",
             default=False,

@@ -1,0 +1,128 @@
+"""motionkit evaluate: the scoreboard of a model."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from motionkit.cli.common import (
+    json_option,
+    plain,
+    print_json,
+    progress_bar,
+    seed_option,
+    stdout_console,
+)
+from motionkit.cli.synthesis_options import make_noise, noise_options
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+    from motionkit.evaluation.report import Scoreboard, Table
+
+
+@click.command("evaluate")
+@click.argument("model")
+@click.argument("dataset", type=click.Path(path_type=Path))
+@click.option(
+    "--only", help="Sections to measure, such as obedience,paths; all by default (see docs/evaluation.md)."
+)
+@click.option("--seeds", type=click.IntRange(1, 1000), help="Roll-outs of each type; 20 by default.")
+@click.option("--quick", is_flag=True, help="A small version: 3 seeds, shorter roll-outs.")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path, dir_okay=False),
+    multiple=True,
+    help="Write the report to a .md or .json file; may be given twice.",
+)
+@noise_options
+@seed_option()
+@json_option
+def command(
+    model: str,
+    dataset: Path,
+    only: str | None,
+    seeds: int | None,
+    quick: bool,
+    output: tuple[Path, ...],
+    noise: str,
+    temperature: float | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Measure what MODEL does against the recordings of DATASET: the scoreboard.
+
+    MODEL is a model file, or the word bundled; DATASET a folder made by preprocess. Whether types are
+    obeyed, for how long motion lasts, how like recordings it is, how closely it follows paths, how soon
+    it responds, how smooth it is. docs/evaluation.md defines every number. It is a measurement: the exit code is 0
+    whether targets are reached or not.
+    """
+    for file in output:
+        if file.suffix.lower() not in (".md", ".json"):
+            raise click.UsageError(f"{file}: expected a report named .md or .json")
+    sections = [word.strip() for word in (only or "").split(",") if word.strip()]
+
+    from dataclasses import replace
+
+    from motionkit.data.dataset import Dataset
+    from motionkit.evaluation.scoreboard import evaluate_model
+    from motionkit.evaluation.settings import QUICK, EvaluationSettings
+    from motionkit.files import atomic_write
+    from motionkit.models.bundled import open_model
+
+    settings = replace(
+        QUICK if quick else EvaluationSettings(), seed=seed, noise=make_noise(noise, temperature)
+    )
+    settings = settings if seeds is None else replace(settings, seeds=seeds)
+    loaded = open_model(None if model == "bundled" else model)
+    with progress_bar() as bar:
+        task = bar.add_task("reading", total=100)
+        board = evaluate_model(
+            loaded,
+            Dataset(dataset),
+            settings,
+            sections,
+            lambda name, share: bar.update(task, description=name, completed=100 * share),
+        )
+    board.about.update({"model": model, "dataset": str(dataset)})
+    for file in output:
+        with atomic_write(file) as out:
+            if file.suffix.lower() == ".md":
+                out.write(board.markdown())
+            else:
+                json.dump(plain(board.as_dict()), out, indent=2)
+    if as_json:
+        print_json(board.as_dict())
+    else:
+        _print(board, stdout_console())
+
+
+def _print(board: Scoreboard, console: Console) -> None:
+    for section in board.sections:
+        console.print(f"\n{section.title}", style="bold", markup=False)
+        for table in section.tables:
+            _print_table(table, console)
+        for note in section.notes:
+            console.print(f"note: {note}", style="dim", markup=False)
+    console.print("\nTargets", style="bold")
+    _print_table(board.summary(), console)
+
+
+def _print_table(table: Table, console: Console) -> None:
+    from rich.markup import escape
+    from rich.table import Table as RichTable
+
+    from motionkit.evaluation.report import show
+
+    shown = RichTable(
+        title=escape(table.title), title_justify="left", box=None, header_style="bold", pad_edge=False
+    )
+    for column in table.columns:
+        shown.add_column(escape(column), overflow="fold")
+    for row in table.rows:
+        shown.add_row(*(escape(show(cell)) for cell in row))
+    console.print(shown)

@@ -1,0 +1,1 @@
+"""A model and a dataset in, the scoreboard out: obedience, endurance, likeness, paths, response, smoothness."""

@@ -1,0 +1,200 @@
+"""What a body does, frame by frame: the tracks that the kinematic signs of motion types are read from.
+
+Inside this room tracks are in metres and seconds where a sign is about speed over the ground, as people
+speak of it; heights stay in cm, as everywhere in motionkit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from motionkit.features.heading import heading_angles
+from motionkit.metrics.body_movement import euler_movement, geodesic_movement
+from motionkit.motion.kinematics import forward_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate, quat_to_expmap
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+
+_AT = JOINT_NAMES.index
+LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE = (
+    _AT(n) for n in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase")
+)
+HEAD, CHEST, HIPS = _AT("Head"), _AT("Spine1"), 0
+ARMS = tuple((_AT(f"{s}Arm"), _AT(f"{s}ForeArm"), _AT(f"{s}Hand")) for s in ("Left", "Right"))
+HANDS = tuple(hand for _, _, hand in ARMS)
+
+# Heights in cm of ankle and toe joint of a foot that stands flat.
+STANDING_ANKLE, STANDING_TOE = 10.5, 4.1
+OFF_GROUND = 1.5  # cm that both feet are lifted by in a jump
+# In the flight of a run both feet are this far (cm) above where the lower one is otherwise, and move
+# along the ground at least this fast (cm/s). The clip's own level counts: runs are short and their floors uncertain.
+RUN_LIFT, RUN_FOOT_SPEED = 2.0, 80.0
+SPEED_SPAN = 0.2  # seconds over which speed over the ground is taken
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """T frames of the canonical joints in the world.
+
+    Attributes:
+        rotations: (T, 23, 4) local rotations.
+        positions: (T, 23, 3) joints in cm, the floor at height zero.
+        heading: (T,) radians.
+        fps: frames per second.
+    """
+
+    rotations: Tensor
+    positions: Tensor
+    heading: Tensor
+    fps: float
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def seconds(self) -> float:
+        """Duration."""
+        return len(self) / self.fps
+
+    def cut(self, start: int, end: int) -> Body:
+        """Frames start to end (exclusive)."""
+        part = slice(start, end)
+        return Body(self.rotations[part], self.positions[part], self.heading[part], self.fps)
+
+    # ---- over the ground ----
+
+    @cached_property
+    def velocity(self) -> Tensor:
+        """(T, 2) m/s of the root over the ground: to its left and ahead, each over SPEED_SPAN."""
+        span = min(max(1, round(SPEED_SPAN * self.fps)), len(self) - 1)
+        ground = self.positions[:, HIPS, [0, 2]]
+        steps = (ground[span:] - ground[:-span]) * (self.fps / span / 100.0)
+        before = span // 2
+        steps = torch.cat([steps[:1].expand(before, 2), steps, steps[-1:].expand(span - before, 2)])
+        sine, cosine = torch.sin(self.heading), torch.cos(self.heading)
+        x, z = steps.unbind(-1)
+        return torch.stack([x * cosine - z * sine, x * sine + z * cosine], dim=-1)
+
+    @cached_property
+    def speed(self) -> Tensor:
+        """(T,) m/s of the root over the ground."""
+        return self.velocity.norm(dim=-1)
+
+    # ---- feet ----
+
+    @cached_property
+    def lifts(self) -> Tensor:
+        """(T, 2) cm by which the left and the right foot are off the ground, its lower end counting."""
+        feet = self.positions[..., 1]
+        left = torch.minimum(feet[:, LEFT_FOOT] - STANDING_ANKLE, feet[:, LEFT_TOE] - STANDING_TOE)
+        right = torch.minimum(feet[:, RIGHT_FOOT] - STANDING_ANKLE, feet[:, RIGHT_TOE] - STANDING_TOE)
+        return torch.stack([left, right], dim=-1)
+
+    @cached_property
+    def flights(self) -> list[tuple[int, int]]:
+        """Stretches (start, end) of frames with both feet off the ground."""
+        return spans(self.lifts.amin(dim=-1) > OFF_GROUND)
+
+    def flight_seconds(self) -> float:
+        """The longest flight."""
+        return max((end - start for start, end in self.flights), default=0) / self.fps
+
+    def stride_flight_frames(self) -> int:
+        """The longest stretch in which both feet swing, as between the steps of a run."""
+        feet = self.positions[:, [LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE]][..., [0, 2]]
+        speeds = torch.diff(feet, dim=0).norm(dim=-1) * self.fps
+        lower = self.lifts.amin(dim=-1)
+        raised = lower > torch.quantile(lower, 0.1) + RUN_LIFT
+        swinging = raised[1:] & (speeds.amin(dim=-1) > RUN_FOOT_SPEED)
+        return max((end - start for start, end in spans(swinging)), default=0)
+
+    @cached_property
+    def foot_lead(self) -> Tensor:
+        """(T,) cm by which the left ankle is ahead of the right one."""
+        difference = self.positions[:, LEFT_FOOT] - self.positions[:, RIGHT_FOOT]
+        return difference[:, 0] * torch.sin(self.heading) + difference[:, 2] * torch.cos(self.heading)
+
+    # ---- turning over ----
+
+    @cached_property
+    def turned(self) -> Tensor:
+        """(T, 3) radians the hips have turned about their own axes: forwards, about the spine, to the right."""
+        hips = self.rotations[:, HIPS]
+        steps = quat_to_expmap(quat_multiply(quat_inverse(hips[:-1]), hips[1:]))
+        return torch.cat([torch.zeros(1, 3), torch.cumsum(steps, dim=0)])
+
+    @cached_property
+    def head_height(self) -> Tensor:
+        """(T,) cm of the head above the hips."""
+        return self.positions[:, HEAD, 1] - self.positions[:, HIPS, 1]
+
+    @cached_property
+    def ankle_height(self) -> Tensor:
+        """(T,) cm of the higher ankle above the hips."""
+        ankles = self.positions[:, [LEFT_FOOT, RIGHT_FOOT], 1]
+        return ankles.amax(dim=-1) - self.positions[:, HIPS, 1]
+
+    @cached_property
+    def hand_heights(self) -> Tensor:
+        """(T, 2) cm of the hands above the floor."""
+        return self.positions[:, list(HANDS), 1]
+
+    # ---- arms ----
+
+    @cached_property
+    def arm_extension(self) -> Tensor:
+        """(T, 2) distance from shoulder to hand as a share of the straight arm's."""
+        out = []
+        for shoulder, elbow, hand in ARMS:
+            joints = self.positions[:, [shoulder, elbow, hand]]
+            straight = torch.diff(joints, dim=1).norm(dim=-1).sum(dim=-1)
+            out.append((joints[:, 2] - joints[:, 0]).norm(dim=-1) / straight.clamp(min=1e-6))
+        return torch.stack(out, dim=-1)
+
+    @cached_property
+    def arm_thrust(self) -> Tensor:
+        """(T, 2) cm/s at which each hand moves away from its shoulder."""
+        reach = torch.stack(
+            [(self.positions[:, h] - self.positions[:, s]).norm(dim=-1) for s, _, h in ARMS], dim=-1
+        )
+        steps = torch.diff(reach, dim=0) * self.fps
+        return torch.cat([steps[:1], steps])
+
+    # ---- the whole body ----
+
+    def joint_speed(self) -> float:
+        """Mean speed in rad/s at which the joints but the root turn."""
+        return float(geodesic_movement(self.rotations)[:, 1:].mean() * (torch.pi / 180.0) * self.fps)
+
+    def body_movement(self) -> float:
+        """BM in degrees per frame (metric bm-euler), extreme frames included."""
+        return float(euler_movement(self.rotations).sum(dim=-1).mean())
+
+    def poses(self, every: int = 1) -> Tensor:
+        """(T', 69) joints in cm relative to the root's place on the ground, turned to the heading."""
+        positions = self.positions[::every]
+        root = positions[:, HIPS] * torch.tensor([1.0, 0.0, 1.0])
+        turn = quat_from_yaw(-self.heading[::every])
+        return quat_rotate(turn[:, None], positions - root[:, None]).flatten(1)
+
+
+def body_of(motion: Motion) -> Body:
+    """The body of a motion on the canonical joints."""
+    return bodies(motion.local_rotations[None], motion.root_positions[None], motion.skeleton, motion.fps)[0]
+
+
+def bodies(rotations: Tensor, root_positions: Tensor, skeleton: Skeleton, fps: float) -> list[Body]:
+    """Bodies of B motions of equal length: local rotations (B, T, 23, 4), root positions (B, T, 3)."""
+    _, positions = forward_kinematics(rotations, root_positions, skeleton.offsets, skeleton.parents)
+    return [Body(r, p, heading_angles(p, fps), fps) for r, p in zip(rotations, positions, strict=True)]
+
+
+def spans(flags: Tensor) -> list[tuple[int, int]]:
+    """Stretches (start, end) in which flags (T,) hold."""
+    edges = torch.diff(torch.nn.functional.pad(flags.to(torch.int8), (1, 1)))
+    starts, ends = torch.nonzero(edges == 1).flatten(), torch.nonzero(edges == -1).flatten()
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))

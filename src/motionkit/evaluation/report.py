@@ -1,0 +1,149 @@
+"""What a measurement looks like on paper: tables, goals reached or missed, as JSON and as Markdown."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+Cell = str | int | float | bool | None
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of plain values under headings."""
+
+    title: str
+    columns: tuple[str, ...]
+    rows: Sequence[tuple[Cell, ...]]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON: a row is an object."""
+        return {
+            "title": self.title,
+            "rows": [dict(zip(self.columns, row, strict=True)) for row in self.rows],
+        }
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A measured value beside what it is to reach.
+
+    Attributes:
+        what: what was measured.
+        value: None where it could not be.
+        target: what to reach, in words.
+        lowest, highest: the target as limits, None where it has none.
+        note: what the value leaves out, or why there is none.
+    """
+
+    what: str
+    value: float | None
+    target: str
+    lowest: float | None = None
+    highest: float | None = None
+    note: str = ""
+
+    @property
+    def reached(self) -> bool | None:
+        """Whether the value is within the limits, None without a value."""
+        if self.value is None:
+            return None
+        above = self.lowest is None or self.value >= self.lowest
+        return above and (self.highest is None or self.value <= self.highest)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        out: dict[str, Any] = {"what": self.what, "value": self.value, "target": self.target}
+        return out | {"reached": self.reached} | ({"note": self.note} if self.note else {})
+
+
+@dataclass(frozen=True)
+class Section:
+    """One part of the scoreboard.
+
+    Attributes:
+        name: as --only takes it.
+        title: the heading.
+        tables, goals: what was measured.
+        notes: definitions and settings the numbers depend on, and what was left out.
+        seconds: how long it took.
+    """
+
+    name: str
+    title: str
+    tables: list[Table] = field(default_factory=list)
+    goals: list[Goal] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {
+            "name": self.name,
+            "title": self.title,
+            "goals": [goal.as_dict() for goal in self.goals],
+            "tables": [table.as_dict() for table in self.tables],
+            "notes": self.notes,
+            "seconds": round(self.seconds, 1),
+        }
+
+
+@dataclass(frozen=True)
+class Scoreboard:
+    """All sections of an evaluation; about names model, dataset and settings."""
+
+    about: dict[str, Any]
+    sections: list[Section]
+
+    def summary(self) -> Table:
+        """Every goal in one table."""
+        rows: list[tuple[Cell, ...]] = [
+            (section.name, goal.what, goal.value, goal.target, verdict(goal), goal.note)
+            for section in self.sections
+            for goal in section.goals
+        ]
+        return Table("Targets", ("section", "what", "measured", "target", "result", "note"), rows)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        return {**self.about, "sections": [section.as_dict() for section in self.sections]}
+
+    def markdown(self) -> str:
+        """The whole scoreboard as Markdown."""
+        lines = ["# Scoreboard", ""]
+        lines += [f"- {name}: {show(value)}" for name, value in self.about.items()]
+        lines += ["", "## Targets", "", *markdown_table(self.summary())]
+        for section in self.sections:
+            lines += ["", f"## {section.title}"]
+            for table in section.tables:
+                lines += ["", f"**{table.title}**", "", *markdown_table(table)]
+            if section.notes:
+                lines += ["", *(f"- {note}" for note in section.notes)]
+        return "\n".join(lines) + "\n"
+
+
+def verdict(goal: Goal) -> str:
+    """How a goal came out, in a word."""
+    return {True: "reached", False: "missed", None: "not measured"}[goal.reached]
+
+
+def show(value: Cell) -> str:
+    """A value as people read it: three digits, nothing for none."""
+    if value is None:
+        return ""
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+    return str(value)
+
+
+def markdown_table(table: Table) -> list[str]:
+    """The lines of a table in Markdown."""
+
+    def line(cells: Sequence[str]) -> str:
+        return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+    rows = [line([show(cell) for cell in row]) for row in table.rows]
+    return [line(table.columns), "|" + "---|" * len(table.columns), *rows]

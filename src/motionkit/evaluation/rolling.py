@@ -1,0 +1,122 @@
+"""Many characters asked for motion at once: plans in, what each body did out.
+
+Everything the scoreboard measures is rolled out here, as many characters side by side as there are
+seeds and types, since a batch costs little more than one character.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.evaluation.body import Body, bodies
+from motionkit.features.decode import decode_rotations, root_height
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
+from motionkit.synthesis.plan import TypePart, plan_progress, plan_tracks, plan_weights
+from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState, run, seed_batch
+from motionkit.synthesis.synthesize import inner_threads
+
+BATCH = 128  # characters a network step takes; more gain nothing and cost memory
+NEUTRAL = ("idle", "walking")  # what characters do before they are asked for a type
+NEUTRAL_SECONDS = 0.5
+
+# Called with the share of the work that is done.
+Progress = Callable[[float], None]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What one character is asked for: types one after another; choice picks among starts and recorded tracks."""
+
+    parts: tuple[TypePart, ...]
+    choice: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Performance:
+    """What one character did: its body, and the contacts (T, 4) the network predicted."""
+
+    body: Body
+    contacts: Tensor
+
+    def motion(self, model: MotionModel) -> Motion:
+        """As a motion to write or to lock the feet of."""
+        return Motion(
+            model.character("default"), self.body.rotations, self.body.positions[:, 0], self.body.fps
+        )
+
+
+def neutral_types(model: MotionModel) -> tuple[str, ...]:
+    """The types characters start from: those of NEUTRAL the model knows, else its first."""
+    return tuple(kind for kind in NEUTRAL if kind in model.types) or model.types[:1]
+
+
+def roll_plans(
+    model: MotionModel,
+    plans: list[Plan],
+    noise: Noise | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> list[Performance]:
+    """Let a character perform each plan; all plans are to take the same time.
+
+    A plan starts from seed frames of its first type. Phases and recorded tracks are those `synthesize`
+    gives. The same seed gives the same motion.
+    """
+    out: list[Performance] = []
+    for first in range(0, len(plans), BATCH):
+        some = plans[first : first + BATCH]
+
+        def report(share: float, done: int = first, size: int = len(some)) -> None:
+            if progress:
+                progress((done + share * size) / len(plans))
+
+        out += _roll_batch(model, some, noise or Noise(), seed + first, report)
+    return out
+
+
+def _roll_batch(
+    model: MotionModel, plans: list[Plan], noise: Noise, seed: int, progress: Progress
+) -> list[Performance]:
+    weights = torch.stack([plan_weights(model, list(plan.parts)) for plan in plans], dim=1)
+    frames = len(weights)
+    starts = [model.seeds[plan.parts[0].type] for plan in plans]
+    features, contacts = seed_batch(
+        [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
+    )
+    clocks = torch.stack([plan_progress(model, list(plan.parts)) for plan in plans], dim=1)
+    tracks = [plan_tracks(model, list(plan.parts), 0, plan.choice) for plan in plans]
+    trajectory = torch.stack([track for track, _ in tracks], dim=1)
+    given = torch.stack([flag for _, flag in tracks], dim=1)
+
+    def controls(frame: int, ground: Tensor) -> FrameControls:
+        return FrameControls(weights[frame], trajectory[frame], given[frame], clocks[frame])
+
+    with inner_threads(len(plans)):
+        state = RolloutState(model, len(plans), noise, seed)
+        state.start(features, contacts, weights[0])
+        rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
+    return performances(model, rollout)
+
+
+def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:
+    """What the characters of a roll-out did, on the default body."""
+    rotations, roots = rollout_pose(model, rollout)
+    found = bodies(rotations, roots, model.character("default"), model.fps)
+    return [Performance(body, contacts) for body, contacts in zip(found, rollout.contacts, strict=True)]
+
+
+def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Tensor, Tensor]:
+    """Local rotations (B, T, 23, 4) and root positions (B, T, 3) in the world of a roll-out."""
+    layout = model.config.layout
+    rotations = decode_rotations(rollout.features, model.references, layout)
+    root = quat_multiply(quat_from_yaw(rollout.ground[..., 2]), rotations[..., 0, :])
+    rotations = torch.cat([root[..., None, :], rotations[..., 1:, :]], dim=-2)
+    rotations = torch.stack([quat_continuous(each) for each in rotations])
+    height = root_height(rollout.features, layout)
+    return rotations, torch.stack([rollout.ground[..., 0], height, rollout.ground[..., 1]], dim=-1)

@@ -1,0 +1,79 @@
+"""The scoreboard: everything that is measured of a model, section by section.
+
+The library call behind `motionkit evaluate`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import ControlError, DatasetError
+from motionkit.evaluation.obedience import Judge, obedience_section
+from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.report import Scoreboard, Section
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.models.checkpoint import MotionModel, unknown_name
+
+# Called with the name of a section and the share of it that is done.
+SectionProgress = Callable[[str, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """What every section measures: a model against recordings."""
+
+    model: MotionModel
+    dataset: Dataset
+    judge: Judge
+    settings: EvaluationSettings
+
+
+SECTIONS: dict[str, Callable[[Trial, Callable[[float], None]], Section]] = {
+    "obedience": lambda trial, progress: obedience_section(
+        trial.model, trial.judge, trial.settings, progress
+    ),
+}
+
+
+def evaluate_model(
+    model: MotionModel,
+    dataset: Dataset,
+    settings: EvaluationSettings | None = None,
+    only: Iterable[str] = (),
+    progress: SectionProgress | None = None,
+) -> Scoreboard:
+    """Measure a model against the recordings of a dataset.
+
+    Args:
+        only: names of the sections to measure; all of them if none is given.
+        progress: called again and again while it lasts.
+
+    Raises:
+        ControlError: for an unknown section.
+        DatasetError: if the dataset knows none of the model's types, or has another rate.
+    """
+    settings = settings or EvaluationSettings()
+    wanted = list(only) or list(SECTIONS)
+    for name in wanted:
+        if name not in SECTIONS:
+            raise ControlError(unknown_name("section", name, tuple(SECTIONS)))
+    if not set(model.types) & set(dataset.types):
+        raise DatasetError(f"{dataset.folder}: the dataset has none of the model's types")
+    if abs(dataset.fps - model.fps) > 1e-6:
+        raise DatasetError(f"{dataset.folder}: {dataset.fps:g} fps, expected the model's {model.fps:g}")
+    trial = Trial(model, dataset, Judge(RealMotion(dataset)), settings)
+    sections = []
+    for name in SECTIONS:
+        if name in wanted:
+            began = time.perf_counter()
+
+            def report(share: float, name: str = name) -> None:
+                if progress:
+                    progress(name, share)
+
+            section = SECTIONS[name](trial, report)
+            sections.append(replace(section, seconds=time.perf_counter() - began))
+    return Scoreboard(settings.as_dict(), sections)

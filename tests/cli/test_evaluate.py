@@ -1,0 +1,41 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture
+def evaluate(motionkit, tiny_model_file: Path, dataset_folder: Path):
+    return lambda *words: motionkit("evaluate", tiny_model_file, dataset_folder, "--quick", *words)
+
+
+def test_obedience_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
+    said = evaluate("--only", "obedience", "--seeds", 1, "--json", "-o", "out.md", "-o", "out.json")
+    assert said.code == 0 and said.err == ""
+    value = json.loads(said.out)
+    assert value == json.loads((tmp_path / "out.json").read_text("utf-8"))
+    assert value["seeds"] == 1 and [section["name"] for section in value["sections"]] == ["obedience"]
+    rows = value["sections"][0]["tables"][0]["rows"]
+    assert {row["type"] for row in rows} >= {"walking", "running", "idle"}
+    text = (tmp_path / "out.md").read_text("utf-8")
+    assert "| obedience | walking shown |" in text and "## Obedience" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [(["--only", "obediance"], "unknown section 'obediance'; did you mean 'obedience'")],
+)
+def test_faults_leave_no_report(evaluate, tmp_path: Path, words: list[str], complaint: str) -> None:
+    assert evaluate(*words, "-o", "out.md").failed_with(complaint)
+    assert not list(tmp_path.iterdir())
+
+
+def test_wrong_files_and_names(
+    motionkit, tmp_path: Path, tiny_model_file: Path, dataset_folder: Path
+) -> None:
+    assert motionkit("evaluate", "nothing.safetensors", dataset_folder).failed_with("no such model file")
+    assert motionkit("evaluate", tiny_model_file, tmp_path).failed_with("not a dataset folder")
+    assert motionkit("evaluate", tiny_model_file, dataset_folder, "-o", "out.pdf").code == 2
+    assert motionkit("evaluate", tiny_model_file, dataset_folder, "--seeds", "0").code == 2

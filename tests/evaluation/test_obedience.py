@@ -1,0 +1,57 @@
+from __future__ import annotations
+
+import torch
+
+from motionkit.evaluation.body import body_of
+from motionkit.evaluation.obedience import Judge, measure_obedience
+from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.rolling import Plan, roll_plans
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.synthesis.plan import TypePart
+from motionkit.synthesis.rollout import Noise
+from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
+from synthetic_motions import make_idle, make_walk
+
+
+def test_a_batch_moves_as_synthesize_does(tiny_model: MotionModel) -> None:
+    parts = [TypePart("idle", 0.2), TypePart("walking", 0.4)]
+    still = Noise("mean")
+    found = roll_plans(tiny_model, [Plan(tuple(parts), 0), Plan(tuple(parts), 0)], still)
+    alone = synthesize(tiny_model, parts, SynthesisOptions(noise=still)).motions[0].motion
+    for each in found:
+        assert torch.allclose(each.body.positions, motion_kinematics(alone)[1], atol=1e-2)
+        assert torch.equal(each.motion(tiny_model).root_positions, each.body.positions[:, 0])
+
+
+def test_plans_differ_in_what_is_asked(tiny_model: MotionModel) -> None:
+    plans = [Plan((TypePart(kind, 0.3),), choice) for kind in ("walking", "cartwheel") for choice in (0, 1)]
+    found = roll_plans(tiny_model, plans, Noise("mean"))
+    assert len(found) == 4 and {len(p.body) for p in found} == {18}
+    assert not torch.allclose(found[0].body.positions, found[2].body.positions)
+
+
+def test_lasting_types_have_to_last_and_others_to_come_once(real: RealMotion) -> None:
+    judge = Judge(real)
+    walk, stand = make_walk(300, turn=0.0), make_idle(300)
+    both = Motion(
+        walk.skeleton,
+        torch.cat([walk.local_rotations, stand.local_rotations]),
+        torch.cat([walk.root_positions, stand.root_positions + walk.root_positions[-1]]),
+        60.0,
+    )
+    assert judge.obeys("walking", body_of(walk))
+    assert not judge.obeys("walking", body_of(both))
+    assert judge.window("cartwheel") == 0.0
+    wheel = real.of_type("cartwheel")[0].body
+    assert judge.obeys("cartwheel", wheel) and not judge.obeys("cartwheel", body_of(stand))
+
+
+def test_every_type_is_asked_for_with_every_seed(tiny_model: MotionModel, real: RealMotion) -> None:
+    settings = EvaluationSettings(seeds=2, seconds=1.5)
+    found = measure_obedience(tiny_model, Judge(real), settings, ("walking", "cartwheel"))
+    assert [each.type for each in found] == ["walking", "cartwheel"]
+    assert all(each.rollouts == 2 and 0 <= each.shown <= 2 for each in found)
+    assert found[0].training_clips == 2 and found[1].training_clips == 1

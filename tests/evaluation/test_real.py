@@ -1,0 +1,68 @@
+from __future__ import annotations
+
+import pytest
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError
+from motionkit.evaluation.body import body_of
+from motionkit.evaluation.obedience import Judge, calibrate
+from motionkit.evaluation.real import RealMotion
+from motionkit.features.decode import decode_motion
+from synthetic_motions import make_walk, placed
+
+
+def test_a_training_pose_is_at_distance_zero_but_without_its_own_clip(
+    real: RealMotion, dataset: Dataset
+) -> None:
+    stretch = real.of_type("walking", "train")[0]
+    kind = real.types.index("walking")
+    first = real.pose_distances(stretch.body)[0]
+    assert first[kind] == pytest.approx(0.0, abs=0.1)
+    assert real.pose_distances(stretch.body, without=stretch.clip)[0, kind] > 0.1
+    mirror = next(c for c in dataset.clips if c.mirrored and c.start == dataset.clips[stretch.clip].start)
+    data = dataset.read(mirror)
+    twin = decode_motion(
+        data.features,
+        dataset.skeleton(mirror),
+        dataset.fps,
+        data.ground[0],
+        dataset.references,
+        dataset.layout.version,
+    )
+    assert real.pose_distances(body_of(twin))[0, kind] == pytest.approx(0.0, abs=0.1)
+
+
+def test_distances_do_not_depend_on_place_or_heading(real: RealMotion) -> None:
+    walk = make_walk(60)
+    moved = real.pose_distances(body_of(placed(walk, yaw=2.0, move=(90.0, -40.0))))
+    assert torch.allclose(real.pose_distances(body_of(walk)), moved, atol=0.1)
+
+
+def test_recordings_are_done_in_their_own_manner(real: RealMotion) -> None:
+    stretch = real.of_type("walking", "train")[0]
+    manner = real.manner("walking")
+    assert manner is not None and manner.speeds[0] < manner.joint_speed < manner.speeds[1]
+    distances = real.pose_distances(stretch.body).mean(dim=0)
+    assert manner.shows(stretch.body, distances)
+    assert not manner.shows(stretch.body, distances + 100.0)
+    frozen = body_of(make_walk(60, speed=0.0, swing=0.0))
+    assert not manner.shows(frozen, distances)
+    assert real.manner("unheard-of") is None
+
+
+def test_every_stretch_counts_once_for_its_own_type(real: RealMotion) -> None:
+    kinds = ("idle", "walking", "cartwheel")
+    found = {c.type: c for c in calibrate(Judge(real), kinds)}
+    assert set(found) == set(kinds)
+    assert found["idle"].shown == found["idle"].windows > 0
+    assert all(bool(c.failing) == (c.shown < c.windows) for c in found.values())
+    assert found["cartwheel"].share == 1.0 and found["cartwheel"].windows == len(real.of_type("cartwheel"))
+    assert "walking" not in found["walking"].others
+    assert "idle" not in found["walking"].others
+
+
+def test_a_dataset_without_training_clips_is_refused(dataset: Dataset, monkeypatch) -> None:
+    monkeypatch.setattr(dataset, "clips", tuple(c for c in dataset.clips if c.split == "test"))
+    with pytest.raises(DatasetError, match="no training clips"):
+        RealMotion(dataset)
