@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,6 +9,12 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli.main import main
+
+
+def page_data(page: Path) -> dict:
+    """What a viewer file holds."""
+    text = page.read_text("utf-8").split('<script type="application/json" id="data">')[1]
+    return json.loads(text.split("</script>")[0])
 
 
 @dataclass(frozen=True)

@@ -7,6 +7,8 @@ import pytest
 
 from motionkit.motion.bvh import read_bvh
 
+from .conftest import page_data
+
 
 @pytest.fixture
 def follow(motionkit, tiny_model_file: Path):
@@ -62,3 +64,13 @@ def test_a_broken_table_names_the_line(follow, tmp_path: Path) -> None:
     (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,far,walking\n")
     assert follow("way.csv").failed_with("way.csv:3: expected numbers")
     assert [p.name for p in tmp_path.iterdir()] == ["way.csv"]
+
+
+def test_a_page_with_the_path_and_its_parts(follow, tmp_path: Path) -> None:
+    said = follow("line", "--size", 0.5, "--speed", 3, "--types", "walking,running", "--view")
+    assert said.code == 0 and "wrote line-walking.html" in said.out
+    (motion,) = page_data(tmp_path / "line-walking.html")["motions"]
+    assert motion["path"]["shape"] == [26, 2]
+    assert [band["type"] for band in motion["types"]] == ["walking", "running"]
+    assert motion["types"][0]["end"] == motion["types"][1]["start"]
+    assert motion["types"][1]["end"] == pytest.approx(motion["frames"] / motion["fps"])

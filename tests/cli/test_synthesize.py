@@ -7,6 +7,8 @@ import pytest
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
+from .conftest import page_data
+
 
 @pytest.fixture
 def synthesize(motionkit, tiny_model_file: Path):
@@ -103,3 +105,15 @@ def test_a_broken_start_clip(synthesize, tmp_path: Path, broken_folder: Path) ->
     said = synthesize("--types", "idle:0.1", "--init", broken_folder / "nan.bvh")
     assert said.failed_with("nan.bvh")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_page_beside_the_motions(synthesize, tmp_path: Path) -> None:
+    said = synthesize("--types", "running:0.3,idle:0.2", "--count", 2, "-o", "take.bvh", "--view", "--json")
+    assert json.loads(said.out)["view"] == "take.html"
+    data = page_data(tmp_path / "take.html")
+    assert [motion["name"] for motion in data["motions"]] == ["take-1", "take-2"]
+    bands = [
+        (band["type"], round(band["start"], 6), round(band["end"], 6)) for band in data["motions"][1]["types"]
+    ]
+    assert bands == [("running", 0.0, 0.3), ("idle", 0.3, 0.5)]
+    assert synthesize("--types", "idle:0.2", "--count", 33, "--view").code == 2

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli.main import main
+from motionkit.cli.showing import open_in_browser
 
 from .test_mirror import RIG
 
@@ -33,13 +34,70 @@ def test_a_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert sheet.read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_page_is_the_default_and_never_overwrites(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("motionkit.cli.showing.has_desktop", lambda: True)
+    opened: list[str] = []
+    monkeypatch.setattr("webbrowser.open", lambda address: opened.append(address) or True)
+    clip = tmp_path / "clip.bvh"
+    clip.write_text(RIG)
+    assert run(monkeypatch, "view", clip) == 0
+    assert opened == [(tmp_path / "clip.html").as_uri()]
+    assert run(monkeypatch, "view", clip, "--no-open") == 0
+    assert run(monkeypatch, "view", clip, "--json") == 0
+    assert len(opened) == 1 and sorted(path.name for path in tmp_path.glob("*.html")) == [
+        "clip-2.html",
+        "clip-3.html",
+        "clip.html",
+    ]
+    assert '"name":"clip"' in (tmp_path / "clip.html").read_text("utf-8")
+
+
+def test_nothing_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr("webbrowser.open", lambda address: pytest.fail("opened"))
+    monkeypatch.setenv("CI", "true")
+    monkeypatch.setenv("DISPLAY", ":0")
+    assert not open_in_browser(tmp_path / "page.html")
+    monkeypatch.delenv("CI")
+    monkeypatch.delenv("DISPLAY")
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr(sys, "platform", "linux")
+    assert not open_in_browser(tmp_path / "page.html")
+
+
+def test_a_path_is_put_into_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clip, path, page = (tmp_path / name for name in ("clip.bvh", "path.json", "page.html"))
+    clip.write_text(RIG)
+    path.write_text('{"parts": [{"type": "walking", "points": [[0, 0], [0, 2]]}]}')
+    assert run(monkeypatch, "view", clip, "--path", path, "-o", page, "--no-open") == 0
+    assert '"path":{"type":"f4","shape":[101,2]' in page.read_text("utf-8")
+
+
+@pytest.mark.parametrize(
+    ("option", "name"), [("--poses", "page.html"), ("--width", "page.html"), ("--every", "a.gif")]
+)
+def test_options_of_another_kind_of_file(
+    option: str,
+    name: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    clip = tmp_path / "clip.bvh"
+    clip.write_text(RIG)
+    assert run(monkeypatch, "view", clip, option, 200, "-o", tmp_path / name) == 2
+    assert option in capsys.readouterr().err and not (tmp_path / name).exists()
+
+
 def test_other_endings_are_wrong_usage(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     clip = tmp_path / "clip.bvh"
     clip.write_text(RIG)
     assert run(monkeypatch, "view", clip, "-o", tmp_path / "sheet.jpg") == 2
-    assert ".png" in capsys.readouterr().err
+    assert ".html, .png, .gif, .mp4" in capsys.readouterr().err
 
 
 def test_a_broken_clip_leaves_no_sheet(

@@ -155,3 +155,13 @@ def test_another_rig_is_mapped_and_said(files: tuple[str, str], tmp_path: Path) 
     rows = {row["id"]: row["value"] for row in out["metrics"]}
     assert rows["mpjpe"] == pytest.approx(0.0, abs=0.05)
     assert rows["ssim-window"] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_a_page_of_both_files(
+    files: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = CliRunner().invoke(command, [*files, "--view", "--json"])
+    assert result.exit_code == 0 and json.loads(result.stdout)["view"] == "truth-made.html"
+    page = (tmp_path / "truth-made.html").read_text("utf-8")
+    assert '"name":"truth ground truth"' in page and '"name":"made generated"' in page

@@ -64,7 +64,7 @@ class _Canvas:
     """Lines, dots and text in final pixels, drawn ZOOM times larger."""
 
     def __init__(self, width: int, height: int) -> None:
-        image, image_draw, self._fonts = _pillow()
+        image, image_draw, self._fonts = load_pillow()
         self.image: Image.Image = image.new("RGB", (width * ZOOM, height * ZOOM), WHITE)
         self._draw = image_draw.Draw(self.image)
 
@@ -94,12 +94,13 @@ class _Canvas:
             self._draw.text((x * ZOOM, y * ZOOM), plain, fill=color, font=font)
 
     def finished(self) -> Image.Image:
-        image, _, _ = _pillow()
+        image, _, _ = load_pillow()
         size = (self.image.width // ZOOM, self.image.height // ZOOM)
         return self.image.resize(size, image.Resampling.BOX)
 
 
-def _pillow() -> tuple[Any, Any, Any]:
+def load_pillow() -> tuple[Any, Any, Any]:
+    """Pillow's Image, ImageDraw and ImageFont; raises MotionkitError where it is not installed."""
     try:
         from PIL import Image, ImageDraw, ImageFont
     except ImportError:
@@ -151,7 +152,7 @@ def contact_sheet(
         raise MotionkitError("a contact sheet needs at least one motion")
     if width < 600:
         raise MotionkitError(f"a contact sheet of {width} pixels cannot be read, expected at least 600")
-    _pillow()
+    load_pillow()
     shown = [pose_frames(len(motion), poses, every) for _, motion in motions]
     heights = [_block_height(len(frames)) for frames in shown]
     canvas = _Canvas(width, sum(heights) + MARGIN)

@@ -6,6 +6,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -20,6 +21,15 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 def seed_option(default: int = 0) -> Callable:
     """The --seed option shared by everything that draws random numbers."""
     return click.option("--seed", default=default, show_default=True, help="Same seed, same result.")
+
+
+def default_output(name: str, ending: str = ".bvh") -> Path:
+    """A file in the current folder that does not exist yet."""
+    path = Path(f"{name}{ending}")
+    number = 2
+    while path.exists():
+        path, number = Path(f"{name}-{number}{ending}"), number + 1
+    return path
 
 
 def print_json(value: Any) -> None:

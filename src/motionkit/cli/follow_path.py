@@ -6,9 +6,9 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import print_json, progress_bar, stdout_console
+from motionkit.cli.common import default_output, print_json, progress_bar, stdout_console
+from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
-    default_output,
     make_noise,
     metrics_line,
     motion_metrics,
@@ -44,6 +44,7 @@ def command(
     temperature: float | None,
     ik: bool,
     fps: float | None,
+    view: bool,
     as_json: bool,
 ) -> None:
     """Let a character follow a PATH and write BVH.
@@ -77,6 +78,14 @@ def command(
         {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
         for part, d in zip(target.parts, result.part_distances, strict=True)
     ]
+    page = None
+    if view:
+        from motionkit.apps.figure_data import Shown
+
+        times = [frames / model.fps for frames in result.part_frames]
+        bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
+        shown = Shown(file.stem, result.motion, bands, target.points)
+        page = write_and_open(file.with_suffix(".html"), [shown], as_json)
     if as_json:
         print_json(
             {
@@ -91,6 +100,7 @@ def command(
                 "metrics": metrics,
                 "frames_per_second": result.frames / max(result.seconds, 1e-9),
                 "seed": seed,
+                **({"view": str(page)} if page else {}),
             }
         )
         return
@@ -113,3 +123,5 @@ def command(
         markup=False,
     )
     out.print(f"  {metrics_line(metrics)}", markup=False)
+    if page:
+        out.print(f"wrote {page}", markup=False)

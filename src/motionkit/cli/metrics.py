@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import json_option, print_json, stdout_console
+from motionkit.cli.common import default_output, json_option, print_json, stdout_console
+from motionkit.cli.showing import view_option, write_and_open
 from motionkit.metrics.value import MetricSettings
 
 if TYPE_CHECKING:
@@ -69,6 +71,7 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
 @_positive("--generated-scale", "Centimetres per unit of GENERATED.")
 @_positive("--fps", "Rate of GROUND_TRUTH, where its header is wrong.")
 @_positive("--generated-fps", "Rate of GENERATED, where its header is wrong.")
+@view_option
 @json_option
 def command(
     ground_truth: str,
@@ -79,6 +82,7 @@ def command(
     generated_scale: float | None,
     fps: float | None,
     generated_fps: float | None,
+    view: bool,
     as_json: bool,
     floor: float | None,
     **thresholds: float,
@@ -97,10 +101,30 @@ def command(
     report = evaluate_files(
         ground_truth, generated, settings, skip, align_start, (scale, generated_scale), (fps, generated_fps)
     )
+    page = _view(ground_truth, generated, (fps, generated_fps), as_json) if view else None
     if as_json:
-        print_json({"ground_truth": ground_truth, "generated": generated, **report.as_dict()})
-    else:
-        _print_table(report, paired=generated is not None)
+        files = {"ground_truth": ground_truth, "generated": generated}
+        print_json({**files, **report.as_dict(), **({"view": str(page)} if page else {})})
+        return
+    _print_table(report, paired=generated is not None)
+    if page:
+        stdout_console().print(f"wrote {page}", markup=False)
+
+
+def _view(
+    ground_truth: str, generated: str | None, fps: tuple[float | None, float | None], quiet: bool
+) -> Path:
+    """Write a page of the files as they are to the current folder."""
+    from motionkit.apps.figure_data import Shown
+    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+
+    files = [Path(file) for file in (ground_truth, generated) if file is not None]
+    words = ("ground truth", "generated") if generated is not None else ("",)
+    shown = [
+        Shown(f"{file.stem} {word}".strip(), bvh_to_motion(read_bvh(file), fps=rate))
+        for file, word, rate in zip(files, words, fps, strict=False)
+    ]
+    return write_and_open(default_output("-".join(file.stem for file in files), ".html"), shown, quiet)
 
 
 def _print_table(report: MetricReport, paired: bool) -> None:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.cli.common import json_option, seed_option
+from motionkit.cli.showing import view_option
 
 if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
@@ -62,6 +63,7 @@ def synthesis_options(function: Callable) -> Callable:
             type=click.FloatRange(1, 480),
             help="Rate of the written file; the model's 60 by default.",
         ),
+        view_option,
         json_option,
     ]
     for option in reversed(options):
@@ -92,12 +94,3 @@ def metrics_line(metrics: dict[str, Any]) -> str:
         f"{i} {m['value']:.3g} {m['unit']}".strip() for i, m in metrics.items() if m["value"] is not None
     ]
     return ", ".join(words)
-
-
-def default_output(name: str) -> Path:
-    """A file in the current folder that does not exist yet."""
-    path = Path(f"{name}.bvh")
-    number = 2
-    while path.exists():
-        path, number = Path(f"{name}-{number}.bvh"), number + 1
-    return path

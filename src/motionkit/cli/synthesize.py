@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import print_json, progress_bar, stdout_console
+from motionkit.cli.common import default_output, print_json, progress_bar, stdout_console
+from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
-    default_output,
     make_noise,
     metrics_line,
     motion_metrics,
     synthesis_options,
 )
+
+if TYPE_CHECKING:
+    from motionkit.synthesis.synthesize import SynthesisResult
 
 
 @click.command("synthesize")
@@ -52,6 +55,7 @@ def command(
     temperature: float | None,
     ik: bool,
     fps: float | None,
+    view: bool,
     as_json: bool,
 ) -> None:
     """Synthesize motion types one after another and write BVH.
@@ -68,6 +72,11 @@ def command(
         raise click.UsageError(
             "give --types, such as --types running,cartwheel; --list-types shows the known ones"
         )
+    if view:
+        from motionkit.apps.viewer import MAX_MOTIONS
+
+        if count > MAX_MOTIONS:
+            raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
     from motionkit.motion.bvh import write_bvh
     from motionkit.synthesis.plan import parse_types
     from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
@@ -95,11 +104,11 @@ def command(
                 "metrics": motion_metrics(synthesis.motion),
             }
         )
+    page = _view(base, made, result, as_json) if view else None
     rate = result.frames / max(result.seconds, 1e-9)
     if as_json:
-        print_json(
-            {"motions": made, "roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": seed}
-        )
+        shown = {"roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": seed}
+        print_json({"motions": made, **shown, **({"view": str(page)} if page else {})})
         return
     out = stdout_console()
     for entry in made:
@@ -109,6 +118,19 @@ def command(
         )
         out.print(f"  {metrics_line(entry['metrics'])}", markup=False)
     out.print(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second", markup=False)
+    if page:
+        out.print(f"wrote {page}", markup=False)
+
+
+def _view(base: Path, made: list[dict[str, Any]], result: SynthesisResult, quiet: bool) -> Path:
+    """Write the page of all motions beside them."""
+    from motionkit.apps.figure_data import Shown
+
+    shown = [
+        Shown(Path(entry["file"]).stem, one.motion, [(part.type, part.seconds) for part in one.types])
+        for entry, one in zip(made, result.motions, strict=True)
+    ]
+    return write_and_open(base.with_suffix(".html"), shown, quiet)
 
 
 def _list(model: Any, as_json: bool) -> None:

@@ -1,17 +1,26 @@
-"""`motionkit view`: contact sheets of BVH files."""
+"""`motionkit view`: BVH files as a page that plays them, a contact sheet, a GIF or a film."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import json_option, print_json
+from motionkit.cli.common import default_output, json_option, print_json, progress_bar
+from motionkit.cli.showing import open_in_browser
+
+if TYPE_CHECKING:
+    from motionkit.apps.figure_data import Shown
+
+ENDINGS = (".html", ".png", ".gif", ".mp4")
 
 
-def _png(context: click.Context, parameter: click.Parameter, value: Path) -> Path:
-    if value.suffix.lower() != ".png":
-        raise click.BadParameter(f"expected a file that ends with .png, found {str(value)!r}")
+def _ending(context: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
+    if value is not None and value.suffix.lower() not in ENDINGS:
+        known = ", ".join(ENDINGS)
+        raise click.BadParameter(f"expected a file that ends with {known}, found {str(value)!r}")
     return value
 
 
@@ -21,32 +30,105 @@ def _png(context: click.Context, parameter: click.Parameter, value: Path) -> Pat
     "-o",
     "--output",
     type=click.Path(path_type=Path),
-    required=True,
-    callback=_png,
-    help="The sheet, a .png file.",
+    callback=_ending,
+    help="The file; its ending says what it is: .html (default, a page that plays the motions), .png (a contact "
+    "sheet), .gif, .mp4.",
 )
 @click.option(
-    "--poses", type=click.IntRange(1, 480), default=12, show_default=True, help="Stick figures per clip."
+    "--path",
+    "path_file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A path file (JSON or CSV) to draw on the ground of the page.",
 )
-@click.option("--every", type=click.IntRange(min=1), help="Show every so many frames instead.")
+@click.option("--open/--no-open", "opens", default=True, help="Open the page in the browser.")
 @click.option(
-    "--width", type=click.IntRange(600, 8000), default=1800, show_default=True, help="Width in pixels."
+    "--poses",
+    type=click.IntRange(1, 480),
+    default=12,
+    show_default=True,
+    help="Sheet: stick figures per clip.",
+)
+@click.option("--every", type=click.IntRange(min=1), help="Sheet: show every so many frames instead.")
+@click.option(
+    "--width",
+    type=click.IntRange(160, 8000),
+    help="Width in pixels of a sheet (1800), a GIF (480) or a film (960).",
 )
 @json_option
+@click.pass_context
 def command(
-    clips: tuple[Path, ...], output: Path, poses: int, every: int | None, width: int, as_json: bool
+    context: click.Context,
+    clips: tuple[Path, ...],
+    output: Path | None,
+    path_file: Path | None,
+    opens: bool,
+    poses: int,
+    every: int | None,
+    width: int | None,
+    as_json: bool,
 ) -> None:
-    """Draw a contact sheet of BVH files (CLIPS): stick figures in time, the path from above, foot heights."""
-    from motionkit.apps.contact_sheet import write_contact_sheet
+    """Show BVH files (CLIPS) of any rig, unit and rate.
+
+    Without -o a page named after the first clip is written to the current folder and opened in the
+    browser: one HTML file with everything in it, to keep or to send.
+    """
+    from motionkit.apps.figure_data import Shown
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
-    motions = [(clip.stem, bvh_to_motion(read_bvh(clip))) for clip in clips]
-    write_contact_sheet(output, motions, poses, width, every)
-    shown = [
-        {"file": str(clip), "frames": len(motion), "seconds": motion.seconds, "fps": motion.fps}
-        for clip, (_, motion) in zip(clips, motions, strict=True)
+    target = output or default_output(clips[0].stem, ".html")
+    _check_options(context, target)
+    path = None
+    if path_file is not None:
+        from motionkit.synthesis.path import read_path
+
+        path = read_path(path_file).points
+    shown = [Shown(clip.stem, bvh_to_motion(read_bvh(clip)), path=path) for clip in clips]
+    _write(target, shown, poses, every, width)
+    if target.suffix.lower() == ".html" and opens and not as_json:
+        open_in_browser(target)
+    facts = [
+        {"file": str(clip), "frames": len(s.motion), "seconds": s.motion.seconds, "fps": s.motion.fps}
+        for clip, s in zip(clips, shown, strict=True)
     ]
     if as_json:
-        print_json({"output": str(output), "clips": shown})
+        print_json({"output": str(target), "clips": facts})
     else:
-        click.echo(f"{output}: {len(clips)} {'clip' if len(clips) == 1 else 'clips'}")
+        click.echo(f"{target}: {len(clips)} {'clip' if len(clips) == 1 else 'clips'}")
+
+
+def _check_options(context: click.Context, target: Path) -> None:
+    """Raise UsageError for options that do nothing for this kind of file."""
+    given = {
+        name: context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
+        for name in ("poses", "every", "width", "path_file")
+    }
+    kind = target.suffix.lower()
+    for name, kinds in (
+        ("poses", (".png",)),
+        ("every", (".png",)),
+        ("width", (".png", ".gif", ".mp4")),
+        ("path_file", (".html",)),
+    ):
+        if given[name] and kind not in kinds:
+            option = {"path_file": "path"}.get(name, name)
+            raise click.UsageError(f"--{option} belongs to {' and '.join(kinds)} files, found {target.name}")
+
+
+def _write(target: Path, shown: Sequence[Shown], poses: int, every: int | None, width: int | None) -> None:
+    kind = target.suffix.lower()
+    if kind == ".html":
+        from motionkit.apps.viewer import write_viewer
+
+        write_viewer(target, shown)
+    elif kind == ".png":
+        from motionkit.apps.contact_sheet import write_contact_sheet
+
+        write_contact_sheet(target, [(s.name, s.motion) for s in shown], poses, width or 1800, every)
+    else:
+        from motionkit.apps.film import write_film
+
+        with progress_bar() as bar:
+            task = bar.add_task("drawing", total=None)
+            write_film(
+                target, shown, width, lambda done, count: bar.update(task, completed=done, total=count)
+            )

@@ -36,6 +36,7 @@ class FollowResult:
         motion: what to write.
         distance: to the whole path, on the default body.
         part_distances: mean and largest distance (cm) of the frames on each part, None for a part not reached.
+        part_frames: frames at the model's rate spent on each part.
         finished: whether the end was reached.
         seconds: how long the roll-out took.
         frames: frames at the model's rate.
@@ -44,6 +45,7 @@ class FollowResult:
     motion: Motion
     distance: TrajectoryDistance
     part_distances: tuple[tuple[float, float] | None, ...]
+    part_frames: tuple[int, ...]
     finished: bool
     seconds: float
     frames: int
@@ -167,6 +169,7 @@ def follow_path(
         finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),
         trajectory_distance(track, path.points),
         _part_distances(track, follower.arcs, path),
+        tuple(torch.bincount(path.part_at(torch.tensor(follower.arcs)), minlength=len(path.parts)).tolist()),
         follower.arc >= path.length - SPACING,
         seconds,
         len(track),

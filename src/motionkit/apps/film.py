@@ -1,0 +1,102 @@
+"""GIFs and films of motions."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from motionkit.apps.contact_sheet import load_pillow
+from motionkit.apps.figure_data import Shown
+from motionkit.apps.picture import Scenery
+from motionkit.errors import MotionkitError
+from motionkit.files import atomic_write
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+GIF_FPS, GIF_WIDTH, GIF_COLORS = 20, 480, 96
+FILM_FPS, FILM_WIDTH = 30, 960
+MAX_SECONDS = 600.0
+Progress = Callable[[int, int], None]
+
+
+def write_film(
+    path: str | Path, shown: Sequence[Shown], width: int | None = None, progress: Progress | None = None
+) -> None:
+    """Write motions side by side as .gif or .mp4, in real time, whole or not at all.
+
+    Args:
+        path: of the file; its ending decides.
+        shown: what to show, at least one.
+        width: in pixels; 480 for a GIF, 960 for a film. Three quarters as high.
+        progress: called with frames drawn and frames in all.
+
+    Raises MotionkitError for other endings, without Pillow (or imageio-ffmpeg for .mp4), or for motions
+    of more than ten minutes.
+    """
+    kind = Path(path).suffix.lower()
+    if kind not in (".gif", ".mp4"):
+        raise MotionkitError(f"{path}: films are written as .gif or .mp4, found {kind!r}")
+    if not shown:
+        raise MotionkitError("a film needs at least one motion")
+    if kind == ".mp4":
+        _ffmpeg()
+    wide = width or (GIF_WIDTH if kind == ".gif" else FILM_WIDTH)
+    wide += wide % 2
+    high = wide * 3 // 4 // 2 * 2  # films need even sizes
+    scenery = Scenery(shown, wide, high)
+    if scenery.seconds > MAX_SECONDS:
+        raise MotionkitError(
+            f"{path}: {scenery.seconds:.0f} s of motion, expected at most {MAX_SECONDS:.0f} s for a film"
+        )
+    pictures = _pictures(scenery, GIF_FPS if kind == ".gif" else FILM_FPS, progress)
+    if kind == ".gif":
+        _write_gif(path, pictures)
+    else:
+        _write_mp4(path, pictures, (wide, high))
+
+
+def _pictures(scenery: Scenery, fps: int, progress: Progress | None) -> Iterator[Image.Image]:
+    count = int(scenery.seconds * fps + 1e-6) + 1
+    for n in range(count):
+        yield scenery.frame(n / fps)
+        if progress:
+            progress(n + 1, count)
+
+
+def _write_gif(path: str | Path, pictures: Iterator[Image.Image]) -> None:
+    image, _, _ = load_pillow()
+    first = next(pictures).quantize(GIF_COLORS)
+    # One palette for all frames and no dithering: small files and no flicker.
+    rest = (picture.quantize(palette=first, dither=image.Dither.NONE) for picture in pictures)
+    with atomic_write(path, "wb") as file:
+        first.save(
+            file, "GIF", save_all=True, append_images=rest, duration=1000 // GIF_FPS, loop=0, optimize=False
+        )
+
+
+def _write_mp4(path: str | Path, pictures: Iterator[Image.Image], size: tuple[int, int]) -> None:
+    ffmpeg = _ffmpeg()
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "film.mp4"
+        writer = ffmpeg.write_frames(str(made), size, fps=FILM_FPS, quality=7, macro_block_size=2)
+        writer.send(None)
+        try:
+            for picture in pictures:
+                writer.send(picture.tobytes())
+        finally:
+            writer.close()
+        with atomic_write(path, "wb") as file:
+            file.write(made.read_bytes())
+
+
+def _ffmpeg() -> Any:
+    try:
+        import imageio_ffmpeg
+    except ImportError:
+        raise MotionkitError(
+            'writing .mp4 needs imageio-ffmpeg, which is not installed: pip install "motionkit[video]"'
+        ) from None
+    return imageio_ffmpeg

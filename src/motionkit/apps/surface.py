@@ -1,0 +1,169 @@
+"""Closed surfaces that joints carry: rings of points along a line, joined to a mesh that bends with the joints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+RING = 16  # points around
+_CAP = 4  # rings of a rounded end
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """V points and F triangles in one pose of a skeleton.
+
+    Attributes:
+        points: (V, 3) in the pose the surface was made in.
+        triangles: (F, 3) indices, counterclockwise seen from outside.
+        joints: (V, 2) the joints that carry a point.
+        weights: (V,) the share of the second joint.
+        tints: (V,) what a point belongs to, one of the indices of TINTS.
+    """
+
+    points: Array
+    triangles: NDArray[np.int64]
+    joints: NDArray[np.int64]
+    weights: Array
+    tints: NDArray[np.int64]
+
+    def posed(self, matrices: Array) -> Array:
+        """The points (V, 3) when joint j has moved by the affine (J, 3, 4) matrices[j] since the making."""
+        whole = np.concatenate([self.points, np.ones((len(self.points), 1))], axis=1)
+        first = np.einsum("vij,vj->vi", matrices[self.joints[:, 0]], whole)
+        second = np.einsum("vij,vj->vi", matrices[self.joints[:, 1]], whole)
+        return first + self.weights[:, None] * (second - first)
+
+
+TINTS = ("body", "leg", "head", "hand", "foot")
+
+
+@dataclass(frozen=True, eq=False)
+class Ring:
+    """An ellipse: a middle (3,), half axes a and b (3,), the joints that carry it, and its own tint, if any."""
+
+    middle: Array
+    a: Array
+    b: Array
+    joints: tuple[int, int]
+    weight: float = 0.0
+    tint: str | None = None
+
+
+class SurfaceBuilder:
+    """Collects closed pieces into one surface."""
+
+    def __init__(self) -> None:
+        self._points: list[Array] = []
+        self._triangles: list[NDArray[np.int64]] = []
+        self._joints: list[tuple[int, int]] = []
+        self._weights: list[float] = []
+        self._tints: list[int] = []
+
+    def loft(self, rings: Sequence[Ring], tint: str = "body") -> None:
+        """A closed skin over rings, which are given from one end to the other; a x b points onward."""
+        angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
+        first = len(self._weights)
+        for ring in rings:
+            around = np.cos(angles)[:, None] * ring.a + np.sin(angles)[:, None] * ring.b
+            self._add(ring.middle + around, ring, tint)
+        self._add(rings[0].middle[None], rings[0], tint)
+        self._add(rings[-1].middle[None], rings[-1], tint)
+        here = np.arange(RING)
+        after = (here + 1) % RING
+        for n in range(len(rings) - 1):
+            low, high = first + n * RING, first + (n + 1) * RING
+            self._triangles.append(np.stack([low + here, low + after, high + after], axis=-1))
+            self._triangles.append(np.stack([low + here, high + after, high + here], axis=-1))
+        bottom, top = first + len(rings) * RING, first + len(rings) * RING + 1
+        last = first + (len(rings) - 1) * RING
+        self._triangles.append(np.stack([first + after, first + here, np.full(RING, bottom)], axis=-1))
+        self._triangles.append(np.stack([last + here, last + after, np.full(RING, top)], axis=-1))
+
+    def _add(self, points: Array, ring: Ring, tint: str) -> None:
+        self._points.append(points)
+        self._joints += [ring.joints] * len(points)
+        self._weights += [ring.weight] * len(points)
+        self._tints += [TINTS.index(ring.tint or tint)] * len(points)
+
+    def surface(self) -> Surface:
+        """What was collected."""
+        return Surface(
+            np.concatenate(self._points),
+            np.concatenate(self._triangles),
+            np.array(self._joints, dtype=np.int64),
+            np.array(self._weights),
+            np.array(self._tints, dtype=np.int64),
+        )
+
+    def limb(
+        self,
+        path: Sequence[tuple[Array, int]],
+        profile: Sequence[tuple[float, ...]],
+        front: Array,
+        tint: str = "body",
+    ) -> None:
+        """A rounded limb along joints.
+
+        Args:
+            path: points (3,) from the near to the far end, each with the joint that carries what follows.
+            profile: (share of the way, half width, half depth, shift to the front) in lengths, shares
+                rising from 0 to 1; the ends are rounded off beyond the path.
+            front: (3,) the direction depth is measured in.
+        """
+        points = np.array([point for point, _ in path])
+        lengths = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        arcs = np.concatenate([[0.0], np.cumsum(lengths)])
+        total = max(float(arcs[-1]), 1e-9)
+        along = unit(points[-1] - points[0], np.array([0.0, 1.0, 0.0]))
+        across, depth = cross_axes(along, front)
+        rings: list[Ring] = []
+        for share, width, thick, shift in profile:
+            arc = share * total
+            bone = int(np.clip(np.searchsorted(arcs, arc, side="right") - 1, 0, len(lengths) - 1))
+            within = (arc - arcs[bone]) / max(float(lengths[bone]), 1e-9)
+            middle = points[bone] + within * (points[bone + 1] - points[bone]) + shift * depth
+            joint = path[bone][1]
+            rings.append(Ring(middle, width * across, thick * depth, (joint, joint)))
+        self.loft(rounded(rings, along), tint)
+
+
+def rounded(rings: list[Ring], along: Array) -> list[Ring]:
+    """The rings with half an ellipsoid before the first and after the last."""
+
+    def cap(ring: Ring, direction: float) -> list[Ring]:
+        reach = float(np.sqrt(np.linalg.norm(ring.a) * np.linalg.norm(ring.b)))
+        turns = np.linspace(0.5 * np.pi, 0.0, _CAP, endpoint=False)
+        return [
+            Ring(
+                ring.middle + direction * reach * np.sin(turn) * along,
+                max(np.cos(turn), 0.02) * ring.a,
+                max(np.cos(turn), 0.02) * ring.b,
+                ring.joints,
+                ring.weight,
+                ring.tint,
+            )
+            for turn in turns
+        ]
+
+    return [*cap(rings[0], -1.0), *rings, *reversed(cap(rings[-1], 1.0))]
+
+
+def unit(vector: Array, otherwise: Array) -> Array:
+    """The direction of a vector (3,), or another where it has none."""
+    length = float(np.linalg.norm(vector))
+    return vector / length if length > 1e-9 else otherwise
+
+
+def cross_axes(along: Array, front: Array) -> tuple[Array, Array]:
+    """Unit axes across and to the front, at right angles to a direction; across x front is along."""
+    depth = front - (front @ along) * along
+    if np.linalg.norm(depth) < 1e-3:
+        spare = np.eye(3)[int(np.argmin(np.abs(along)))]
+        depth = spare - (spare @ along) * along
+    depth = depth / np.linalg.norm(depth)
+    return np.cross(depth, along), depth

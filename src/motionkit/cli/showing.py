@@ -1,0 +1,48 @@
+"""What commands share that show motions: the --view option, and opening a file in the browser."""
+
+from __future__ import annotations
+
+import os
+import sys
+import webbrowser
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+if TYPE_CHECKING:
+    from motionkit.apps.figure_data import Shown
+
+view_option = click.option(
+    "--view", is_flag=True, help="Write a page that plays the motion beside the output, and open it."
+)
+
+
+def write_and_open(path: Path, shown: Sequence[Shown], quiet: bool) -> Path:
+    """Write a viewer file, open it unless quiet, and return its path."""
+    from motionkit.apps.viewer import write_viewer
+
+    write_viewer(path, shown)
+    if not quiet:
+        open_in_browser(path)
+    return path
+
+
+def open_in_browser(path: Path) -> bool:
+    """Open a file in the user's browser; False without a desktop, in CI, or when there is no browser."""
+    if not has_desktop():
+        return False
+    try:
+        return webbrowser.open(path.resolve().as_uri())
+    except webbrowser.Error:
+        return False
+
+
+def has_desktop() -> bool:
+    """Whether a window can be expected to appear: not over plain SSH, and not in CI."""
+    if os.environ.get("CI"):
+        return False
+    if sys.platform in ("win32", "darwin"):
+        return not os.environ.get("SSH_CONNECTION")
+    return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))

@@ -1,0 +1,173 @@
+// A figure in the scene: its body bends with the joints; its skeleton can be shown through it.
+
+import {
+  BufferAttribute, BufferGeometry, Bone, Color, Group, InstancedMesh, Matrix4, MeshBasicMaterial,
+  MeshLambertMaterial, MeshStandardMaterial, OctahedronGeometry, Quaternion, Skeleton, SkinnedMesh, SphereGeometry, Vector3,
+} from "three";
+
+const POINT_STEP = 1e-4; // metres
+const SIDE_COLORS = { left: 0x3b82f6, right: 0xf97316, "": 0xa8a29e };
+const BEHIND = 0.22; // opacity of a body whose skeleton is shown
+
+const matrix = new Matrix4();
+const place = new Vector3();
+const tip = new Vector3();
+const turn = new Quaternion();
+const size = new Vector3();
+const UP = new Vector3(0, 1, 0);
+
+export class Figure extends Group {
+  /** @param {import("./rig.js").Rig} rig @param {Color} color @param {boolean} plain without a graphics card */
+  constructor(rig, color, plain = false) {
+    super();
+    this.rig = rig;
+    const Material = plain ? MeshLambertMaterial : MeshStandardMaterial;
+    this.material = new Material({ vertexColors: true });
+    if (!plain) this.material.roughness = 0.58;
+    this.mesh = this.#body();
+    this.add(this.mesh);
+    this.bones = this.#skeleton();
+    this.add(this.bones);
+    this.color = color;
+  }
+
+  set color(color) {
+    this.base = new Color(color);
+    const { tints, names } = this.rig.body;
+    const shades = names.map((name) => shade(this.base, name));
+    const colors = this.mesh.geometry.getAttribute("color");
+    tints.forEach((tint, i) => shades[tint].toArray(colors.array, i * 3));
+    colors.needsUpdate = true;
+  }
+
+  get color() {
+    return this.base;
+  }
+
+  set skeletonShown(shown) {
+    this.bones.visible = shown;
+    this.material.transparent = shown;
+    this.material.opacity = shown ? BEHIND : 1;
+    this.material.depthWrite = !shown;
+    this.material.needsUpdate = true;
+  }
+
+  get skeletonShown() {
+    return this.bones.visible;
+  }
+
+  /** How many joints the skeleton draws. */
+  get drawnJoints() {
+    return this.joints.count;
+  }
+
+  /** @param {import("./rig.js").Pose} pose */
+  setPose(pose) {
+    const { rotations, places } = pose;
+    this.skeleton.bones.forEach((bone, j) => {
+      turn.set(rotations[j * 4 + 1], rotations[j * 4 + 2], rotations[j * 4 + 3], rotations[j * 4]);
+      place.fromArray(places, j * 3);
+      bone.matrixWorld.compose(place, turn, size.set(1, 1, 1));
+    });
+    if (this.bones.visible) this.#setSkeleton(pose);
+  }
+
+  #body() {
+    const { body, count } = this.rig;
+    const points = Float32Array.from(body.points, (step) => step * POINT_STEP);
+    const joints = new Uint16Array(body.tints.length * 4);
+    const weights = new Float32Array(body.tints.length * 4);
+    for (let i = 0; i < body.tints.length; i++) {
+      joints[i * 4] = body.joints[i * 2];
+      joints[i * 4 + 1] = body.joints[i * 2 + 1];
+      weights[i * 4] = 1 - body.weights[i] / 255;
+      weights[i * 4 + 1] = body.weights[i] / 255;
+    }
+    const geometry = new BufferGeometry();
+    geometry.setAttribute("position", new BufferAttribute(points, 3));
+    geometry.setAttribute("skinIndex", new BufferAttribute(joints, 4));
+    geometry.setAttribute("skinWeight", new BufferAttribute(weights, 4));
+    geometry.setAttribute("color", new BufferAttribute(new Float32Array(points.length), 3));
+    geometry.setIndex(new BufferAttribute(body.triangles, 1));
+    geometry.computeVertexNormals();
+    const bones = Array.from({ length: count }, () => Object.assign(new Bone(), { matrixAutoUpdate: false }));
+    const inverses = bones.map((_, j) => {
+      const [w, x, y, z] = body.rotations.subarray(j * 4, j * 4 + 4);
+      return new Matrix4()
+        .compose(place.fromArray(body.places, j * 3), turn.set(x, y, z, w), size.set(1, 1, 1))
+        .invert();
+    });
+    this.skeleton = new Skeleton(bones, inverses);
+    const mesh = new SkinnedMesh(geometry, this.material);
+    mesh.bindMode = "detached"; // the bones' places are in the figure's own space
+    mesh.bind(this.skeleton, new Matrix4());
+    mesh.castShadow = true;
+    mesh.frustumCulled = false;
+    return mesh;
+  }
+
+  #skeleton() {
+    const { rig } = this;
+    const group = new Group();
+    const ball = new SphereGeometry(1, 10, 8);
+    const stick = new OctahedronGeometry(1);
+    stick.scale(1, 0.5, 1).translate(0, 0.5, 0);
+    const material = new MeshBasicMaterial({ depthTest: false, transparent: true });
+    this.joints = new InstancedMesh(ball, material, rig.count);
+    this.links = [...rig.bones.map((joint) => [rig.parents[joint], joint, null]), ...rig.ends.map(([j, ...end]) => [j, null, end])];
+    this.sticks = new InstancedMesh(stick, material, this.links.length);
+    const color = (joint) => new Color(SIDE_COLORS[rig.sides[joint]]);
+    for (let j = 0; j < rig.count; j++) this.joints.setColorAt(j, color(j));
+    this.links.forEach(([parent, joint], n) => this.sticks.setColorAt(n, color(joint ?? parent)));
+    for (const mesh of [this.sticks, this.joints]) {
+      mesh.frustumCulled = false;
+      mesh.renderOrder = 2;
+      group.add(mesh);
+    }
+    group.visible = false;
+    return group;
+  }
+
+  #setSkeleton(pose) {
+    const thick = this.rig.stature * 0.009;
+    for (let j = 0; j < this.rig.count; j++) {
+      matrix.makeScale(thick, thick, thick).setPosition(place.fromArray(pose.places, j * 3));
+      this.joints.setMatrixAt(j, matrix);
+    }
+    const end = [0, 0, 0];
+    this.links.forEach(([parent, joint, offset], n) => {
+      place.fromArray(pose.places, parent * 3);
+      if (joint === null) {
+        pose.carry(parent, offset, 0, end, 0);
+        tip.fromArray(end);
+      } else tip.fromArray(pose.places, joint * 3);
+      tip.sub(place);
+      const length = tip.length();
+      turn.setFromUnitVectors(UP, length > 1e-6 ? tip.divideScalar(length) : UP);
+      matrix.compose(place, turn, size.set(0.9 * thick, Math.max(length, 1e-6), 0.9 * thick));
+      this.sticks.setMatrixAt(n, matrix);
+    });
+    this.joints.instanceMatrix.needsUpdate = true;
+    this.sticks.instanceMatrix.needsUpdate = true;
+  }
+
+  dispose() {
+    this.mesh.geometry.dispose();
+    this.material.dispose();
+    this.skeleton.dispose();
+    this.joints.geometry.dispose();
+    this.joints.material.dispose();
+    this.sticks.geometry.dispose();
+    this.joints.dispose();
+    this.sticks.dispose();
+  }
+}
+
+// A shirt in the figure's colour, trousers and shoes darker, head and hands paler.
+function shade(color, name) {
+  const out = color.clone();
+  if (name === "head" || name === "hand") return out.lerp(new Color(0xf2e0d0), 0.85);
+  if (name === "leg") return out.lerp(new Color(0x2a3040), 0.68);
+  if (name === "foot") return out.lerp(new Color(0x14171c), 0.82);
+  return out;
+}

@@ -1,0 +1,197 @@
+// Renderer, light, ground and camera; draws only when something changed.
+
+import {
+  BasicShadowMap, Color, DirectionalLight, Fog, HemisphereLight, Mesh, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
+  ShaderMaterial, ShadowMaterial, Vector3, WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+
+export const THEMES = {
+  dark: { sky: 0x15181e, ground: 0x1c2027, line: 0x3a414d, shadow: 0.5, hemi: 0.95, key: 2.9, rim: 1.6 },
+  light: { sky: 0xeef1f5, ground: 0xe3e7ed, line: 0xb4bdc9, shadow: 0.28, hemi: 1.35, key: 2.6, rim: 0.7 },
+};
+const SUN = new Vector3(1.7, 5.6, 2.2);
+const SHADOW_REACH = 1.7; // metres around a figure's hips that its shadow may fall on
+
+export class Stage {
+  /** @param {HTMLCanvasElement} canvas */
+  constructor(canvas) {
+    this.canvas = canvas;
+    this.plain = drawsInSoftware();
+    this.renderer = new WebGLRenderer({ canvas, antialias: !this.plain, powerPreference: "high-performance" });
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = this.plain ? BasicShadowMap : PCFShadowMap;
+    this.scene = new Scene();
+    this.scene.background = new Color();
+    this.scene.fog = new Fog(0, 12, 60);
+    this.camera = new PerspectiveCamera(35, 1, 0.15, 300);
+    this.controls = new OrbitControls(this.camera, canvas);
+    Object.assign(this.controls, { enableDamping: true, dampingFactor: 0.15, minDistance: 0.6, maxDistance: 120 });
+    this.controls.maxPolarAngle = Math.PI * 0.495;
+    this.controls.addEventListener("change", () => this.invalidate());
+    this.#lights();
+    this.#ground();
+    this.frames = 0;
+    this.dirty = true;
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+    this.resize();
+  }
+
+  invalidate() {
+    this.dirty = true;
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = this.canvas.parentElement;
+    this.renderer.setPixelRatio(this.plain ? 1 : Math.min(window.devicePixelRatio, 2));
+    this.renderer.setSize(Math.max(1, clientWidth), Math.max(1, clientHeight), false);
+    this.camera.aspect = Math.max(1, clientWidth) / Math.max(1, clientHeight);
+    this.camera.updateProjectionMatrix();
+    this.invalidate();
+  }
+
+  set theme(name) {
+    const theme = THEMES[name];
+    this.scene.background.set(theme.sky);
+    this.scene.fog.color.set(theme.sky);
+    const { uniforms } = this.grid.material;
+    uniforms.ground.value.set(theme.ground);
+    uniforms.line.value.set(theme.line);
+    uniforms.sky.value.set(theme.sky);
+    this.shade.material.opacity = theme.shadow;
+    this.hemi.intensity = theme.hemi;
+    this.hemi.groundColor.set(theme.ground);
+    this.key.intensity = theme.key;
+    this.rim.intensity = theme.rim;
+    this.invalidate();
+  }
+
+  /** Puts the camera's target somewhere and takes the camera along. */
+  follow(x, y, z) {
+    const { target } = this.controls;
+    const [dx, dy, dz] = [x - target.x, y - target.y, z - target.z];
+    if (Math.abs(dx) + Math.abs(dy) + Math.abs(dz) < 1e-6) return;
+    target.set(x, y, z);
+    this.camera.position.x += dx;
+    this.camera.position.y += dy;
+    this.camera.position.z += dz;
+    this.invalidate();
+  }
+
+  /** Looks at a point from a direction (angle in the ground plane, from +Z towards +X) and a distance. */
+  look(target, angle, lift, distance) {
+    this.controls.target.copy(target);
+    this.camera.position.set(
+      target.x + distance * Math.cos(lift) * Math.sin(angle),
+      target.y + distance * Math.sin(lift),
+      target.z + distance * Math.cos(lift) * Math.cos(angle),
+    );
+    this.controls.update();
+    this.invalidate();
+  }
+
+  /** Draws if anything changed since the last time; returns whether it did. */
+  draw() {
+    this.controls.update();
+    if (!this.dirty) return false;
+    this.dirty = false;
+    const { target } = this.controls;
+    const distance = this.camera.position.distanceTo(target);
+    this.scene.fog.near = 8 + distance;
+    this.scene.fog.far = 40 + 5 * distance;
+    this.grid.position.set(target.x, 0, target.z);
+    this.grid.material.uniforms.far.value = this.scene.fog.far;
+    this.renderer.render(this.scene, this.camera);
+    this.frames += 1;
+    return true;
+  }
+
+  /** Says where figures stand, [x, z, x, z, ...], so that their shadows are drawn as sharply as they can be. */
+  shadowsAt(places) {
+    const [xs, zs] = [0, 1].map((axis) => places.filter((_, i) => i % 2 === axis));
+    const [left, right, back, front] = [Math.min(...xs), Math.max(...xs), Math.min(...zs), Math.max(...zs)];
+    const reach = SHADOW_REACH + Math.max(right - left, front - back) / 2;
+    this.key.target.position.set((left + right) / 2, 0, (back + front) / 2);
+    this.key.position.copy(this.key.target.position).addScaledVector(SUN, 0.6 * reach);
+    this.shade.position.x = this.key.target.position.x;
+    this.shade.position.z = this.key.target.position.z;
+    const box = this.key.shadow.camera;
+    if (Math.abs(box.right - reach) < 0.02 * reach) return;
+    Object.assign(box, { left: -reach, right: reach, top: reach, bottom: -reach, far: 8 * reach });
+    box.updateProjectionMatrix();
+    this.shade.scale.setScalar(reach / 200); // no larger than the shadows can be
+  }
+
+  #lights() {
+    this.hemi = new HemisphereLight(0xffffff, 0x888888, 1);
+    this.key = new DirectionalLight(0xfff3e4, 1);
+    this.key.castShadow = true;
+    this.key.shadow.mapSize.setScalar(this.plain ? 512 : 1536);
+    this.key.shadow.radius = 3;
+    this.key.shadow.bias = -0.0006;
+    this.key.shadow.normalBias = 0.015;
+    this.rim = new DirectionalLight(0xa9c4ff, 1);
+    this.rim.position.set(-3, 3, -4);
+    this.scene.add(this.hemi, this.key, this.key.target, this.rim);
+  }
+
+  #ground() {
+    const plane = new PlaneGeometry(400, 400).rotateX(-Math.PI / 2);
+    this.grid = new Mesh(plane, gridMaterial(this.plain));
+    this.shade = new Mesh(plane, new ShadowMaterial());
+    this.shade.receiveShadow = true;
+    this.shade.position.y = 0.002;
+    this.grid.renderOrder = -2;
+    this.shade.renderOrder = -1;
+    this.shade.material.depthWrite = false;
+    this.scene.add(this.grid, this.shade);
+  }
+}
+
+// Without a graphics card every pixel costs: then edges and shadows are coarser.
+function drawsInSoftware() {
+  const context = document.createElement("canvas").getContext("webgl2");
+  if (!context) throw new Error("WebGL is not available");
+  const details = context.getExtension("WEBGL_debug_renderer_info");
+  const name = context.getParameter(details ? details.UNMASKED_RENDERER_WEBGL : context.RENDERER);
+  context.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software|basic render/i.test(name);
+}
+
+// Lines every metre, finer ones every quarter, fading into the distance; as wide as a pixel anywhere.
+function gridMaterial(plain) {
+  return new ShaderMaterial({
+    uniforms: {
+      ground: { value: new Color() },
+      line: { value: new Color() },
+      sky: { value: new Color() },
+      far: { value: 60 },
+    },
+    depthWrite: false, // drawn first; what lies on the ground never fights with it for depth
+    vertexShader: `
+      varying vec3 world;
+      void main() {
+        world = (modelMatrix * vec4(position, 1.0)).xyz;
+        gl_Position = projectionMatrix * viewMatrix * vec4(world, 1.0);
+      }`,
+    fragmentShader: `
+      uniform vec3 ground, line, sky;
+      uniform float far;
+      varying vec3 world;
+      float lines(vec2 at, float width) {
+        vec2 pixel = fwidth(at);
+        vec2 near = abs(fract(at - 0.5) - 0.5);
+        vec2 on = (1.0 - smoothstep(pixel * width * 0.5, pixel * (width * 0.5 + 1.0), near)) * (1.0 - smoothstep(0.15, 0.5, pixel));
+        return max(on.x, on.y);
+      }
+      void main() {
+        float away = distance(world, cameraPosition);
+        float whole = lines(world.xz, 1.2);
+        float parts = ${plain ? "0.0" : "lines(world.xz * 4.0, 0.6) * 0.22"};
+        vec3 color = mix(ground, line, max(whole * 0.85, parts));
+        color = mix(color, sky, smoothstep(0.1 * far, 0.55 * far, away));
+        gl_FragColor = vec4(color, 1.0);
+        #include <colorspace_fragment>
+      }`,
+  });
+}
