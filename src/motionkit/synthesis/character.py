@@ -65,9 +65,8 @@ class CharacterStream:
         if count < 1:
             raise ControlError(f"expected a count of at least 1, found {count}")
         self.model, self.count, self.ik = model, count, ik
-        self.states = [RolloutState(model, 1, noise or Noise(), seed + i) for i in range(count)]
+        self.state = RolloutState(model, count, noise or Noise(), seed)
         self.scale = np.ones(count, np.float32)
-        self.ground = torch.zeros(count, 3)
         self.decoder = PoseDecoder(model.config.layout, model.references.numpy())
         self.body = BodyKinematics(np.zeros((count, JOINT_COUNT, 3), np.float32))
         self.feet = FootLock(count)
@@ -92,45 +91,41 @@ class CharacterStream:
         weights[0, model.type_id(kind)] = 1.0
         start = seed_start(model, kind, 1)
         self.scale[index] = leg_length(skeleton) / leg_length(model.character("default"))
-        self.ground[index] = torch.tensor(place)
-        ground = self.ground[index : index + 1].clone()
+        ground = torch.tensor([place])
         ground[:, :2] /= float(self.scale[index])
         length = model.phase_seconds(kind) * model.fps
-        self.states[index].start(start.features, start.contacts, weights, ground, length)
+        self.state.start_one(index, start.features, start.contacts, weights, ground, length)
+        self._scaled = bool((self.scale != 1.0).any())
         self.body.set_offsets(index, skeleton.offsets.numpy())
         self.feet.reset(index)
 
+    @property
+    def ground(self) -> Tensor:
+        """Root x, z (cm) and heading (radians) of every character in its world (N, 3)."""
+        ground = self.state.ground
+        ground[:, :2] *= torch.from_numpy(self.scale)[:, None]
+        return ground
+
     def step(self, controls: FrameControls) -> CharacterFrame:
         """Move every character on by one frame (1 / model.fps seconds)."""
-        scale = torch.from_numpy(self.scale)[:, None]
-        trajectory = controls.trajectory.clone()
-        trajectory[:, :_POSITIONS] /= scale
-        controls = replace(controls, trajectory=trajectory)
-        steps = [
-            state.step(
-                FrameControls(
-                    controls.type_weights[i : i + 1],
-                    controls.trajectory[i : i + 1],
-                    controls.given[i : i + 1],
-                    controls.progress[i : i + 1],
-                )
-            )
-            for i, state in enumerate(self.states)
-        ]
-        features, contacts, ground = (torch.cat(parts) for parts in zip(*steps, strict=True))
-        rotations, root = self.decoder.decode(features.numpy(), ground.numpy())
-        root *= self.scale[:, None]
+        scale = self.scale[:, None]
+        if self._scaled:
+            trajectory = controls.trajectory.clone()
+            trajectory[:, :_POSITIONS] /= torch.from_numpy(scale)
+            controls = replace(controls, trajectory=trajectory)
+        features, contacts, ground = self.state.advance(controls)
+        rotations, root = self.decoder.decode(features, ground)
+        root *= scale
         world = self.body.forward(rotations, root)
         if self.ik:
-            positions = self.feet.apply(rotations, root, world, contacts.numpy(), self.scale)
+            positions = self.feet.apply(rotations, root, world, contacts, self.scale)
         else:
             positions = np.ascontiguousarray(world[..., :3, 3])
-        self.ground = torch.cat([ground[:, :2] * scale, ground[:, 2:]], dim=-1)
         return CharacterFrame(
             torch.from_numpy(positions),
             torch.from_numpy(rotations),
             torch.from_numpy(root),
-            contacts,
+            torch.from_numpy(contacts.copy()),
             self.ground,
         )
 

@@ -5,18 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from motionkit.errors import ControlError
-from motionkit.features.control import TRAJECTORY_COUNT, control_vector, skeleton_signal
+from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel, Seed
+from motionkit.models.step_weights import Floats
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
-from motionkit.synthesis.stream import NetworkStream
+from motionkit.synthesis.stream import stepper
 
 NOISE_KINDS = ("mean", "sample", "correlated")
 
@@ -71,24 +72,37 @@ def progress_at(frame: float, phase_frames: float) -> float:
 
 
 class RolloutState:
-    """B characters in motion: step() moves all of them on by one frame."""
+    """B characters in motion: step() moves all of them on by one frame.
+
+    Between steps all is kept in numpy arrays of fixed size; tensors are for those who call.
+    """
 
     def __init__(self, model: MotionModel, batch: int, noise: Noise, seed: int = 0) -> None:
         self.model, self.batch, self.noise = model, batch, noise
-        self.stream = NetworkStream(model.network, batch)
-        self.generator = torch.Generator().manual_seed(seed)
-        self.layout = feature_layout(model.config.layout)
-        skeletons = [skeleton_signal(canonical_skeleton())] * batch
-        self.skeleton = torch.stack(skeletons)
-        self.x = torch.zeros(batch, FEATURE_COUNT)
-        self.contacts = torch.zeros(batch, CONTACT_COUNT)
-        self.ground = torch.zeros(batch, 3)
-        self.noise_state = torch.zeros(batch, FEATURE_COUNT)
-        self.frame = 0
+        self.network = stepper(model.network, batch)
+        self.random = np.random.default_rng(seed)
+        blocks = feature_layout(model.config.layout).blocks
+        self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
+        self._mean, self._std = (t.numpy() for t in (model.scaling.mean, model.scaling.std))
+        scaling = model.trajectory_scaling
+        self._trajectory_mean, self._trajectory_std = scaling.mean.numpy(), scaling.std.numpy()
+        self._layout = model.controls
+        self._controls = np.zeros((batch, self._layout.size), np.float32)
+        self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._contacts = np.zeros((batch, CONTACT_COUNT), np.float32)
+        self._ground = np.zeros((batch, 3), np.float32)
+        self._noise_state = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._prime: RolloutState | None = None
+        self.set_skeletons([canonical_skeleton()] * batch)
+
+    @property
+    def ground(self) -> Tensor:
+        """Root x, z (cm) and heading (radians) of every character (B, 3)."""
+        return torch.from_numpy(self._ground.copy())
 
     def set_skeletons(self, skeletons: list[Skeleton]) -> None:
         """The skeleton control signal of each character."""
-        self.skeleton = torch.stack([skeleton_signal(s) for s in skeletons])
+        self._controls[:, self._layout.skeleton] = np.stack([skeleton_signal(s).numpy() for s in skeletons])
 
     def start(
         self,
@@ -103,52 +117,95 @@ class RolloutState:
         phase_frames is the length of a performance, if the frames are the beginning of one.
         The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
         """
-        self.stream.reset()
-        x = self.model.scaling.normalize(features)
+        self.network.reset()
+        x = ((features.numpy() - self._mean) / self._std).astype(np.float32)
         none = torch.zeros(self.batch, TRAJECTORY_COUNT)
         for t in range(x.shape[1] - 1):
             progress = torch.full((self.batch,), progress_at(t, phase_frames))
-            asked = FrameControls(type_weights, none, torch.zeros(self.batch), progress)
-            self.stream.step(x[:, t], contacts[:, t], self._controls(asked))
-        self.x, self.contacts = x[:, -1], contacts[:, -1]
-        self.ground = torch.zeros(self.batch, 3) if ground is None else ground.clone()
-        self.noise_state = torch.randn(self.batch, FEATURE_COUNT, generator=self.generator)
-        self.frame = 0
+            self._ask(FrameControls(type_weights, none, torch.zeros(self.batch), progress))
+            self.network.step(x[:, t], contacts[:, t].numpy(), self._controls)
+        self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1].numpy()
+        self._ground[:] = 0.0 if ground is None else ground.numpy()
+        self._noise_state[:] = self.random.standard_normal(self._x.shape, np.float32)
 
-    def _controls(self, asked: FrameControls) -> Tensor:
-        return control_vector(
-            self.model.controls,
-            self.skeleton,
-            asked.type_weights,
-            asked.trajectory,
-            asked.given,
-            asked.progress,
-            self.model.trajectory_scaling,
-        )
+    def start_one(
+        self,
+        index: int,
+        features: Tensor,
+        contacts: Tensor,
+        type_weights: Tensor,
+        ground: Tensor | None = None,
+        phase_frames: float = 0.0,
+    ) -> None:
+        """Start one character anew, as start() does with all; the others go on. Shapes are those of a batch of one."""
+        if self._prime is None:
+            self._prime = RolloutState(self.model, 1, self.noise)
+            self._prime.network = self.network.alone()
+        one = self._prime
+        one.random = self.random
+        one._controls[:, self._layout.skeleton] = self._controls[index, self._layout.skeleton]
+        one.start(features, contacts, type_weights, ground, phase_frames)
+        self.network.adopt(index, one.network)
+        for mine, its in (
+            (self._x, one._x),
+            (self._contacts, one._contacts),
+            (self._ground, one._ground),
+            (self._noise_state, one._noise_state),
+        ):
+            mine[index] = its[0]
 
-    @torch.inference_mode()
+    def _ask(self, asked: FrameControls) -> None:
+        """Write control vectors, as features.control.control_vector makes them."""
+        layout, controls = self._layout, self._controls
+        controls[:, layout.type] = asked.type_weights.numpy()
+        given = asked.given.numpy()
+        shown = controls[:, layout.trajectory]
+        np.subtract(asked.trajectory.numpy(), self._trajectory_mean, out=shown)
+        shown /= self._trajectory_std
+        shown *= given[:, None]
+        controls[:, layout.flag] = given
+        progress = asked.progress.numpy()
+        angle, has_phase = np.float32(2.0 * np.pi) * progress, progress >= 0
+        controls[:, layout.phase.start] = np.sin(angle) * has_phase
+        controls[:, layout.phase.start + 1] = np.cos(angle) * has_phase
+
+    def advance(self, asked: FrameControls) -> tuple[Floats, Floats, Floats]:
+        """step() in numpy, without copies: what it answers is overwritten by the next call, features excepted."""
+        self._ask(asked)
+        network = self.network
+        network.step(self._x, self._contacts, self._controls)
+        if self.noise.kind == "mean":
+            self._x[:] = network.mean
+        else:
+            np.exp(network.log_sigma, out=self._x)
+            self._x *= self._draw()
+            self._x += network.mean
+        np.exp(-network.contact_logits, out=self._contacts)
+        self._contacts += 1.0
+        np.divide(1.0, self._contacts, out=self._contacts)
+        features = self._x * self._std
+        features += self._mean
+        ground, fps = self._ground, np.float32(self.model.fps)
+        ground[:, 2] += features[:, self._yaw] / fps
+        sine, cosine = np.sin(ground[:, 2]), np.cos(ground[:, 2])
+        velocity = features[:, self._xz] / fps
+        ground[:, 0] += cosine * velocity[:, 0] + sine * velocity[:, 1]
+        ground[:, 1] += cosine * velocity[:, 1] - sine * velocity[:, 0]
+        return features, self._contacts, ground
+
     def step(self, asked: FrameControls) -> tuple[Tensor, Tensor, Tensor]:
         """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3)."""
-        prediction = self.stream.step(self.x, self.contacts, self._controls(asked))
-        self.x = prediction.mean + self._noise() * torch.exp(prediction.log_sigma)
-        self.contacts = torch.sigmoid(prediction.contact_logits)
-        features = self.model.scaling.denormalize(self.x)
-        blocks, fps = self.layout.blocks, self.model.fps
-        yaw = self.ground[:, 2] + features[:, blocks["root_yaw_velocity"]][:, 0] / fps
-        xz = self.ground[:, :2] + rotate_ground(yaw, features[:, blocks["root_xz_velocity"]] / fps)
-        self.ground = torch.cat([xz, yaw[:, None]], dim=-1)
-        self.frame += 1
-        return features, self.contacts, self.ground
+        features, contacts, ground = self.advance(asked)
+        return torch.from_numpy(features), torch.from_numpy(contacts.copy()), torch.from_numpy(ground.copy())
 
-    def _noise(self) -> Tensor:
-        if self.noise.kind == "mean":
-            return torch.zeros(())
-        fresh = torch.randn(self.batch, FEATURE_COUNT, generator=self.generator)
-        if self.noise.kind == "sample":
-            return fresh * self.noise.temperature
-        rho = self.noise.rho
-        self.noise_state = rho * self.noise_state + (1.0 - rho * rho) ** 0.5 * fresh
-        return self.noise_state * self.noise.temperature
+    def _draw(self) -> Floats:
+        fresh = self.random.standard_normal(self._x.shape, np.float32)
+        if self.noise.kind == "correlated":
+            fresh *= np.float32((1.0 - self.noise.rho**2) ** 0.5)
+            self._noise_state *= np.float32(self.noise.rho)
+            self._noise_state += fresh
+            fresh = self._noise_state
+        return fresh * np.float32(self.noise.temperature)
 
 
 def run(

@@ -1,0 +1,266 @@
+/* One frame of the network for some characters: the loops behind models/step.py, see there and step_weights.py.
+
+   Plain C with the vector extensions of GCC and Clang; no Python header, it is called through ctypes.
+   Nearly all time goes into bringing the weights from the cache to the core, so they lie in the order
+   in which they are read: tiles of 32 outputs, all inputs of a tile one after another. Rows of every
+   buffer are padded to whole tiles. */
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#define LANES 16
+#define TILE (2 * LANES)
+#define BLOCK 8 /* characters that share one pass over a tile */
+#define PADDED(n) (((n) + TILE - 1) / TILE * TILE)
+
+/* Compiled once more for wide vectors; the fitting one is chosen when the library is loaded. */
+#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
+#define FASTEST __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
+#else
+#define FASTEST
+#endif
+#define INLINE static inline __attribute__((always_inline))
+
+typedef float vec __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
+typedef int16_t shorts __attribute__((vector_size(2 * LANES), aligned(2), may_alias));
+
+/* A linear map: tiles of (inputs, TILE), bias and scale padded to whole tiles. */
+typedef struct {
+    const void *tiles;
+    const float *scale; /* per output, of 16-bit tiles; NULL: tiles are float */
+    const float *bias;  /* NULL: the product is added to what is there */
+    int64_t inputs, outputs;
+} Map;
+
+typedef struct {
+    int64_t parts, layers, width, hidden, heads, window, kernel, part_inputs, controls, control_width;
+    int64_t control_blocks, contact_hidden, features, contacts;
+    float head_leak, log_sigma_min, log_sigma_max, eps;
+    const Map *maps;        /* in the order in which step() uses them */
+    const int64_t *columns; /* (P, N) */
+} Program;
+
+/* State and frame of all characters; rows are characters. */
+typedef struct {
+    float *recent;         /* (B, K, features + contacts + 1) inputs, the newest last */
+    float *keys, *values;  /* (B, 2, P, L, W, D) rings; channels of all heads beside each other */
+    const int64_t *filled; /* (B,) frames seen, this one included */
+    const float *controls; /* (B, C) */
+    const float *position; /* (2, P, L, W, H) bias of the places in the rings at this slot */
+    float *out;            /* (B, padded) mean, log sigma, scratch */
+    float *contact_logits; /* (B, TILE), the first of them count */
+    int64_t slot;          /* place in the rings of this frame */
+} Frame;
+
+INLINE vec weights_at(const void *tiles, const int small, int64_t place) {
+    if (small) return __builtin_convertvector(*(const shorts *)((const int16_t *)tiles + place), vec);
+    return *(const vec *)((const float *)tiles + place);
+}
+
+INLINE void store(const int small, const Map *map, int64_t first, vec low, vec high, float *y) {
+    const float *base = map->bias ? map->bias + first : y;
+    if (small) {
+        low *= *(const vec *)(map->scale + first);
+        high *= *(const vec *)(map->scale + first + LANES);
+    }
+    low += *(const vec *)base;
+    high += *(const vec *)(base + LANES);
+    *(vec *)y = low;
+    *(vec *)(y + LANES) = high;
+}
+
+INLINE void tile_block(const int small, const Map *map, int64_t first, const float *x, int64_t ldx, float *y, int64_t ldy) {
+    vec low[BLOCK] = {{0}}, high[BLOCK] = {{0}};
+    int64_t place = first * map->inputs;
+    for (int64_t k = 0; k < map->inputs; k++, place += TILE) {
+        const vec a = weights_at(map->tiles, small, place), b = weights_at(map->tiles, small, place + LANES);
+#pragma GCC unroll 8
+        for (int r = 0; r < BLOCK; r++) {
+            low[r] += x[r * ldx + k] * a;
+            high[r] += x[r * ldx + k] * b;
+        }
+    }
+#pragma GCC unroll 8
+    for (int r = 0; r < BLOCK; r++) store(small, map, first, low[r], high[r], y + r * ldy + first);
+}
+
+/* One row; two inputs at a time, so that sums do not wait for each other. */
+INLINE void tile_row(const int small, const Map *map, int64_t first, const float *x, float *y) {
+    vec low = {0}, high = {0}, low2 = {0}, high2 = {0};
+    const int64_t inputs = map->inputs;
+    int64_t place = first * inputs, k = 0;
+    for (; k + 1 < inputs; k += 2, place += 2 * TILE) {
+        low += x[k] * weights_at(map->tiles, small, place);
+        high += x[k] * weights_at(map->tiles, small, place + LANES);
+        low2 += x[k + 1] * weights_at(map->tiles, small, place + TILE);
+        high2 += x[k + 1] * weights_at(map->tiles, small, place + TILE + LANES);
+    }
+    if (k < inputs) {
+        low += x[k] * weights_at(map->tiles, small, place);
+        high += x[k] * weights_at(map->tiles, small, place + LANES);
+    }
+    store(small, map, first, low + low2, high + high2, y + first);
+}
+
+INLINE void product_of(const int small, const Map *map, int64_t rows, const float *x, int64_t ldx, float *y, int64_t ldy) {
+    for (int64_t first = 0; first < map->outputs; first += TILE) {
+        int64_t r = 0;
+        for (; r + BLOCK <= rows; r += BLOCK) tile_block(small, map, first, x + r * ldx, ldx, y + r * ldy, ldy);
+        for (; r < rows; r++) tile_row(small, map, first, x + r * ldx, y + r * ldy);
+    }
+}
+
+/* Rows y = x W + bias, or y += x W for a map without bias. */
+FASTEST
+static void product(const Map *map, int64_t rows, const float *x, int64_t ldx, float *y, int64_t ldy) {
+    if (map->scale)
+        product_of(1, map, rows, x, ldx, y, ldy);
+    else
+        product_of(0, map, rows, x, ldx, y, ldy);
+}
+
+/* Layer norm of a row without a mean, and without sqrt(D). */
+FASTEST
+static void norm(const float *restrict x, float *restrict y, int64_t width, float eps) {
+    float sum = 0;
+#pragma omp simd reduction(+ : sum)
+    for (int64_t d = 0; d < width; d++) sum += x[d] * x[d];
+    const float scale = 1.0f / sqrtf(sum + width * eps);
+    for (int64_t d = 0; d < width; d++) y[d] = scale * x[d];
+}
+
+/* exp of x <= 0, within a few units of the last place; nothing to speak of below -80. */
+INLINE float exp_negative(float x) {
+    const float y = (x < -80.0f ? -80.0f : x) * 1.44269504f;
+    const int32_t whole = (int32_t)(y - 0.5f);
+    const float f = (y - (float)whole) * 0.693147181f;
+    const float series = 1.0f + f * (1.0f + f * (0.5f + f * (0.166666667f + f * (0.0416666667f +
+                         f * (0.00833333333f + f * 0.00138888889f)))));
+    const int32_t bits = (whole + 127) << 23;
+    float power;
+    memcpy(&power, &bits, 4);
+    return series * power;
+}
+
+/* Attention of one character, part and layer over its ring. Channels run (E, H): all sums go down, heads side by side. */
+INLINE void attend_of(const int64_t H, int64_t E, int64_t W, const float *restrict q, const float *restrict keys,
+                      const float *restrict values, const float *restrict position, const int64_t *allowed,
+                      float *restrict mixed) {
+    float shares[32 * H], top[H], total[H];
+    for (int64_t h = 0; h < H; h++) top[h] = -1e30f, total[h] = 0;
+    for (int64_t w = 0; w < W; w++) {
+        float *score = shares + w * H;
+        for (int64_t h = 0; h < H; h++) score[h] = position[w * H + h];
+        for (int64_t e = 0; e < E; e++)
+            for (int64_t h = 0; h < H; h++) score[h] += q[e * H + h] * keys[(w * E + e) * H + h];
+        if (!allowed[w])
+            for (int64_t h = 0; h < H; h++) score[h] = -1e30f;
+        for (int64_t h = 0; h < H; h++) top[h] = score[h] > top[h] ? score[h] : top[h];
+    }
+    for (int64_t w = 0; w < W; w++)
+        for (int64_t h = 0; h < H; h++) {
+            shares[w * H + h] = exp_negative(shares[w * H + h] - top[h]);
+            total[h] += shares[w * H + h];
+        }
+    for (int64_t h = 0; h < H; h++) total[h] = 1.0f / total[h];
+    for (int64_t e = 0; e < E; e++) {
+        float sum[H];
+        for (int64_t h = 0; h < H; h++) sum[h] = 0;
+        for (int64_t w = 0; w < W; w++)
+            for (int64_t h = 0; h < H; h++) sum[h] += shares[w * H + h] * values[(w * E + e) * H + h];
+        for (int64_t h = 0; h < H; h++) mixed[e * H + h] = sum[h] * total[h];
+    }
+}
+
+FASTEST
+static void attend(int64_t H, int64_t E, int64_t W, const float *q, const float *keys, const float *values,
+                   const float *position, const int64_t *allowed, float *mixed) {
+    if (H == 8)
+        attend_of(8, E, W, q, keys, values, position, allowed, mixed);
+    else
+        attend_of(H, E, W, q, keys, values, position, allowed, mixed);
+}
+
+/* Floats of scratch that step() needs for so many rows. */
+int64_t scratch_size(const Program *p, int64_t rows) {
+    const int64_t D = PADDED(p->width);
+    return rows * (p->kernel * p->part_inputs + PADDED(p->control_width) + PADDED(p->control_blocks * p->width) +
+                   3 * D + PADDED(3 * p->width) + PADDED(p->hidden) + 2 * p->parts * p->width +
+                   PADDED(p->contact_hidden));
+}
+
+/* The next frame of characters first to first + rows. */
+void step(const Program *p, const Frame *f, int64_t first, int64_t rows, float *scratch) {
+    const int64_t D = p->width, P = p->parts, L = p->layers, W = p->window, N = p->part_inputs, C = p->control_blocks;
+    const int64_t KN = p->kernel * N, PD = P * D, ring = 2 * P * L * W * D, PH = p->contact_hidden;
+    const int64_t row_inputs = p->features + p->contacts + 1;
+    /* Distances from row to row. */
+    const int64_t ex = PADDED(D), eq = PADDED(3 * D), eh = PADDED(p->hidden), ec = PADDED(p->control_width);
+    const int64_t ea = PADDED(C * D), ef = PADDED(PH), eo = PADDED(2 * p->features + PH);
+    float *inputs = scratch, *embedded = inputs + rows * KN, *added = embedded + rows * ec;
+    float *x = added + rows * ea, *y = x + rows * ex, *mixed = y + rows * ex, *qkv = mixed + rows * ex;
+    float *hidden = qkv + rows * eq, *features = hidden + rows * eh, *before = features + rows * PD;
+    float *feet = before + rows * PD;
+    const Map *map = p->maps;
+    for (int64_t module = 0; module < 2; module++) {
+        for (int64_t part = 0; part < P; part++) {
+            if (module == 0)
+                for (int64_t r = 0; r < rows; r++)
+                    for (int64_t k = 0; k < p->kernel; k++) {
+                        const float *row = f->recent + ((first + r) * p->kernel + k) * row_inputs;
+                        for (int64_t n = 0; n < N; n++) inputs[r * KN + k * N + n] = row[p->columns[part * N + n]];
+                    }
+            product(map++, rows, module ? before : inputs, module ? PD : KN, x, ex);
+            product(map++, rows, f->controls + first * p->controls, p->controls, embedded, ec);
+            memset(added, 0, rows * ea * sizeof(float));
+            product(map++, rows, embedded, ec, added, ea);
+            for (int64_t layer = 0; layer < L; layer++) {
+                const int64_t index = (module * P + part) * L + layer;
+                if (layer < C)
+                    for (int64_t r = 0; r < rows; r++)
+                        for (int64_t d = 0; d < D; d++) x[r * ex + d] += added[r * ea + layer * D + d];
+                for (int64_t r = 0; r < rows; r++) norm(x + r * ex, y + r * ex, D, p->eps);
+                product(map++, rows, y, ex, qkv, eq);
+                for (int64_t r = 0; r < rows; r++) {
+                    float *keys = f->keys + (first + r) * ring + index * W * D;
+                    float *values = f->values + (first + r) * ring + index * W * D;
+                    int64_t allowed[32];
+                    memcpy(keys + f->slot * D, qkv + r * eq + D, D * sizeof(float));
+                    memcpy(values + f->slot * D, qkv + r * eq + 2 * D, D * sizeof(float));
+                    for (int64_t w = 0; w < W; w++) allowed[w] = (f->slot - w + W) % W < f->filled[first + r];
+                    attend(p->heads, D / p->heads, W, qkv + r * eq, keys, values,
+                           f->position + index * W * p->heads, allowed, mixed + r * ex);
+                }
+                product(map++, rows, mixed, ex, x, ex);
+                for (int64_t r = 0; r < rows; r++) norm(x + r * ex, y + r * ex, D, p->eps);
+                product(map++, rows, y, ex, hidden, eh);
+                for (int64_t i = 0; i < rows * eh; i++) hidden[i] = hidden[i] > 0 ? hidden[i] : 0;
+                product(map++, rows, hidden, eh, x, ex);
+            }
+            for (int64_t r = 0; r < rows; r++) norm(x + r * ex, features + r * PD + part * D, D, p->eps);
+        }
+        float *swap = before;
+        before = features;
+        features = swap;
+    }
+    /* Now before holds the deep features and features the shallow ones. */
+    float *out = f->out + first * eo;
+    product(map++, rows, before, PD, out, eo);
+    for (int64_t r = 0; r < rows; r++) {
+        memset(feet + r * ef, 0, ef * sizeof(float));
+        memcpy(feet + r * ef, out + r * eo + 2 * p->features, PH * sizeof(float));
+    }
+    product(map++, rows, features, PD, feet, ef);
+    for (int64_t i = 0; i < rows * ef; i++) feet[i] = feet[i] > 0 ? feet[i] : 0;
+    product(map++, rows, feet, ef, f->contact_logits + first * TILE, TILE);
+    for (int64_t r = 0; r < rows; r++) {
+        const float *now = f->recent + ((first + r) * p->kernel + p->kernel - 1) * row_inputs;
+        float *mean = out + r * eo, *sigma = mean + p->features;
+        for (int64_t n = 0; n < p->features; n++) {
+            mean[n] += p->head_leak * now[n];
+            sigma[n] = sigma[n] < p->log_sigma_min ? p->log_sigma_min : sigma[n];
+            sigma[n] = sigma[n] > p->log_sigma_max ? p->log_sigma_max : sigma[n];
+        }
+    }
+}

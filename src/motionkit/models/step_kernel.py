@@ -1,0 +1,179 @@
+"""step_kernel.c from Python: the shared library built when motionkit was installed, and weights in its order."""
+
+from __future__ import annotations
+
+import ctypes
+from concurrent.futures import ThreadPoolExecutor
+from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.models.step_weights import NORM_EPS, Floats, ModuleWeights, StepWeights
+
+if TYPE_CHECKING:
+    from motionkit.models.step import NetworkStep
+
+TILE = 32
+ROWS = 16  # characters that go through the network together, so that their activations stay near
+
+
+class _Map(Structure):
+    _fields_ = (
+        ("tiles", c_void_p),
+        ("scale", c_void_p),
+        ("bias", c_void_p),
+        ("inputs", c_int64),
+        ("outputs", c_int64),
+    )
+
+
+_SIZES = (
+    "parts layers width hidden heads window kernel part_inputs controls control_width "
+    "control_blocks contact_hidden features contacts"
+).split()
+
+
+class _Program(Structure):
+    _fields_ = (
+        *((name, c_int64) for name in _SIZES),
+        *((name, c_float) for name in ("head_leak", "log_sigma_min", "log_sigma_max", "eps")),
+        ("maps", POINTER(_Map)),
+        ("columns", c_void_p),
+    )
+
+
+class _Frame(Structure):
+    _fields_ = (
+        *((n, c_void_p) for n in ("recent", "keys", "values", "filled", "controls", "position")),
+        *((n, c_void_p) for n in ("out", "contact_logits")),
+        ("slot", c_int64),
+    )
+
+
+@cache
+def kernel_library() -> ctypes.CDLL | None:
+    """The shared library, None where the installation has none (no C compiler, or not run by an installer)."""
+    here = Path(__file__).resolve().parent
+    for path in (here / f"_step_kernel{suffix}" for suffix in EXTENSION_SUFFIXES):
+        if path.is_file():
+            library = ctypes.CDLL(str(path))
+            library.scratch_size.argtypes = [POINTER(_Program), c_int64]
+            library.scratch_size.restype = c_int64
+            library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
+            library.step.restype = None
+            return library
+    return None
+
+
+@cache
+def _workers(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, thread_name_prefix="motionkit-step")
+
+
+class StepKernel:
+    """A network's weights laid out for the kernel, to be shared by any number of NetworkSteps.
+
+    small stores them in 16 bits, as whole numbers times a scale per output: half the memory to read for
+    an error of at most 1 / 65534 of the largest weight of the output.
+    """
+
+    def __init__(self, weights: StepWeights, small: bool = False) -> None:
+        library = kernel_library()
+        assert library is not None
+        self._library, self._small = library, small
+        self._kept: list[NDArray] = []  # what the kernel points into
+        config = weights.config
+        P, N = weights.columns.shape
+        maps = [
+            *self._module_maps(weights.shallow, config.layers),
+            *self._module_maps(weights.deep, config.layers),
+            self._map(weights.head, weights.head_bias),
+            self._map(weights.contact_shallow, None),
+            self._map(weights.contact, weights.contact_bias),
+        ]
+        self._maps = (_Map * len(maps))(*maps)
+        distance = (np.arange(config.window)[:, None] - np.arange(config.window)) % config.window
+        position = np.stack([m.position.swapaxes(0, 1) for m in (weights.shallow, weights.deep)])
+        # For every slot the bias (2, P, L, W, H) of the places in the rings.
+        self._position = np.ascontiguousarray(np.moveaxis(position[..., distance], (3, 4, 5), (5, 0, 4)))
+        sizes = (
+            P, config.layers, config.width, config.ffn, config.heads, config.window, config.kernel, N,
+            weights.shallow.controls.shape[1], config.control_width,
+            weights.shallow.layer_controls.shape[-1] // config.width, config.contact_hidden,
+            FEATURE_COUNT, CONTACT_COUNT,
+        )  # fmt: skip
+        self._program = _Program(
+            *sizes,
+            config.head_leak,
+            config.log_sigma_min,
+            config.log_sigma_max,
+            NORM_EPS,
+            self._maps,
+            self._keep(weights.columns),
+        )
+
+    def step(self, state: NetworkStep, controls: Floats) -> None:
+        """Do what NetworkStep.step has prepared: rings, mean, log_sigma and contact_logits of all characters."""
+        controls = np.ascontiguousarray(controls, np.float32)
+        position = self._position[state.slot]
+        arrays: list[NDArray] = [state.recent, state.keys, state.values, state.filled, controls, position]
+        arrays += [state.out, state.contacts_out]
+        frame = _Frame(*(array.ctypes.data for array in arrays), state.slot)
+        program = byref(self._program)
+        size = self._library.scratch_size(program, min(ROWS, state.batch))
+
+        def share(first: int) -> None:
+            scratch = np.empty(size, np.float32)
+            count = min(ROWS, state.batch - first)
+            self._library.step(program, byref(frame), first, count, scratch.ctypes.data)
+
+        if state.batch <= ROWS:
+            share(0)
+        else:  # the library call does not hold Python's lock
+            list(_workers(torch.get_num_threads()).map(share, range(0, state.batch, ROWS)))
+
+    def _module_maps(self, weights: ModuleWeights, layers: int) -> list[_Map]:
+        """Maps in the order of the kernel: part by part, layer by layer."""
+        maps = []
+        heads, D = weights.position.shape[2], weights.out.shape[-1]
+        turn = np.arange(D).reshape(heads, -1).T.ravel()  # heads side by side
+        three = np.concatenate([turn, D + turn, 2 * D + turn])
+        for part in range(len(weights.embed)):
+            maps.append(self._map(weights.embed[part], weights.embed_bias[part]))
+            maps.append(self._map(weights.controls[part], weights.controls_bias[part]))
+            maps.append(self._map(weights.layer_controls[part], None))
+            for layer in range(layers):
+                maps.append(
+                    self._map(weights.qkv[layer, part][:, three], weights.qkv_bias[layer, part][three])
+                )
+                maps.append(self._map(weights.out[layer, part][turn], None))
+                maps.append(self._map(weights.inner[layer, part], weights.inner_bias[layer, part]))
+                maps.append(self._map(weights.outer[layer, part], None))
+        return maps
+
+    def _map(self, weight: Floats, bias: Floats | None) -> _Map:
+        inputs, outputs = weight.shape
+        weight = np.pad(weight, ((0, 0), (0, -outputs % TILE)))
+        bias = None if bias is None else np.pad(bias, (0, -outputs % TILE))
+        scale = None
+        if self._small:
+            largest = np.maximum(np.abs(weight).max(axis=0), 1e-12)
+            scale = (largest / 32767.0).astype(np.float32)
+            weight = np.rint(weight / scale).astype(np.int16)
+        tiles = weight.reshape(inputs, -1, TILE).swapaxes(0, 1)
+        return _Map(self._keep(tiles), self._keep(scale), self._keep(bias), inputs, outputs)
+
+    def _keep(self, array: NDArray | None) -> int | None:
+        """The address of a contiguous copy that lives as long as this object."""
+        if array is None:
+            return None
+        array = np.ascontiguousarray(array)
+        self._kept.append(array)
+        return array.ctypes.data
