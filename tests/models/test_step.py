@@ -141,4 +141,4 @@ def test_what_cannot_be_packed_says_why(make_network: Callable, change: dict, re
 def test_memory_per_character_is_that_of_the_rings(make_network: Callable) -> None:
     step = NetworkStep(pack(make_network(preset("tptn"))), 3)
     rings = 2 * 2 * 2 * 6 * 8 * 128  # keys and values, modules, parts, layers, window, width
-    assert step.bytes_per_character == 4 * (rings + 3 * 281)
+    assert step.bytes_per_character == 4 * (rings + 3 * 281 + 276)

@@ -34,6 +34,7 @@ class NetworkStep:
         self.keys, self.values = np.zeros(rings, np.float32), np.zeros(rings, np.float32)
         self.recent = np.zeros((batch, config.kernel, INPUT_COUNT), np.float32)
         self.filled = np.zeros(batch, np.int64)
+        self.before = np.zeros((batch, FEATURE_COUNT), np.float32)
         self.slot = W - 1
         # Rows as wide as the kernel's tiles.
         head = 2 * FEATURE_COUNT + config.contact_hidden
@@ -48,7 +49,8 @@ class NetworkStep:
     @property
     def bytes_per_character(self) -> int:
         """Memory of the state of one character."""
-        return (self.keys.nbytes + self.values.nbytes + self.recent.nbytes) // self.batch
+        arrays = (self.keys, self.values, self.recent, self.before)
+        return sum(array.nbytes for array in arrays) // self.batch
 
     def alone(self) -> NetworkStep:
         """A step of the same network for one character."""
@@ -66,6 +68,7 @@ class NetworkStep:
         self.keys[row] = np.roll(other.keys[0], turn, axis=-2)
         self.values[row] = np.roll(other.values[0], turn, axis=-2)
         self.recent[row], self.filled[row] = other.recent[0], other.filled[0]
+        self.before[row] = other.before[0]
 
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
         """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
@@ -79,6 +82,11 @@ class NetworkStep:
             self.kernel.step(self, controls)
         else:
             self._step(controls)
+        momentum = self.weights.momentum
+        if momentum is not None:
+            self.before[self.filled == 1] = x[self.filled == 1]  # nothing has moved yet at the first frame
+            self.mean += momentum * (x - self.before)
+            self.before[:] = x
 
     def _step(self, controls: Floats) -> None:
         weights, config, B = self.weights, self.config, self.batch

@@ -74,6 +74,7 @@ class StepWeights:
         contact_shallow: (P D, M) the share of shallow features in the hidden layer of the Foot-MLP.
         head, head_bias: (P D, 552 + M), (552 + M,) mean, log sigma and that hidden layer from deep features.
         contact, contact_bias: (M, 4), (4,).
+        momentum: (276,) share of the last step of the input that is added to the mean, or None.
     """
 
     config: ModelConfig
@@ -85,6 +86,7 @@ class StepWeights:
     head_bias: Floats
     contact: Floats
     contact_bias: Floats
+    momentum: Floats | None
 
 
 def why_not_packable(config: ModelConfig) -> str | None:
@@ -128,6 +130,7 @@ def pack(network: PartTransformer) -> StepWeights:
     from_shallow[network.feet], from_deep[network.feet] = root * first[:, 0], root * first[:, 1]
     head = torch.cat([root * aggregate.weight[:shown].double().T, from_deep.reshape(P * D, hidden)], dim=1)
     assert feet.inner.bias is not None and feet.outer.bias is not None
+    momentum = getattr(network, "momentum", None)
     head_bias = torch.cat([aggregate.bias[:shown], feet.inner.bias[0, 0]])
     return StepWeights(
         config,
@@ -139,6 +142,7 @@ def pack(network: PartTransformer) -> StepWeights:
         _floats(head_bias),
         _floats(feet.outer.weight[0]),
         _floats(feet.outer.bias[0, 0]),
+        None if momentum is None else _floats(momentum),
     )
 
 

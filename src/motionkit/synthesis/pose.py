@@ -24,7 +24,7 @@ for _p, _q, _result, _sign in (
 ):  # fmt: skip
     _PRODUCT[_p, _q, _result] = _sign
 # From p to the matrix that multiplies a q in a row from the right: (4, 4 x 4).
-_LEFT = _PRODUCT.reshape(4, 16)
+LEFT = _PRODUCT.reshape(4, 16)
 
 # The nine entries of a rotation matrix from the sixteen products of quaternion components.
 _to_matrix = np.zeros((4, 4, 3, 3), np.float32)
@@ -35,37 +35,37 @@ for _axis in range(3):
     _to_matrix[0, 0, _i, _i] = 1
     _to_matrix[1 + _j, 1 + _k, _j, _k] = _to_matrix[1 + _j, 1 + _k, _k, _j] = 2
     _to_matrix[0, 1 + _i, _k, _j], _to_matrix[0, 1 + _i, _j, _k] = 2, -2
-_TO_MATRIX = _to_matrix.reshape(16, 9)
+TO_MATRIX = _to_matrix.reshape(16, 9)
 # The other way: 4 q q^T is linear in the matrix, with the identity added.
-_FROM_MATRIX = np.zeros((9, 16), np.float32)
-_FROM_CONSTANT = np.diag(np.ones(4, np.float32)).reshape(16)
+FROM_MATRIX = np.zeros((9, 16), np.float32)
+FROM_CONSTANT = np.diag(np.ones(4, np.float32)).reshape(16)
 for _c, _signs in enumerate(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))):
     for _d, _sign in enumerate(_signs):
-        _FROM_MATRIX[4 * _d, 5 * _c] = _sign
+        FROM_MATRIX[4 * _d, 5 * _c] = _sign
 for _axis in range(3):
     _j, _k = (_axis + 1) % 3, (_axis + 2) % 3
     for _row, _column in ((0, 1 + _axis), (1 + _axis, 0)):
-        _FROM_MATRIX[3 * _k + _j, 4 * _row + _column] = 1
-        _FROM_MATRIX[3 * _j + _k, 4 * _row + _column] = -1
+        FROM_MATRIX[3 * _k + _j, 4 * _row + _column] = 1
+        FROM_MATRIX[3 * _j + _k, 4 * _row + _column] = -1
     for _row, _column in ((1 + _j, 1 + _k), (1 + _k, 1 + _j)):
-        _FROM_MATRIX[3 * _j + _k, 4 * _row + _column] = _FROM_MATRIX[3 * _k + _j, 4 * _row + _column] = 1
+        FROM_MATRIX[3 * _j + _k, 4 * _row + _column] = FROM_MATRIX[3 * _k + _j, 4 * _row + _column] = 1
 
 
 def quat_product(p: Floats, q: Floats) -> Floats:
     """The product p q (..., 4) of quaternions of the same leading shape: rotates by q first."""
-    left = (p @ _LEFT).reshape(*p.shape[:-1], 4, 4)
+    left = (p @ LEFT).reshape(*p.shape[:-1], 4, 4)
     return np.matmul(q[..., None, :], left)[..., 0, :]
 
 
 def quat_to_matrix(quat: Floats) -> Floats:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
     products: Floats = (quat[..., :, None] * quat[..., None, :]).reshape(*quat.shape[:-1], 16)
-    return np.matmul(products, _TO_MATRIX).reshape(*quat.shape[:-1], 3, 3)
+    return np.matmul(products, TO_MATRIX).reshape(*quat.shape[:-1], 3, 3)
 
 
 def matrix_to_quat(matrix: Floats) -> Floats:
     """Unit quaternions (N, 4), w >= 0, of rotation matrices (N, 3, 3)."""
-    outer = (matrix.reshape(-1, 9) @ _FROM_MATRIX + _FROM_CONSTANT).reshape(-1, 4, 4)
+    outer = (matrix.reshape(-1, 9) @ FROM_MATRIX + FROM_CONSTANT).reshape(-1, 4, 4)
     rows = np.arange(len(outer))
     largest = outer.reshape(-1, 16)[:, ::5].argmax(axis=-1)
     quat = outer[rows, largest]
@@ -109,7 +109,7 @@ class PoseDecoder:
         self.continuous = layout.startswith("sixd")
         self.root, self.joints = blocks["root_rotation"], blocks["joint_rotations"]
         self.height = blocks["joint_positions"].start + (0 if self.continuous else 1)
-        self.references = np.ascontiguousarray(references[1:] @ _LEFT).reshape(JOINT_COUNT - 1, 4, 4)
+        self.references = np.ascontiguousarray(references[1:] @ LEFT).reshape(JOINT_COUNT - 1, 4, 4)
 
     def decode(self, features: Floats, ground: Floats) -> tuple[Floats, Floats]:
         """Local rotations (N, 23, 4) and root positions (N, 3).
@@ -149,7 +149,7 @@ class BodyKinematics:
     what has been multiplied, for all joints at once.
     """
 
-    _ROUNDS = tuple(_ancestors(steps) for steps in (1, 2, 4))
+    ROUNDS = tuple(_ancestors(steps) for steps in (1, 2, 4))
 
     def __init__(self, offsets: Floats) -> None:
         """offsets: (N, 23, 3) in cm."""
@@ -169,6 +169,6 @@ class BodyKinematics:
         local[:, :JOINT_COUNT, :3, :3] = quat_to_matrix(rotations)
         local[:, 0, :3, 3] = root_positions
         whole = local
-        for ancestors in self._ROUNDS:
+        for ancestors in self.ROUNDS:
             whole = np.matmul(whole.take(ancestors, axis=1), whole)
         return whole[:, :JOINT_COUNT]

@@ -17,7 +17,7 @@ from motionkit.models.checkpoint import MotionModel, Seed
 from motionkit.models.step_weights import Floats
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
-from motionkit.synthesis.stream import stepper
+from motionkit.synthesis.stepping import stepper
 
 NOISE_KINDS = ("mean", "sample", "correlated")
 
@@ -99,6 +99,11 @@ class RolloutState:
     def ground(self) -> Tensor:
         """Root x, z (cm) and heading (radians) of every character (B, 3)."""
         return torch.from_numpy(self._ground.copy())
+
+    @property
+    def normalised(self) -> Floats:
+        """The current frame (B, 276), normalised; changed by the next step."""
+        return self._x
 
     def set_skeletons(self, skeletons: list[Skeleton]) -> None:
         """The skeleton control signal of each character."""

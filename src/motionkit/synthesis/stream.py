@@ -1,7 +1,4 @@
-"""The network one frame at a time in torch, equal to the batch forward, and the choice of how to step.
-
-NetworkStream is what training uses, what networks use that cannot be packed, and what the packed step of
-models/step.py is tested against.
+"""The network one frame at a time: constant work per frame, equal to the batch forward.
 
 Each attention layer keeps a ring of the last W keys and values, the shallow convolution its last
 inputs. Absolute (sinusoidal) positions change with every frame, so that option recomputes the whole
@@ -10,15 +7,11 @@ receptive field instead, as the paper does.
 
 from __future__ import annotations
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.network import AttentionLayer, AutoRegressiveModule, PartTransformer, Prediction
-from motionkit.models.step import NetworkStep
-from motionkit.models.step_kernel import StepKernel, kernel_library
-from motionkit.models.step_weights import Floats, pack, why_not_packable
 
 
 class _ModuleRings:
@@ -99,42 +92,3 @@ class NetworkStream:
         """Take in frames whose predictions are not needed."""
         for t in range(x_BTF.shape[1]):
             self.step(x_BTF[:, t], contacts_BT4[:, t], controls_BTC[:, t])
-
-
-class TorchStep:
-    """NetworkStep for networks that cannot be packed: a NetworkStream for each character."""
-
-    def __init__(self, network: PartTransformer, batch: int) -> None:
-        self.network = network
-        self.streams = [NetworkStream(network, 1) for _ in range(batch)]
-        self.mean, self.log_sigma = (np.zeros((batch, FEATURE_COUNT), np.float32) for _ in range(2))
-        self.contact_logits = np.zeros((batch, CONTACT_COUNT), np.float32)
-
-    def alone(self) -> TorchStep:
-        """A step of the same network for one character."""
-        return TorchStep(self.network, 1)
-
-    def reset(self) -> None:
-        """Forget all frames of all characters."""
-        for stream in self.streams:
-            stream.reset()
-
-    def adopt(self, row: int, other: object) -> None:
-        """Put the only character of another step in place of one of these."""
-        assert isinstance(other, TorchStep)
-        self.streams[row], other.streams = other.streams[0], [NetworkStream(self.network, 1)]
-
-    def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
-        """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
-        for i, stream in enumerate(self.streams):
-            made = stream.step(*(torch.tensor(values[i : i + 1]) for values in (x, contacts, controls)))
-            self.mean[i], self.log_sigma[i] = made.mean[0].numpy(), made.log_sigma[0].numpy()
-            self.contact_logits[i] = made.contact_logits[0].numpy()
-
-
-def stepper(network: PartTransformer, batch: int) -> NetworkStep | TorchStep:
-    """The fastest way to run a network frame by frame on this machine."""
-    if why_not_packable(network.config) is not None:
-        return TorchStep(network, batch)
-    weights = pack(network)
-    return NetworkStep(weights, batch, StepKernel(weights, small=True) if kernel_library() else None)

@@ -1,0 +1,52 @@
+"""How a network is run frame by frame here: packed where it can be, else by torch."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.models.network import PartTransformer
+from motionkit.models.step import NetworkStep
+from motionkit.models.step_kernel import StepKernel, kernel_library
+from motionkit.models.step_weights import Floats, pack, why_not_packable
+from motionkit.synthesis.stream import NetworkStream
+
+
+class TorchStep:
+    """NetworkStep for networks that cannot be packed: a NetworkStream for each character."""
+
+    def __init__(self, network: PartTransformer, batch: int) -> None:
+        self.network = network
+        self.streams = [NetworkStream(network, 1) for _ in range(batch)]
+        self.mean, self.log_sigma = (np.zeros((batch, FEATURE_COUNT), np.float32) for _ in range(2))
+        self.contact_logits = np.zeros((batch, CONTACT_COUNT), np.float32)
+
+    def alone(self) -> TorchStep:
+        """A step of the same network for one character."""
+        return TorchStep(self.network, 1)
+
+    def reset(self) -> None:
+        """Forget all frames of all characters."""
+        for stream in self.streams:
+            stream.reset()
+
+    def adopt(self, row: int, other: object) -> None:
+        """Put the only character of another step in place of one of these."""
+        assert isinstance(other, TorchStep)
+        self.streams[row], other.streams = other.streams[0], [NetworkStream(self.network, 1)]
+
+    def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
+        """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
+        for i, stream in enumerate(self.streams):
+            made = stream.step(*(torch.tensor(values[i : i + 1]) for values in (x, contacts, controls)))
+            self.mean[i], self.log_sigma[i] = made.mean[0].numpy(), made.log_sigma[0].numpy()
+            self.contact_logits[i] = made.contact_logits[0].numpy()
+
+
+def stepper(network: PartTransformer, batch: int) -> NetworkStep | TorchStep:
+    """The fastest way to run a network frame by frame on this machine."""
+    if why_not_packable(network.config) is not None:
+        return TorchStep(network, batch)
+    weights = pack(network)
+    return NetworkStep(weights, batch, StepKernel(weights, small=True) if kernel_library() else None)
