@@ -5,12 +5,12 @@ import math
 import numpy as np
 import torch
 
-from motionkit.data.phases import NO_PHASE, phase_track, phase_types, turns_over
+from motionkit.data.phases import NO_PHASE, PhaseRule, mirror_phases, phase_rules, phase_track, turns_over
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
-from motionkit.motion.skeleton import canonical_skeleton
+from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
 
 
 def rolled(degrees: float, frames: int = 40) -> torch.Tensor:
@@ -33,11 +33,55 @@ def test_types_that_mostly_turn_over_have_a_phase():
         (rolled(170.0, 60), np.zeros(60, np.int16)),
         (rolled(30.0, 50), np.ones(50, np.int16)),
     ]
-    assert phase_types(clips, DEFAULT_LAYOUT) == {0: 50.0}
+    assert phase_rules(clips, DEFAULT_LAYOUT) == {0: PhaseRule("", 50.0)}
 
 
 def test_phase_runs_through_each_stretch():
     types = np.array([1, 1, 0, 0, 0, 0, 1, 0, 0])
-    track = phase_track(types, [0])
+    features = rolled(30.0, len(types))
+    track = phase_track(features, types, {0: PhaseRule("", 4.0)}, DEFAULT_LAYOUT)
     assert np.allclose(track, [NO_PHASE, NO_PHASE, 0, 0.25, 0.5, 0.75, NO_PHASE, 0, 0.5])
-    assert np.all(phase_track(types, []) == NO_PHASE)
+    assert np.all(phase_track(features, types, {}, DEFAULT_LAYOUT) == NO_PHASE)
+
+
+def strikes(right: bool, count: int = 2, hop: bool = False) -> torch.Tensor:
+    """Features of one who stands, and count times lifts a foot to the hips, or hops with both feet."""
+    frames = 90 * count
+    height = torch.tensor([0.5 * (1 - math.cos(2 * math.pi * (t % 90 - 20) / 50)) if 20 < t % 90 < 70 else 0.0
+                           for t in range(frames)])  # fmt: skip
+    rotations, root = quat_identity((frames, 23)), torch.tensor([0.0, 95.0, 0.0]).repeat(frames, 1)
+    if hop:
+        root[:, 1] += 30.0 * height
+    else:
+        leg = JOINT_NAMES.index("RightUpLeg" if right else "LeftUpLeg")
+        rotations[:, leg, 0], rotations[:, leg, 1] = torch.cos(0.9 * height), -torch.sin(0.9 * height)
+    return encode_motion(Motion(canonical_skeleton(), rotations, root, 60.0)).features
+
+
+def test_kicks_run_through_the_half_of_their_side():
+    for right in (False, True):
+        features = strikes(right)
+        types = np.zeros(len(features), np.int16)
+        rules = phase_rules([(features, types)], DEFAULT_LAYOUT)
+        assert rules[0].event == "kick" and rules[0].sided
+        track = phase_track(features, types, rules, DEFAULT_LAYOUT)
+        shown = track[track >= 0]
+        assert 0.3 < len(shown) / len(track) < 0.9
+        assert (shown.min(), shown.max() > 0.45) == ((0.5, True) if right else (0.0, True))
+        assert (shown.max() < 0.5) != right
+        mirrored = mirror_phases(torch.from_numpy(track), torch.ones(len(track), dtype=torch.bool))
+        there = mirrored[mirrored >= 0]
+        assert torch.equal(mirrored >= 0, torch.from_numpy(track >= 0))
+        assert (there.max() < 0.5) == right
+
+
+def test_jumps_have_one_phase_each():
+    features = strikes(False, 3, hop=True)
+    rules = phase_rules([(features, np.zeros(len(features), np.int16))], DEFAULT_LAYOUT)
+    assert rules[0].event == "jump" and not rules[0].sided
+    track = phase_track(features, np.zeros(len(features), np.int16), rules, DEFAULT_LAYOUT)
+    assert int((np.diff(track) < -0.5).sum()) == 3
+
+
+def test_one_who_hardly_moves_has_no_phase():
+    assert phase_rules([(rolled(20.0), np.zeros(40, np.int16))], DEFAULT_LAYOUT) == {}

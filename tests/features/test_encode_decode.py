@@ -82,7 +82,7 @@ def test_mirror_in_features_is_the_mirror_of_the_motion(name: str, layout: str) 
     references = mirrored_references(motion)
     encoded = encode_motion(motion, references, layout)
     data = as_clip(encoded)
-    mirrored = mirror_clip(data, feature_layout(layout), torch.tensor([0]))
+    mirrored = mirror_clip(data, feature_layout(layout), torch.tensor([0]), torch.tensor([False]))
     truth = encode_motion(mirror_motion(motion), references, layout)
     assert (mirrored.features - truth.features).abs().max() < 5e-3
     assert torch.equal(mirrored.contacts, truth.contacts)
@@ -100,11 +100,11 @@ def as_clip(encoded: EncodedMotion) -> ClipData:
 def test_mirroring_a_clip_twice_gives_it_back() -> None:
     data = as_clip(encode_motion(make_walk(60)))
     layout = feature_layout()
-    swap = torch.tensor([0])
-    once = mirror_clip(data, layout, swap)
-    twice = mirror_clip(once, layout, swap)
+    swap, sided = torch.tensor([0]), torch.tensor([True])
+    once = mirror_clip(data, layout, swap, sided)
+    twice = mirror_clip(once, layout, swap, sided)
     assert not torch.equal(once.features, data.features)
-    for name in ("features", "contacts", "ground", "types"):
+    for name in ("features", "contacts", "ground", "types", "phases"):
         assert torch.equal(getattr(twice, name), getattr(data, name))
 
 

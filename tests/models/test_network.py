@@ -199,7 +199,19 @@ def test_leaky_head_adds_a_share_of_the_input(make_network, make_inputs) -> None
     absolute.load_state_dict(leaky.state_dict())
     with torch.no_grad():
         difference = leaky(*inputs).mean - absolute(*inputs).mean
-    assert torch.allclose(difference, 0.8 * inputs[0], atol=1e-5)
+    assert torch.allclose(difference, leaky.config.head_leak * inputs[0], atol=1e-5)
+
+
+def test_momentum_adds_a_share_of_the_last_step(make_network, make_inputs) -> None:
+    inputs = make_inputs(1, 8)
+    network = make_network(preset("tiny"))
+    assert network.momentum is not None
+    with torch.no_grad():
+        before = network(*inputs).mean
+        network.momentum.fill_(0.5)
+        difference = network(*inputs).mean - before
+    steps = torch.diff(inputs[0], dim=1, prepend=inputs[0][:, :1])
+    assert torch.allclose(difference, 0.5 * steps, atol=1e-5)
 
 
 def test_layer_controls_can_be_left_out(make_network) -> None:

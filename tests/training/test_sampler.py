@@ -86,7 +86,7 @@ def test_balance_makes_types_equally_often(dataset: Dataset) -> None:
 
 def test_types_that_turn_over_are_drawn_more_often(dataset: Dataset) -> None:
     made = sampler(dataset, balance=1.0, phase_weight=3.0).probabilities
-    assert set(dataset.phase_seconds) == {"cartwheel"}
+    assert "cartwheel" in dataset.phase_seconds and "walking" not in dataset.phase_seconds
     cartwheel, walking = (dataset.types.index(n) for n in ("cartwheel", "walking"))
     assert float(made[cartwheel] / made[walking]) == pytest.approx(3.0)
 

@@ -19,6 +19,7 @@ from motionkit.models.checkpoint import load_model
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
 from motionkit.training.sampler import SamplerOptions
+from motionkit.training.self_feeding import SelfFeedOptions
 from motionkit.training.trainer import TrainEvent, resolve_device, train
 
 TERMS = ("gauss", "smooth", "contact", "fk", "consistency", "trajectory", "total", "gradient")
@@ -80,13 +81,23 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
     path = tmp_path / "m.safetensors"
     # Dropout off: its random stream is not promised to be the same between releases of torch. The rest
     # is told in full, so that other defaults are no other curve.
-    config = {"input_dropout": 0.0, "deep_dropout": 0.0, "spatial_dropout": 0.0}
+    config = {
+        "input_dropout": 0.0, "deep_dropout": 0.0, "spatial_dropout": 0.0, "head_leak": 0.8, "head_momentum": False,
+    }  # fmt: skip
     sampler = SamplerOptions(
         window=32, balance=0.75, phase_weight=1.0, splices=0, splice_share=0.0, trajectory_dropout=0.5,
         lead_share=0.5, lead_frames=30, noise=0.05,
     )  # fmt: skip
     weights = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
-    options = tiny_options(steps=10, config=config, sampler=sampler, weights=weights, rate=1e-3)
+    options = tiny_options(
+        steps=10,
+        config=config,
+        sampler=sampler,
+        weights=weights,
+        rate=1e-3,
+        outlier=1e9,
+        self_feed=SelfFeedOptions(share=0.0),
+    )
     train(dataset_folder, path, options, device="cpu")
     totals = {line["step"]: line["total"] for line in log_of(path)}
     for step, value in GOLDEN.items():
@@ -166,6 +177,29 @@ def test_a_resumed_run_equals_an_unbroken_one(dataset_folder: Path, tmp_path: Pa
     assert (result.steps, result.finished) == (6, True)
     assert losses_of(broken) == losses_of(whole)
     assert same_weights(whole, broken)
+
+
+def test_a_run_stops_where_its_next_windows_are_made(
+    dataset_folder: Path, tmp_path: Path, tiny_options
+) -> None:
+    options = tiny_options(steps=9, self_feed=SelfFeedOptions(period=3))
+    whole, broken = tmp_path / "whole.safetensors", tmp_path / "broken.safetensors"
+    train(dataset_folder, whole, options, device="cpu")
+    result = train(dataset_folder, broken, options, device="cpu", on_event=stop_after(4))
+    assert (result.steps, result.finished) == (6, False)
+    train(dataset_folder, broken, options, resume=True, device="cpu")
+    assert losses_of(broken) == losses_of(whole)
+    assert same_weights(whole, broken)
+
+
+def test_a_run_may_begin_from_a_model(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+    first, second = tmp_path / "first.safetensors", tmp_path / "second.safetensors"
+    train(dataset_folder, first, tiny_options(steps=20, rate=1e-3), device="cpu")
+    train(dataset_folder, second, tiny_options(steps=1, rate=1e-6, init=str(first)), device="cpu")
+    for name, value in weights_of(first).items():
+        assert torch.allclose(weights_of(second)[name], value, atol=1e-4), name
+    with pytest.raises(ModelError, match="expected the preset the model was trained with"):
+        train(dataset_folder, second, tiny_options(steps=1, preset="ebtn", init=str(first)), device="cpu")
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -341,6 +375,7 @@ import sys, torch
 from pathlib import Path
 from motionkit.training.options import TrainOptions
 from motionkit.training.sampler import SamplerOptions
+from motionkit.training.self_feeding import SelfFeedOptions
 from motionkit.training.trainer import train
 import os, signal
 
@@ -350,6 +385,7 @@ config = {} if dropout == "on" else {"input_dropout": 0.0, "deep_dropout": 0.0, 
 options = TrainOptions(
     preset="tiny", steps=int(steps), batch=4, warmup=2, precision="float32", log_every=1,
     score_seconds=0.0, sampler=SamplerOptions(window=32, splices=4), config=config,
+    self_feed=SelfFeedOptions(period=1),
 )
 def on_event(event):
     if event.kind == "log" and event.step == int(stop):

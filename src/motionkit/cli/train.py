@@ -41,6 +41,11 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 @click.option("--steps", type=click.IntRange(min=1), help="Train for so many steps.")
 @click.option("--resume", is_flag=True, help="Go on from the run folder's checkpoint.")
 @click.option(
+    "--init",
+    type=click.Path(exists=True, dir_okay=False),
+    help="Begin from the weights of this model file, trained on the same dataset.",
+)
+@click.option(
     "--batch",
     type=click.IntRange(1, 4096),
     help="Windows per step; the preset's 16 (tptn-paper 56) by default.",
@@ -86,6 +91,7 @@ def command(
     minutes: float | None,
     steps: int | None,
     resume: bool,
+    init: str | None,
     batch: int | None,
     window: int | None,
     rate: float | None,
@@ -112,6 +118,7 @@ def command(
         preset,
         steps=steps,
         minutes=minutes,
+        init=init,
         batch=batch,
         window=window,
         rate=rate,

@@ -5,7 +5,7 @@ features.npy    (N, 276) float32, unnormalised
 contacts.npy    (N, 4) uint8
 ground.npy      (N, 3) float32: root x, z (cm), heading (radians)
 types.npy       (N,) int16, index into the manifest's types
-phases.npy      (N,) float32: progress through a stretch that turns over, -1 elsewhere
+phases.npy      (N,) float32: progress through a flip, strike or jump (data/phases.py), -1 elsewhere
 """
 
 from __future__ import annotations
@@ -20,7 +20,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motionkit.data.events import SIDED
 from motionkit.data.labels import mirrored_type
+from motionkit.data.phases import mirror_phases
 from motionkit.errors import DatasetError
 from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
 from motionkit.features.normalize import Scaling
@@ -131,6 +133,16 @@ class Dataset:
         """How long a performance of each type with a phase takes on average."""
         return self.manifest["phase_seconds"]
 
+    @property
+    def phase_events(self) -> dict[str, str]:
+        """What the phase of a type follows: "kick", "punch", "jump", or "" for whole stretches."""
+        return self.manifest.get("phase_events", dict.fromkeys(self.phase_seconds, ""))
+
+    @cached_property
+    def sided_types(self) -> Tensor:
+        """(N,) whether the halves of a type's phase are left and right."""
+        return torch.tensor([self.phase_events.get(name) in SIDED for name in self.types])
+
     def skeleton(self, clip: Clip) -> Skeleton:
         """The skeleton a clip's features are on."""
         return canonical_skeleton(self.bodies[clip.body])
@@ -163,10 +175,14 @@ class Dataset:
         types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
         phases = torch.from_numpy(np.array(self._arrays["phases"][rows]))
         data = ClipData(features, contacts, ground, types, phases)
-        return mirror_clip(data, self.layout, self.mirrored_type_ids) if clip.mirrored else data
+        if not clip.mirrored:
+            return data
+        return mirror_clip(data, self.layout, self.mirrored_type_ids, self.sided_types)
 
 
-def mirror_clip(data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor) -> ClipData:
+def mirror_clip(
+    data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor, sided_types: Tensor
+) -> ClipData:
     """The mirror image: in features it is a permutation with signs, since references are symmetric."""
     columns, signs = layout.mirror_map()
     ground = data.ground * torch.tensor([-1.0, 1.0, -1.0])
@@ -175,7 +191,7 @@ def mirror_clip(data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor
         data.contacts[:, contact_mirror()],
         ground,
         mirrored_type_ids[data.types],
-        data.phases,
+        mirror_phases(data.phases, sided_types[data.types]),
     )
 
 

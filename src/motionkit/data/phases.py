@@ -1,26 +1,48 @@
-"""How far a performance has come: the phase of types that turn the body over, such as cartwheels.
+"""How far a performance has come: the phase of flips, strikes and jumps.
 
-The paper has no such signal. A run can be told from its last poses; a cartwheel begins from standing,
-and when to begin is not in the poses. Its phase, from 0 at the start of a labelled stretch to 1 at the
-end, says so (docs/features.md).
+The paper has no such signal. A run can be told from its last poses; a cartwheel or a kick begins from
+standing, and when to begin is not in the poses. Its phase, from 0 at the beginning to 1 at the end, says
+so (docs/features.md). Two kinds of types have one. In types that turn the body over a labelled stretch is
+one performance. In types made of strikes or jumps each of these is one; a strike of the left goes through the
+first half of the phase, one of the right through the second, so that it also tells the side.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Iterable
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from motionkit.data.events import KINDS, SIDED, Event, find_events
 from motionkit.features.decode import decode_rotations
+from motionkit.features.layout import feature_layout
 from motionkit.motion.rotations import quat_rotate
 
 NO_PHASE = -1.0
 # A stretch turns over when the hips' up axis points this far below level at some frame.
 _INVERTED = -0.3
+# A type is made of an event if it takes this share of its frames, and comes in this share of its stretches.
+_COVER, _SHARE = 0.2, 0.5
+# Stretches this short (frames) with as many events on average are one performance each.
+_SHORT, _SEVERAL = 180, 2.0
+
+
+@dataclass(frozen=True)
+class PhaseRule:
+    """What a type's phase follows: an event kind, or "" for whole stretches; frames is the length of a cycle."""
+
+    event: str
+    frames: float
+
+    @property
+    def sided(self) -> bool:
+        """Whether the halves of the phase are left and right."""
+        return self.event in SIDED
 
 
 def turns_over(features: Tensor, layout: str) -> bool:
@@ -36,28 +58,66 @@ def type_stretches(types: np.ndarray) -> list[tuple[int, int, int]]:
     return [(a, b, int(types[a])) for a, b in pairwise(edges)]
 
 
-def phase_types(clips: Iterable[tuple[Tensor, np.ndarray]], layout: str) -> dict[int, float]:
-    """Type ids that turn over in most of their stretches, with the mean length of a stretch in frames.
+@dataclass(frozen=True)
+class _Stretch:
+    frames: int
+    turns: bool
+    events: dict[str, list[Event]]
+
+
+def phase_rules(clips: Iterable[tuple[Tensor, np.ndarray]], layout: str) -> dict[int, PhaseRule]:
+    """The rule of each type id that has a phase.
 
     Args:
         clips: features (T, 276) and type ids (T,) of every clip.
     """
-    turned: dict[int, list[bool]] = defaultdict(list)
-    lengths: dict[int, list[int]] = defaultdict(list)
+    stretches: dict[int, list[_Stretch]] = defaultdict(list)
     for features, types in clips:
         for start, end, kind in type_stretches(types):
-            turned[kind].append(turns_over(features[start:end], layout))
-            lengths[kind].append(end - start)
-    return {
-        kind: float(np.mean(lengths[kind])) for kind, flags in turned.items() if 2 * sum(flags) > len(flags)
-    }
+            shown = features[start:end]
+            events = find_events(shown, feature_layout(layout))
+            stretches[kind].append(_Stretch(end - start, turns_over(shown, layout), events))
+    rules = {kind: _rule(mine) for kind, mine in stretches.items()}
+    return {kind: rule for kind, rule in rules.items() if rule is not None}
 
 
-def phase_track(types: np.ndarray, with_phase: Iterable[int]) -> np.ndarray:
-    """Progress (T,) in [0, 1) through each stretch of the given types, NO_PHASE elsewhere."""
+def _rule(stretches: list[_Stretch]) -> PhaseRule | None:
+    frames = [s.frames for s in stretches]
+    whole = PhaseRule("", float(np.mean(frames)))
+    if 2 * sum(s.turns for s in stretches) > len(stretches):
+        return whole
+    for event in KINDS:
+        found = [e for s in stretches for e in s.events[event]]
+        lengths = [e.end - e.start for e in found]
+        share = np.mean([bool(s.events[event]) for s in stretches])
+        if not found or sum(lengths) < _COVER * sum(frames) or share < _SHARE:
+            continue
+        if np.mean(frames) < _SHORT and len(found) >= _SEVERAL * len(stretches):
+            return whole
+        return PhaseRule(event, float(np.mean(lengths)) * (2.0 if event in SIDED else 1.0))
+    return None
+
+
+def phase_track(features: Tensor, types: np.ndarray, rules: dict[int, PhaseRule], layout: str) -> np.ndarray:
+    """Progress (T,) in [0, 1) through the performances of a clip, NO_PHASE elsewhere."""
     out = np.full(len(types), NO_PHASE, np.float32)
-    wanted = set(with_phase)
     for start, end, kind in type_stretches(types):
-        if kind in wanted:
+        rule = rules.get(kind)
+        if rule is None:
+            continue
+        if not rule.event:
             out[start:end] = np.arange(end - start, dtype=np.float32) / (end - start)
+            continue
+        for event in find_events(features[start:end], feature_layout(layout))[rule.event]:
+            # Where two overlap, the later one begins when it begins.
+            progress = np.arange(event.end - event.start, dtype=np.float32) / (event.end - event.start)
+            if rule.sided:
+                progress = 0.5 * progress + (0.5 if event.right else 0.0)
+            out[start + event.start : start + event.end] = progress
     return out
+
+
+def mirror_phases(phases: Tensor, sided: Tensor) -> Tensor:
+    """Phases (T,) of the mirror image: left and right change halves where sided (T,) is true."""
+    other = torch.where(phases < 0.5, phases + 0.5, phases - 0.5)
+    return torch.where(sided & (phases >= 0), other, phases)

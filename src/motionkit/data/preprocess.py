@@ -29,7 +29,7 @@ from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
-from motionkit.data.phases import phase_track, phase_types
+from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
@@ -355,7 +355,7 @@ def _pass_two(
             item.report.frames += frames
         if progress:
             progress("encoding", done, len(items))
-    phase_seconds = _write_phases(arrays, clips, types, options.layout)
+    rules = _write_phases(arrays, clips, options.layout)
     for array in arrays.values():
         array.flush()
     manifest = {
@@ -364,7 +364,8 @@ def _pass_two(
         "fps": FPS,
         "layout": options.layout,
         "types": list(types),
-        "phase_seconds": phase_seconds,
+        "phase_seconds": {types[kind]: round(rule.frames / FPS, 3) for kind, rule in sorted(rules.items())},
+        "phase_events": {types[kind]: rule.event for kind, rule in sorted(rules.items())},
         "bodies": bodies,
         "characters": _characters(prepared),
         "references": references.tolist(),
@@ -384,16 +385,18 @@ def _pass_two(
     return manifest, report
 
 
-def _write_phases(
-    arrays: dict[str, np.memmap], clips: list[Clip], types: tuple[str, ...], layout: str
-) -> dict[str, float]:
-    """Fill the phase column; the seconds a performance takes for each type that has one."""
-    rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}
-    shown = ((torch.from_numpy(np.array(arrays["features"][r])), arrays["types"][r]) for r in rows.values())
-    lengths = phase_types(shown, layout)
-    for r in rows.values():
-        arrays["phases"][r] = phase_track(arrays["types"][r], lengths)
-    return {types[kind]: round(frames / FPS, 3) for kind, frames in sorted(lengths.items())}
+def _write_phases(arrays: dict[str, np.memmap], clips: list[Clip], layout: str) -> dict[int, PhaseRule]:
+    """Fill the phase column; the rule of each type that has a phase."""
+    rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}.values()
+
+    def shown() -> Iterator[tuple[slice, Tensor, np.ndarray]]:
+        for r in rows:
+            yield r, torch.from_numpy(np.array(arrays["features"][r])), np.array(arrays["types"][r])
+
+    rules = phase_rules(((features, types) for _, features, types in shown()), layout)
+    for r, features, types in shown():
+        arrays["phases"][r] = phase_track(features, types, rules, layout)
+    return rules
 
 
 def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
@@ -474,7 +477,10 @@ def _add_moments(
     for clip in clips:
         if clip.split != "train":
             continue
-        shown = mirror_clip(plain, layout, torch.arange(int(kinds.max()) + 1)) if clip.mirrored else plain
+        shown = plain
+        if clip.mirrored:
+            count = int(kinds.max()) + 1
+            shown = mirror_clip(plain, layout, torch.arange(count), torch.zeros(count, dtype=torch.bool))
         moments.add(shown.features.numpy())
         trajectory_moments.add(future_trajectory(shown.ground, torch.arange(clip.frames)).numpy())
 

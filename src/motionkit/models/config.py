@@ -32,6 +32,7 @@ class ModelConfig:
     layer_controls: bool = True  # add the embedded controls to the input of every layer as well
     consistency: bool = True  # consistency modules in training
     head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
+    head_momentum: bool = False  # adds a learned share, per column, of the step the input has just taken
     log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
     log_sigma_max: float = 2.0
     contact_hidden: int = 64  # Foot-MLP

@@ -139,6 +139,7 @@ class PartTransformer(nn.Module):
         # Each part gets one linear map of all the other parts' shallow features.
         self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.fusion == "linear" else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
+        self.momentum = nn.Parameter(torch.zeros(FEATURE_COUNT)) if config.head_momentum else None
         self.feet = [i for i, part in enumerate(self.body.parts) if part.contacts]
         self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.contact_hidden, CONTACT_COUNT)
         self._initialise()
@@ -166,7 +167,8 @@ class PartTransformer(nn.Module):
         shallow = self.shallow(inputs, controls_BTC)
         fused = F.dropout(self.fuse(shallow), self.config.deep_dropout, self.training)
         deep = self.deep(fused, controls_BTC)
-        return self.predict(x_BTF, shallow, deep)
+        before = torch.cat([x_BTF[:, :1], x_BTF[:, :-1]], dim=1)
+        return self.predict(x_BTF, before, shallow, deep)
 
     def fuse(self, shallow: Tensor) -> Tensor:
         """Shallow features (P, ..., D) plus a linear map of the other parts' (paper eq. 3)."""
@@ -176,14 +178,16 @@ class PartTransformer(nn.Module):
         others = torch.stack([torch.cat([shallow[q] for q in range(P) if q != p], -1) for p in range(P)])
         return shallow + self.fusion(others)
 
-    def predict(self, x: Tensor, shallow: Tensor, deep: Tensor) -> Prediction:
-        """Aggregation layer and Foot-MLP."""
+    def predict(self, x: Tensor, before: Tensor, shallow: Tensor, deep: Tensor) -> Prediction:
+        """Aggregation layer and Foot-MLP for input frames x (..., 276) and the frames before them."""
         body = torch.cat(list(deep), dim=-1)
         out = self.aggregate(body).float()
         sizes = [FEATURE_COUNT, FEATURE_COUNT, TRAJECTORY_COUNT, TRAJECTORY_COUNT]
         mean, log_sigma, trajectory, trajectory_log_sigma = out.split(sizes, dim=-1)
         if self.config.head_leak:
             mean = mean + self.config.head_leak * x.float()
+        if self.momentum is not None:
+            mean = mean + self.momentum * (x - before).float()
         feet = torch.cat([torch.cat([shallow[i], deep[i]], dim=-1) for i in self.feet], dim=-1)
         contact_logits = self.contact_mlp(feet[None])[0].float()
         low, high = self.config.log_sigma_min, self.config.log_sigma_max

@@ -44,6 +44,7 @@ class NetworkStream:
             return
         inputs = network.part_columns.shape[1]
         self.recent = torch.zeros(P, B, config.kernel, inputs, device=device)
+        self.before = torch.zeros(B, FEATURE_COUNT, device=device)
         self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
 
     @torch.inference_mode()
@@ -56,8 +57,9 @@ class NetworkStream:
         self.recent = torch.cat([self.recent[:, :, 1:], inputs[:, :, None]], dim=2)
         shallow = self._module(network.shallow, self.rings[0], self.recent.flatten(2), controls_BC)
         deep = self._module(network.deep, self.rings[1], network.fuse(shallow), controls_BC)
-        self.frame += 1
-        return network.predict(x_BF, shallow, deep)
+        before = x_BF if self.frame == 0 else self.before
+        self.frame, self.before = self.frame + 1, x_BF
+        return network.predict(x_BF, before, shallow, deep)
 
     def _module(
         self, module: AutoRegressiveModule, rings: _ModuleRings, x: Tensor, controls: Tensor

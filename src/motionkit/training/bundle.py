@@ -33,7 +33,11 @@ def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any
         characters,
         {kind: seed_frames(dataset, kind) for kind in dataset.types},
         measure_gaits(dataset),
-        {kind: performance_tracks(dataset, kind) for kind in dataset.phase_seconds},
+        {
+            kind: performance_tracks(dataset, kind)
+            for kind, event in dataset.phase_events.items()
+            if not event
+        },
         card,
     )
 
@@ -52,11 +56,18 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
     for clip in dataset.select("train"):
         mine = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
         if len(mine):
-            # Only up to where the clip first goes over to another type.
-            unbroken = int((mine == mine[0] + torch.arange(len(mine))).sum())
-            stretches.append((clip, int(mine[0]), min(unbroken, SEED_FRAMES)))
-            shown = dataset.read(clip).features[mine][:, columns]
+            data = dataset.read(clip)
+            begins = mine
+            if dataset.phase_events.get(kind):
+                # A strike or jump is started from its own beginning, at the beginning of the phase.
+                begins = mine[(data.phases[mine] >= 0.0) & (data.phases[mine] < 0.02)]
+            shown = data.features[mine][:, columns]
             total, count = total + shown.sum(dim=0), count + len(shown)
+            if len(begins):
+                # Only up to where the clip first goes over to another type.
+                mine = mine[mine >= begins[0]]
+                unbroken = int((mine == mine[0] + torch.arange(len(mine))).sum())
+                stretches.append((clip, int(mine[0]), min(unbroken, SEED_FRAMES)))
     if not stretches:
         clip = dataset.select("train")[0]
         stretches, count = [(clip, 0, min(clip.frames, SEED_FRAMES))], 1

@@ -8,6 +8,7 @@ equal shares of a batch is the mean over the batch.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -56,10 +57,18 @@ def _mean(values: Tensor, mask: Tensor) -> Tensor:
     return (values * mask).sum() / mask.numel()
 
 
-def gaussian_loss(mean: Tensor, log_sigma: Tensor, target: Tensor, mask: Tensor) -> Tensor:
-    """Negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory)."""
-    scaled = (target - mean) * torch.exp(-log_sigma)
-    return _mean((0.5 * scaled.square() + log_sigma + 0.9189385).sum(-1), mask)
+def gaussian_loss(
+    mean: Tensor, log_sigma: Tensor, target: Tensor, mask: Tensor, outlier: float = math.inf
+) -> Tensor:
+    """Negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory).
+
+    Beyond outlier deviations the square goes on as a straight line (Huber 1964). Exponential maps jump where
+    a joint turns past half a turn, once in some hundred frames; squared, that one frame outweighs its batch.
+    """
+    scaled = ((target - mean) * torch.exp(-log_sigma)).abs()
+    inner = scaled.clamp(max=outlier)
+    penalty = inner * (scaled - 0.5 * inner)
+    return _mean((penalty + log_sigma + 0.9189385).sum(-1), mask)
 
 
 def smoothness_loss(mean: Tensor, mask: Tensor) -> Tensor:
@@ -139,18 +148,23 @@ def training_losses(
     scaling: Scaling,
     references: Tensor,
     fps: float,
+    outlier: float = math.inf,
 ) -> dict[str, Tensor]:
-    """All six terms by name, unweighted."""
+    """All six terms by name, unweighted; outlier as in gaussian_loss."""
     zero = torch.zeros((), device=prediction.mean.device)
     consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
     return {
-        "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask),
+        "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask, outlier),
         "smooth": smoothness_loss(prediction.mean, batch.mask),
         "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
         "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps),
         "consistency": consistency,
         "trajectory": gaussian_loss(
-            prediction.trajectory_mean, prediction.trajectory_log_sigma, batch.trajectory, batch.mask
+            prediction.trajectory_mean,
+            prediction.trajectory_log_sigma,
+            batch.trajectory,
+            batch.mask,
+            outlier,
         ),
     }
 

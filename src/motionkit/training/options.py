@@ -8,6 +8,10 @@ from typing import Any
 from motionkit.errors import MotionkitError
 from motionkit.training.losses import WEIGHTS
 from motionkit.training.sampler import SamplerOptions
+from motionkit.training.self_feeding import SelfFeedOptions
+
+# The paper's weights but for smoothness: ten times its share damps every movement (docs/training.md).
+SHIPPED_WEIGHTS = WEIGHTS | {"smooth": 1.0}
 
 
 @dataclass(frozen=True)
@@ -15,6 +19,7 @@ class TrainOptions:
     """Settings of a run. steps or minutes says when it ends; with both, whichever comes first."""
 
     preset: str = "tptn"
+    init: str | None = None  # a model file to begin from
     steps: int | None = None
     minutes: float | None = None
     batch: int = 16  # windows per step, over all processes
@@ -25,6 +30,7 @@ class TrainOptions:
     betas: tuple[float, float] = (0.9, 0.98)
     clip_norm: float = 1.0
     ema: float = 0.998
+    outlier: float = 3.0  # deviations beyond which the Gaussian loss is linear (paper: never)
     seed: int = 0
     precision: str = "auto"  # "auto", "float32" or "bfloat16"
     checkpoint_seconds: float = 40.0
@@ -32,8 +38,9 @@ class TrainOptions:
     score_seconds: float = 10.0  # length of a scored roll-out
     log_every: int = 20
     half: bool = False  # write the model in 16 bits
-    weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))
+    weights: dict[str, float] = field(default_factory=lambda: dict(SHIPPED_WEIGHTS))
     sampler: SamplerOptions = field(default_factory=SamplerOptions)
+    self_feed: SelfFeedOptions = field(default_factory=SelfFeedOptions)
     config: dict[str, Any] = field(default_factory=dict)  # fields that differ from the preset
 
     def __post_init__(self) -> None:

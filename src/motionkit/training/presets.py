@@ -6,8 +6,10 @@ from dataclasses import replace
 from typing import Any
 
 from motionkit.models.presets import preset
+from motionkit.training.losses import WEIGHTS
 from motionkit.training.options import TrainOptions
 from motionkit.training.sampler import SamplerOptions
+from motionkit.training.self_feeding import SelfFeedOptions
 
 
 def train_options(
@@ -28,9 +30,16 @@ def train_options(
     if name == "tptn-paper":
         # Paper section 4.3: 56 windows of 300 frames, types equally often, no spliced transitions, 1e-4.
         paper = SamplerOptions(
-            window=300, balance=1.0, splices=0, trajectory_dropout=0.0, lead_share=0.0, phase_weight=1.0
+            window=300,
+            balance=1.0,
+            splices=0,
+            trajectory_dropout=0.0,
+            lead_share=0.0,
+            phase_weight=1.0,
+            noise=0.05,
         )
-        options = replace(options, batch=56, rate=1e-4, sampler=paper)
+        options = replace(options, batch=56, rate=1e-4, sampler=paper, weights=dict(WEIGHTS))
+        options = replace(options, outlier=1e9, self_feed=SelfFeedOptions(share=0.0))
     sampler = options.sampler
     if window is not None:
         sampler = replace(sampler, window=window)

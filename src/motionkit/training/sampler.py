@@ -42,7 +42,7 @@ class SamplerOptions:
     trajectory_dropout: float = 0.5  # windows without a trajectory
     lead_share: float = 0.5  # windows whose type is announced ahead of the motion
     lead_frames: int = 30  # by at most this many frames
-    noise: float = 0.05  # deviation of the input noise, normalised (paper: 0.05)
+    noise: float = 0.03  # deviation of the input noise, normalised (paper: 0.05)
 
 
 @dataclass(frozen=True)
@@ -52,6 +52,12 @@ class Span:
     source: int
     start: int
     end: int
+
+
+def window_generator(seed: int, step: int, place: int, purpose: int = 0) -> torch.Generator:
+    """The source of chance for one window of one step, the same in every process."""
+    words = np.random.SeedSequence([seed, step, place, purpose]).generate_state(2, np.uint32)
+    return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]))
 
 
 class WindowSampler:
@@ -123,12 +129,8 @@ class WindowSampler:
     def batch(self, step: int, size: int, first: int = 0, count: int | None = None) -> Batch:
         """Windows first to first + count of the batch of the given size at a step."""
         count = size if count is None else count
-        windows = [self._window(self._generator(step, first + i)) for i in range(count)]
+        windows = [self._window(window_generator(self.seed, step, first + i)) for i in range(count)]
         return Batch(**{name: torch.stack([w[name] for w in windows]) for name in windows[0]})
-
-    def _generator(self, step: int, place: int) -> torch.Generator:
-        words = np.random.SeedSequence([self.seed, step, place]).generate_state(2, np.uint32)
-        return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]))
 
     def _window(self, generator: torch.Generator) -> dict[str, Tensor]:
         options = self.options

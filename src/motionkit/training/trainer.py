@@ -21,8 +21,8 @@ from torch.nn.parallel import DistributedDataParallel
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.features.control import ControlLayout
+from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel, save_model
-from motionkit.models.config import ModelConfig
 from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import preset
@@ -30,8 +30,10 @@ from motionkit.training.bundle import bundle_model
 from motionkit.training.losses import Batch, total_loss, training_losses
 from motionkit.training.options import TrainOptions
 from motionkit.training.run_state import load_run, save_run
-from motionkit.training.sampler import WindowSampler
+from motionkit.training.sampler import WindowSampler, window_generator
 from motionkit.training.scores import TypeScore, score_rollouts
+from motionkit.training.self_feeding import fed_windows, feed_back, join_batches, take_windows
+from motionkit.training.warm_start import warm_start
 
 # The paper's sum counts 276 columns; per column the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / 276.0
@@ -44,11 +46,11 @@ FREE_ON_RESUME = (
 class TrainingModule(nn.Module):
     """Network, consistency modules and losses as one module, for DistributedDataParallel."""
 
-    def __init__(self, config: ModelConfig, dataset: Dataset) -> None:
+    def __init__(self, network: PartTransformer, dataset: Dataset, outlier: float = math.inf) -> None:
         super().__init__()
-        self.network = PartTransformer(config, ControlLayout(dataset.types).size)
-        self.consistency = ConsistencyModules(self.network) if config.consistency else None
-        self.fps = dataset.fps
+        self.network = network
+        self.consistency = ConsistencyModules(network) if network.config.consistency else None
+        self.fps, self.outlier = dataset.fps, outlier
         self.scaling = dataset.scaling
         self.references = dataset.references
 
@@ -68,7 +70,14 @@ class TrainingModule(nn.Module):
         # The losses, consistency modules included, are computed in float32.
         prediction = replace(prediction, shallow=prediction.shallow.float(), deep=prediction.deep.float())
         return training_losses(
-            self.network, self.consistency, prediction, batch, self.scaling, self.references, self.fps
+            self.network,
+            self.consistency,
+            prediction,
+            batch,
+            self.scaling,
+            self.references,
+            self.fps,
+            self.outlier,
         )
 
 
@@ -177,7 +186,10 @@ class _Run:
                 f"{dataset.folder} has layout {dataset.layout.version}, preset {options.preset} needs "
                 f"{config.layout}: run preprocess with --layout {config.layout}"
             )
-        self.module = TrainingModule(config, dataset).to_device(self.device)
+        network = PartTransformer(config, ControlLayout(dataset.types).size)
+        if options.init is not None:
+            warm_start(network, dataset, open_model(options.init))
+        self.module = TrainingModule(network, dataset, options.outlier).to_device(self.device)
         self.trainable: nn.Module = self.module
         if self.world > 1:
             ids = [self.device.index] if self.device.type == "cuda" else None
@@ -193,6 +205,7 @@ class _Run:
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
+        self.coming: list[Batch] = []  # batches made beforehand
         self.asked_to_stop = self.stops = False
 
     @property
@@ -267,7 +280,7 @@ class _Run:
     def _loop(self) -> None:
         saved = scored = time.monotonic()
         clock = time.monotonic()
-        while self.progress() < 1.0:
+        while self.progress() < 1.0 or self.coming:
             self.losses = self._train_step()
             now = time.monotonic()
             self.seconds, clock = self.seconds + now - clock, now
@@ -275,6 +288,8 @@ class _Run:
                 self.seconds = self._agree(self.seconds)
             if self.step % self.options.log_every == 0 or self.progress() >= 1.0:
                 self._emit("log")
+            if self.coming:
+                continue
             if self.rank == 0 and now - saved > self.options.checkpoint_seconds:
                 self._save_checkpoint()
                 saved = time.monotonic()
@@ -299,8 +314,7 @@ class _Run:
             # Dropout differs between processes, and is that of an unbroken run after a resume: the
             # checkpoint holds the random state of the first process only.
             torch.manual_seed((options.seed + 1) * 1_000_003 + self.step * self.world + self.rank)
-        share = options.batch // self.world
-        batch = self.sampler.batch(self.step, options.batch, self.rank * share, share).to(self.device)
+        batch = self._next_batch()
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
         terms = self.trainable(batch, self.autocast)
@@ -322,6 +336,38 @@ class _Run:
         *means, stops = shared.tolist()
         self.stops = stops > 0
         return dict(zip([*names, "total", "gradient"], means, strict=True))
+
+    def _next_batch(self) -> Batch:
+        if not self.coming:
+            self.coming = self._make_batches(self._block_end() - self.step)
+        return self.coming.pop(0)
+
+    def _make_batches(self, steps: int) -> list[Batch]:
+        """The batches of the coming steps; some of their windows feed on what the network makes of them."""
+        options, share = self.options, self.options.batch // self.world
+        first, range_of_steps = self.rank * share, range(self.step, self.step + steps)
+        batches = [
+            self.sampler.batch(step, options.batch, first, share).to(self.device) for step in range_of_steps
+        ]
+        fed = fed_windows(first, share, options.self_feed.share)
+        if not fed:
+            return batches
+        generators = [window_generator(options.seed, s, first + i, 1) for s in range_of_steps for i in fed]
+        joined = join_batches([take_windows(batch, fed) for batch in batches])
+        joined = feed_back(self.module.network, joined, options.self_feed, generators)
+        others = [i for i in range(share) if i not in fed]
+        return [
+            join_batches(
+                [take_windows(joined, slice(k * len(fed), (k + 1) * len(fed))), take_windows(batch, others)]
+            )
+            for k, batch in enumerate(batches)
+        ]
+
+    def _block_end(self) -> int:
+        """The step at which the next batches are made; only there can a run be interrupted and go on the same."""
+        period = self.options.self_feed.period if self.options.self_feed.share else 1
+        end = (self.step // period + 1) * period
+        return min(end, self.options.steps) if self.options.steps else end
 
     @torch.no_grad()
     def _update_average(self) -> None:

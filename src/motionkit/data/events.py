@@ -1,0 +1,104 @@
+"""Kicks, punches and jumps in a motion, found by how feet and hands move: the beats of types that repeat them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from motionkit.features.layout import FeatureLayout
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
+
+KINDS = ("jump", "kick", "punch")
+SIDED = ("kick", "punch")
+
+# Heights in cm, speeds in cm/s, times in frames at 60 fps, on the canonical body.
+KICK_HEIGHT = 0.75  # of the hips' usual height, which the foot rises above
+FOOT_DOWN = 20.0  # the ankle of a foot that stands is at about 10
+PUNCH_SPEED = 250.0  # at which the hand leaves its shoulder
+PUNCH_REACH = 0.85  # of the arm's length, at the end
+AIR = 4.0  # that all toes and ankles are above where they stand
+AIR_FRAMES = 10
+LONGEST_LIFT = 60  # frames between leaving the ground and the height of a kick
+BEFORE = {"kick": 8, "punch": 18, "jump": 20}  # frames that belong to it beforehand
+AFTER = {"kick": 6, "punch": 18, "jump": 15}
+_STANDING = np.array([10.0, 4.1, 10.0, 4.1])  # ankle and toe joints, left and right
+
+
+@dataclass(frozen=True)
+class Event:
+    """Frames start to end (exclusive) of a strike or jump; right tells the limb of a sided one."""
+
+    start: int
+    end: int
+    right: bool = False
+
+
+def find_events(features: Tensor, layout: FeatureLayout) -> dict[str, list[Event]]:
+    """Events of each kind, in order of time, in features (T, 276), unnormalised."""
+    positions = _positions(features, layout)
+    return {
+        "kick": sorted(_kicks(positions), key=lambda event: event.start),
+        "punch": sorted(_punches(positions), key=lambda event: event.start),
+        "jump": _jumps(positions),
+    }
+
+
+def _positions(features: Tensor, layout: FeatureLayout) -> np.ndarray:
+    """Joint positions (T, 23, 3) in the heading frame."""
+    block = layout.blocks["joint_positions"]
+    out = torch.zeros(len(features), len(JOINT_NAMES), 3)
+    for index in range(block.start, block.stop):
+        column = layout.columns[index]
+        out[:, column.joint, column.component] = features[:, index]
+    return out.numpy()
+
+
+def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
+    edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
+    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+
+
+def _event(kind: str, start: int, end: int, frames: int, right: bool = False) -> Event:
+    return Event(max(0, start - BEFORE[kind]), min(frames, end + AFTER[kind]), right)
+
+
+def _kicks(positions: np.ndarray) -> list[Event]:
+    out = []
+    height = KICK_HEIGHT * np.median(positions[:, 0, 1])
+    for right, ankle in ((False, FOOT_JOINTS[0]), (True, FOOT_JOINTS[2])):
+        foot = positions[:, ankle, 1]
+        for start, end in _runs(foot > height):
+            first, last = start, end
+            while first > 0 and foot[first] > FOOT_DOWN and start - first < LONGEST_LIFT:
+                first -= 1
+            while last < len(foot) - 1 and foot[last] > FOOT_DOWN and last - end < LONGEST_LIFT:
+                last += 1
+            out.append(_event("kick", first, last, len(foot), right))
+    return out
+
+
+def _punches(positions: np.ndarray) -> list[Event]:
+    out = []
+    if len(positions) < 2:
+        return []
+    for right, side in ((False, "Left"), (True, "Right")):
+        shoulder, elbow, hand = (
+            positions[:, JOINT_NAMES.index(side + name)] for name in ("Arm", "ForeArm", "Hand")
+        )
+        reach = np.linalg.norm(hand - shoulder, axis=-1)
+        length = np.linalg.norm(hand - elbow, axis=-1) + np.linalg.norm(elbow - shoulder, axis=-1)
+        speed = np.gradient(reach) * 60.0
+        for start, end in _runs(speed > 0.6 * PUNCH_SPEED):
+            there = min(len(reach) - 1, end + 2)
+            if speed[start:end].max() > PUNCH_SPEED and reach[there] > PUNCH_REACH * length[there]:
+                out.append(_event("punch", end, end, len(reach), right))
+    return out
+
+
+def _jumps(positions: np.ndarray) -> list[Event]:
+    clearance = positions[:, FOOT_JOINTS, 1] - _STANDING
+    flights = [run for run in _runs(clearance.min(axis=1) > AIR) if run[1] - run[0] >= AIR_FRAMES]
+    return [_event("jump", start, end, len(positions)) for start, end in flights]

@@ -1,0 +1,55 @@
+"""Begin a run from a trained model instead of from random weights."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import ModelError
+from motionkit.features.control import ControlLayout
+from motionkit.models.checkpoint import MotionModel
+from motionkit.models.network import PartTransformer
+
+CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
+
+
+def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -> None:
+    """Copy a model's weights into a network; types are matched by name, what is new stays as it was.
+
+    The dataset takes over the model's scaling, which its weights are used to.
+
+    Raises:
+        ModelError: if the networks differ in size, or the features in their reference rotations.
+    """
+    # A rotation and its negative quaternion are one.
+    turned = 1.0 - (dataset.references * model.references).sum(-1).abs()
+    if float(turned.max()) > 1e-4:
+        raise ModelError(
+            f"{dataset.folder}: its features are relative to other reference rotations than the model's; "
+            "a run can begin only from a model of the same dataset"
+        )
+    old, new = model.network.state_dict(), network.state_dict()
+    with torch.no_grad():
+        for name, value in new.items():
+            if name not in old:
+                continue
+            if name in CONTROL_WEIGHTS:
+                _copy_controls(value, old[name], ControlLayout(dataset.types), model.controls)
+            elif value.shape == old[name].shape:
+                value.copy_(old[name])
+            else:
+                raise ModelError(
+                    f"the model's {name} is {tuple(old[name].shape)}, the preset's is {tuple(value.shape)}: "
+                    "expected the preset the model was trained with"
+                )
+    dataset.scaling, dataset.trajectory_scaling = model.scaling, model.trajectory_scaling
+
+
+def _copy_controls(new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout) -> None:
+    """Rows of control embeddings (P, C, D), signal by signal."""
+    for name in ("skeleton", "trajectory", "flag", "phase"):
+        new[:, getattr(layout, name)] = old[:, getattr(before, name)]
+    for i, kind in enumerate(layout.types):
+        if kind in before.types:
+            new[:, layout.type.start + i] = old[:, before.type.start + before.types.index(kind)]
