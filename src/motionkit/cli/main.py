@@ -22,6 +22,7 @@ COMMANDS = {
     "evaluate": "evaluate",
     "mirror": "mirror",
     "view": "view",
+    "play": "play",
 }
 
 

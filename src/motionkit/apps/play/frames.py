@@ -1,0 +1,138 @@
+"""Frames of the session, and their two forms on the wire: bytes for WebSocket, JSON for TCP (docs/live.md)."""
+
+from __future__ import annotations
+
+import json
+import struct
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionkit.motion.skeleton import JOINT_COUNT
+
+Floats = NDArray[np.float32]
+
+FRAME_KIND, FRAME_VERSION = 1, 1
+HEADER = struct.Struct("<BBHIdff")
+RECORD = np.dtype(
+    [
+        ("id", "<u4"),
+        ("seq", "<u4"),
+        ("type", "<u2"),
+        ("flags", "u1"),
+        ("contacts", "u1"),
+        ("heading", "<f4"),
+        ("root", "<f4", 3),
+        ("rotations", "<f4", 4 * JOINT_COUNT),
+    ]
+)
+PERFORMING, FOLLOWING, RECORDING = 1, 2, 4
+TOUCHES_ABOVE = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """One character in one frame.
+
+    Attributes:
+        id: of the character.
+        seq: of the newest request this frame obeys.
+        type: index of the type it is asked for.
+        performing: a type is shown once.
+        following: the share of its path that lies behind, None where none is followed.
+        recording: the frame is recorded.
+        contacts: (4,) probabilities: left foot, left toe, right foot, right toe.
+        heading: radians.
+        root: (3,) the hips in the world, cm.
+        rotations: (23, 4) quaternions in the parent's space.
+        positions: (23, 3) joints in the world, cm.
+    """
+
+    id: int
+    seq: int
+    type: int
+    performing: bool
+    following: float | None
+    recording: bool
+    contacts: Floats
+    heading: float
+    root: Floats
+    rotations: Floats
+    positions: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class WorldFrame:
+    """One frame of the world.
+
+    Attributes:
+        number: counts up by one.
+        time: seconds since the session began.
+        step_ms: how long the step of all characters took.
+        fps: the rate frames are made at.
+        characters: all of them.
+        arrived: ids of those that came to the end of their path.
+    """
+
+    number: int
+    time: float
+    step_ms: float
+    fps: float
+    characters: tuple[Shown, ...]
+    arrived: tuple[int, ...] = ()
+
+
+def frame_bytes(frame: WorldFrame) -> bytes:
+    """The binary message of a frame."""
+    records = np.zeros(len(frame.characters), RECORD)
+    for record, one in zip(records, frame.characters, strict=True):
+        touches = one.contacts > TOUCHES_ABOVE
+        flags = PERFORMING * one.performing + FOLLOWING * (one.following is not None)
+        record["id"], record["seq"], record["type"] = one.id, one.seq, one.type
+        record["flags"] = flags + RECORDING * one.recording
+        record["contacts"] = int(touches @ (1, 2, 4, 8))
+        record["heading"], record["root"], record["rotations"] = (
+            one.heading,
+            one.root,
+            one.rotations.reshape(-1),
+        )
+    number = frame.number & 0xFFFFFFFF
+    header = HEADER.pack(
+        FRAME_KIND, FRAME_VERSION, len(records), number, frame.time, frame.step_ms, frame.fps
+    )
+    return header + records.tobytes()
+
+
+def frame_text(frame: WorldFrame, types: tuple[str, ...]) -> str:
+    """The JSON event of a frame."""
+    event = {
+        "event": "frame",
+        "frame": frame.number,
+        "time": round(frame.time, 6),
+        "step_ms": round(frame.step_ms, 3),
+        "fps": round(frame.fps, 2),
+        "characters": [_character_event(one, types) for one in frame.characters],
+    }
+    return json.dumps(event, allow_nan=False, separators=(",", ":"))
+
+
+def _character_event(one: Shown, types: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "id": one.id,
+        "seq": one.seq,
+        "type": types[one.type],
+        "performing": one.performing,
+        "following": None if one.following is None else round(one.following, 4),
+        "recording": one.recording,
+        "contacts": _rounded(one.contacts, 3),
+        "heading": round(one.heading, 5),
+        "root": _rounded(one.root, 3),
+        "rotations": _rounded(one.rotations, 6),
+        "positions": _rounded(one.positions, 3),
+    }
+
+
+def _rounded(values: Floats, digits: int) -> list:
+    return np.round(values.astype(np.float64), digits).tolist()

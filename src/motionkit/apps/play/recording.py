@@ -1,0 +1,81 @@
+"""Frames kept as they were sent, and the BVH files made of them."""
+
+from __future__ import annotations
+
+import secrets
+import tempfile
+from collections import OrderedDict
+from pathlib import Path
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from motionkit.motion.bvh import write_bvh
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_continuous
+from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
+
+Floats = NDArray[np.float32]
+_GROWTH = 600  # frames a recording has room for at first
+
+
+class Recorder:
+    """The frames of one character from one moment on."""
+
+    def __init__(self, skeleton: Skeleton, fps: float, most_frames: int) -> None:
+        self.skeleton, self.fps, self.most_frames = skeleton, fps, most_frames
+        self.frames = 0
+        self._values = np.zeros((min(_GROWTH, most_frames), JOINT_COUNT * 4 + 3), np.float32)
+
+    @property
+    def full(self) -> bool:
+        """Whether no more frames are taken."""
+        return self.frames >= self.most_frames
+
+    def append(self, rotations: Floats, root: Floats) -> None:
+        """Take a frame: rotations (23, 4) and root (3,); nothing once it is full."""
+        if self.full:
+            return
+        if self.frames == len(self._values):
+            room = min(2 * len(self._values), self.most_frames) - len(self._values)
+            self._values = np.concatenate([self._values, np.zeros((room, self._values.shape[1]), np.float32)])
+        self._values[self.frames, :-3] = rotations.reshape(-1)
+        self._values[self.frames, -3:] = root
+        self.frames += 1
+
+    def motion(self) -> Motion:
+        """What was recorded."""
+        values = torch.from_numpy(self._values[: self.frames].copy())
+        rotations = quat_continuous(values[:, :-3].reshape(-1, JOINT_COUNT, 4))
+        return Motion(self.skeleton, rotations, values[:, -3:], self.fps)
+
+
+def bvh_bytes(motion: Motion) -> bytes:
+    """A motion as the text of a BVH file; takes a second or so for minutes of motion."""
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "recording.bvh"
+        write_bvh(file, motion)
+        return file.read_bytes()
+
+
+class Recordings:
+    """Finished files in memory, by random tokens; the oldest go when there are too many."""
+
+    def __init__(self, most: int, most_bytes: int) -> None:
+        self.most, self.most_bytes = most, most_bytes
+        self._files: OrderedDict[str, bytes] = OrderedDict()
+
+    def add(self, data: bytes) -> str:
+        """Keep a file; answers its token."""
+        token = secrets.token_urlsafe(18)
+        self._files[token] = data
+        while len(self._files) > 1 and (
+            len(self._files) > self.most or sum(map(len, self._files.values())) > self.most_bytes
+        ):
+            self._files.popitem(last=False)
+        return token
+
+    def get(self, token: str) -> bytes | None:
+        """The file of a token, None if there is none (any more)."""
+        return self._files.get(token)

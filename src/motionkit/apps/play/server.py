@@ -1,0 +1,332 @@
+"""The sockets of `motionkit play`: page and WebSocket on one port, newline JSON on another, VMC to a third."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import json
+import logging
+import signal
+import socket as socketlib
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, suppress
+from dataclasses import dataclass
+from http import HTTPStatus
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers, MultipleValuesError
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request as HttpRequest
+from websockets.http11 import Response
+
+from motionkit.apps.play.client import Client, TooManyMessages
+from motionkit.apps.play.frames import WorldFrame
+from motionkit.apps.play.live import Live, error_event
+from motionkit.apps.play.page import (
+    find_recording,
+    host_allowed,
+    is_loopback,
+    known_names,
+    load_page,
+    origin_allowed,
+    policy,
+)
+from motionkit.apps.play.requests import ProtocolError
+from motionkit.apps.play.session import Session
+from motionkit.apps.play.vmc import VmcBody, osc_bundles
+from motionkit.errors import MotionkitError
+
+SOCKET_PATH = "/live"
+CLOSE_SECONDS = 1.0  # granted to clients when the server ends
+WAITING_BYTES = 8192
+CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013
+
+
+class ServeError(MotionkitError):
+    """A port or address that cannot be used."""
+
+
+@dataclass(frozen=True)
+class ServerOptions:
+    """Where to listen and send; port 0 is any free one, None is not to."""
+
+    host: str = "127.0.0.1"
+    port: int = 8642
+    tcp: int | None = None
+    vmc: tuple[str, int] | None = None
+    page: bool = True
+
+
+@dataclass(frozen=True)
+class Addresses:
+    """Where the server is reached."""
+
+    url: str
+    socket: str
+    tcp: tuple[str, int] | None
+    vmc: tuple[str, int] | None
+
+
+class PlayServer:
+    """A live session on its sockets."""
+
+    def __init__(self, session: Session, options: ServerOptions) -> None:
+        self.options = options
+        self.live = Live(session)
+        self._page = load_page() if options.page else None
+        self._names = known_names(options.host)
+        self._numbers = not is_loopback(options.host)
+
+    async def run(self, ready: Callable[[Addresses], None] | None = None) -> None:
+        """Serve until cancelled or told to stop by SIGINT or SIGTERM.
+
+        Raises:
+            ServeError: if a port is taken or an address is none of this machine's.
+        """
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        async with AsyncExitStack() as open_:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                # Windows and threads other than the main one have no such handlers; Ctrl-C interrupts there.
+                with suppress(NotImplementedError, RuntimeError, ValueError):
+                    loop.add_signal_handler(number, stop.set)
+                    open_.callback(loop.remove_signal_handler, number)
+            addresses = await self._open(open_)
+            clock = loop.create_task(self.live.run())
+            open_.push_async_callback(_cancelled, clock)
+            if ready is not None:
+                ready(addresses)
+            stopping = loop.create_task(stop.wait())
+            open_.push_async_callback(_cancelled, stopping)
+            await asyncio.wait([clock, stopping], return_when=asyncio.FIRST_COMPLETED)
+            if clock.done():
+                clock.result()  # a fault of ours, to be seen
+
+    async def _open(self, open_: AsyncExitStack) -> Addresses:
+        host, options = self.options.host, self.options
+        if options.vmc is not None:
+            open_.callback((await self._open_vmc(*options.vmc)).close)
+        try:
+            web = await open_.enter_async_context(
+                serve(
+                    self._web_client,
+                    host,
+                    options.port,
+                    process_request=self._answer,
+                    compression=None,
+                    max_size=self.live.session.limits.message_bytes,
+                    close_timeout=CLOSE_SECONDS,
+                    server_header=None,
+                    logger=_quiet_logger(),
+                )
+            )
+        except OSError as error:
+            raise _serve_error(host, options.port, "--port", error) from None
+        port = web.sockets[0].getsockname()[1]
+        tcp = None
+        if options.tcp is not None:
+            limit = self.live.session.limits.message_bytes
+            try:
+                server = await asyncio.start_server(self._tcp_client, host, options.tcp, limit=limit)
+            except OSError as error:
+                raise _serve_error(host, options.tcp, "--tcp", error) from None
+            open_.callback(server.close)
+            tcp = (host, server.sockets[0].getsockname()[1])
+        name = f"[{host}]" if ":" in host else host
+        return Addresses(f"http://{name}:{port}/", f"ws://{name}:{port}{SOCKET_PATH}", tcp, options.vmc)
+
+    # ---- HTTP ----
+
+    def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+        """The response to a plain request, None where a WebSocket may be opened."""
+        try:
+            host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        except MultipleValuesError:
+            return _response(HTTPStatus.BAD_REQUEST, "one Host and one Origin at most")
+        if not host_allowed(host, self._names, self._numbers):
+            return _response(HTTPStatus.FORBIDDEN, "this server does not go by that name")
+        path = request.path.partition("?")[0]
+        if path == SOCKET_PATH:
+            if not origin_allowed(origin, host):
+                return _response(HTTPStatus.FORBIDDEN, "only the page of this server may connect")
+            return None
+        if path == "/" and self._page is not None:
+            return _response(
+                HTTPStatus.OK,
+                self._page,
+                "text/html; charset=utf-8",
+                {"Content-Security-Policy": policy(host)},
+            )
+        recording = find_recording(path, self.live.recordings)
+        if recording is not None:
+            named = {"Content-Disposition": 'attachment; filename="motionkit-recording.bvh"'}
+            return _response(HTTPStatus.OK, recording, "text/plain; charset=utf-8", named)
+        return _response(HTTPStatus.NOT_FOUND, "not found")
+
+    # ---- clients ----
+
+    async def _web_client(self, socket: ServerConnection) -> None:
+        async def send(message: str | bytes) -> None:
+            try:
+                await socket.send(message)
+            except ConnectionClosed as error:
+                raise ConnectionError(str(error)) from None
+
+        _send_late(socket.transport)
+        client = self.live.join(as_json=False)
+        with suppress(ConnectionClosed):
+            if client is None:
+                await socket.close(CLOSE_FULL, "too many clients")
+                return
+            fault = await self._attend(client, socket, send, socket.transport.abort)
+            if fault is not None:
+                code = CLOSE_RATE if isinstance(fault, TooManyMessages) else CLOSE_MALFORMED
+                await socket.close(code, "see the error event")
+
+    async def _tcp_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async def send(message: str | bytes) -> None:
+            writer.write((message if isinstance(message, bytes) else message.encode()) + b"\n")
+            await writer.drain()
+
+        _send_late(writer.transport)
+        client = self.live.join(as_json=True)
+        try:
+            if client is None:
+                full = error_event(ProtocolError("too many clients"), closing=True)
+                writer.write(json.dumps(full).encode() + b"\n")
+            else:
+                await self._attend(client, self._lines(reader), send, writer.transport.abort)
+            # What the client still sends is read, or the system would drop what it has not read of ours.
+            with suppress(OSError, asyncio.TimeoutError):
+                writer.write_eof()
+                await asyncio.wait_for(_read_away(reader), CLOSE_SECONDS)
+        finally:
+            writer.close()
+
+    async def _attend(
+        self,
+        client: Client,
+        messages: AsyncIterable[str | bytes],
+        send: Callable[[str | bytes], Awaitable[None]],
+        abort: Callable[[], None],
+    ) -> ProtocolError | None:
+        """Serve a client until it goes; answers the fault for which it is to be closed, if there was one."""
+
+        def sent_all(_: asyncio.Task) -> None:
+            if client.stalled:
+                abort()
+
+        pump = asyncio.get_running_loop().create_task(client.pump(send))
+        pump.add_done_callback(sent_all)
+        try:
+            async for message in messages:
+                self.live.take(client, message)
+        except ProtocolError as error:
+            client.end(error_event(error, closing=True))
+            await asyncio.wait([pump])
+            return error
+        finally:
+            self.live.leave(client)
+            await _cancelled(pump)
+        return None
+
+    async def _lines(self, reader: asyncio.StreamReader) -> AsyncIterator[str]:
+        """Lines of a TCP client; raises ProtocolError for one too long or not in UTF-8."""
+        while True:
+            try:
+                line = await reader.readuntil(b"\n")
+            except (asyncio.IncompleteReadError, OSError):
+                return
+            except asyncio.LimitOverrunError:
+                most = self.live.session.limits.message_bytes
+                raise ProtocolError(f"a line is longer than {most} bytes") from None
+            try:
+                yield line.decode("utf-8")
+            except UnicodeDecodeError:
+                raise ProtocolError("expected UTF-8, found other bytes") from None
+
+    # ---- VMC ----
+
+    async def _open_vmc(self, host: str, port: int) -> asyncio.DatagramTransport:
+        loop, session = asyncio.get_running_loop(), self.live.session
+        try:
+            transport, _ = await loop.create_datagram_endpoint(
+                asyncio.DatagramProtocol, remote_addr=(host, port)
+            )
+        except OSError as error:
+            raise ServeError(f"{host}:{port}: cannot be sent to ({error.strerror or error})") from None
+        kept = session.keep()
+        bodies: dict[str, VmcBody] = {}
+
+        def show(frame: WorldFrame) -> None:
+            shown = next((one for one in frame.characters if one.id == kept.id), None)
+            if shown is None:
+                return
+            if kept.body not in bodies:
+                bodies[kept.body] = VmcBody(session.model.character(kept.body))
+            for bundle in osc_bundles(bodies[kept.body].messages(shown, frame.time)):
+                transport.sendto(bundle)
+
+        self.live.watchers.append(show)
+        return transport
+
+
+def _send_late(transport: asyncio.BaseTransport) -> None:
+    """Keep little waiting on the way, so that a slow client gets new frames instead of old ones."""
+    assert isinstance(transport, asyncio.WriteTransport)
+    transport.set_write_buffer_limits(high=WAITING_BYTES)
+    connection = transport.get_extra_info("socket")
+    if hasattr(socketlib, "TCP_NOTSENT_LOWAT"):
+        connection.setsockopt(socketlib.IPPROTO_TCP, socketlib.TCP_NOTSENT_LOWAT, WAITING_BYTES)
+
+
+async def _read_away(reader: asyncio.StreamReader) -> None:
+    while await reader.read(65536):
+        pass
+
+
+async def _cancelled(task: asyncio.Task) -> None:
+    """End a task and wait until it has."""
+    task.cancel()
+    with suppress(asyncio.CancelledError):
+        await task
+
+
+def _response(
+    status: HTTPStatus,
+    body: bytes | str,
+    kind: str = "text/plain; charset=utf-8",
+    more: dict[str, str] | None = None,
+) -> Response:
+    data = body if isinstance(body, bytes) else f"{body}\n".encode()
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(data)),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            **(more or {}),
+        }
+    )
+    return Response(status.value, status.phrase, headers, data)
+
+
+def _serve_error(host: str, port: int, option: str, error: OSError) -> ServeError:
+    if error.errno == errno.EADDRINUSE:
+        return ServeError(f"{host}:{port}: the port is in use; give another with {option}")
+    if error.errno == errno.EACCES:
+        return ServeError(f"{host}:{port}: this port is not for everybody; give one above 1023 with {option}")
+    return ServeError(f"{host}:{port}: cannot be listened on ({error.strerror or error})")
+
+
+def _quiet_logger() -> logging.Logger:
+    """Faults of ours are logged; what strangers send instead of HTTP is not."""
+    logger = logging.getLogger("motionkit.play")
+    logger.addFilter(_is_ours)
+    return logger
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    return "opening handshake failed" not in record.getMessage()

@@ -1,0 +1,105 @@
+"""motionkit play: live characters in the browser, and for programs and engines."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import click
+
+
+def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
+    if value is None:
+        return None
+    host, _, port = value.rpartition(":")
+    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
+        raise click.BadParameter(f"expected HOST:PORT such as 127.0.0.1:39539, found {value!r}")
+    return host.strip("[]"), int(port)
+
+
+@click.command("play")
+@click.option(
+    "--model",
+    "model_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A model file; the bundled model by default.",
+)
+@click.option("--character", default="default", show_default=True, help="The body new characters have.")
+@click.option(
+    "--port",
+    default=8642,
+    show_default=True,
+    type=click.IntRange(0, 65535),
+    help="Of the page; 0 is any free one.",
+)
+@click.option(
+    "--host",
+    default="127.0.0.1",
+    show_default=True,
+    help="The address to listen on. Others than this machine can connect if you name one they reach.",
+)
+@click.option("--no-open", is_flag=True, help="Do not open the browser.")
+@click.option("--headless", is_flag=True, help="Serve no page, only programs.")
+@click.option("--tcp", type=click.IntRange(0, 65535), help="Also serve newline JSON on this port.")
+@click.option(
+    "--vmc", metavar="HOST:PORT", callback=_target, help="Also send a character by VMC (OSC over UDP)."
+)
+@click.option(
+    "--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON, for machines."
+)
+def command(
+    model_path: Path | None,
+    character: str,
+    port: int,
+    host: str,
+    no_open: bool,
+    headless: bool,
+    tcp: int | None,
+    vmc: tuple[str, int] | None,
+    as_json: bool,
+) -> None:
+    """Steer characters live: starts a server on this machine and opens its page.
+
+    Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). Ends
+    with Ctrl-C.
+    """
+    try:
+        import websockets  # noqa: F401
+    except ImportError:
+        from motionkit.errors import MotionkitError
+
+        raise MotionkitError("play needs the package websockets: pip install 'motionkit[play]'") from None
+    import asyncio
+
+    from motionkit.apps.play.server import Addresses, PlayServer, ServerOptions
+    from motionkit.apps.play.session import Session
+    from motionkit.models.bundled import open_model
+    from motionkit.synthesis.synthesize import inner_threads
+
+    def ready(addresses: Addresses) -> None:
+        if as_json:
+            places = {
+                "url": addresses.url,
+                "socket": addresses.socket,
+                "tcp": addresses.tcp,
+                "vmc": addresses.vmc,
+            }
+            click.echo(json.dumps(places))
+        else:
+            click.echo(addresses.socket if headless else addresses.url)
+            if addresses.tcp:
+                click.echo(f"newline JSON on {addresses.tcp[0]}:{addresses.tcp[1]}", err=True)
+            if addresses.vmc:
+                click.echo(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}", err=True)
+            click.echo("Ctrl-C ends", err=True)
+        if not headless and not no_open:
+            click.launch(addresses.url)
+
+    session = Session(open_model(model_path), character)
+    options = ServerOptions(host, port, tcp, vmc, page=not headless)
+    with inner_threads(1):
+        try:
+            asyncio.run(PlayServer(session, options).run(ready))
+        except KeyboardInterrupt:
+            pass  # where the system has no signal handlers for the loop
+    click.echo("stopped", err=True)
