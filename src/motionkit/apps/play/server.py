@@ -74,6 +74,7 @@ class PlayServer:
         self.options = options
         self.live = Live(session)
         self._page = load_page() if options.page else None
+        self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # of the TCP port
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
 
@@ -130,7 +131,7 @@ class PlayServer:
                 server = await asyncio.start_server(self._tcp_client, host, options.tcp, limit=limit)
             except OSError as error:
                 raise _serve_error(host, options.tcp, "--tcp", error) from None
-            open_.callback(server.close)
+            open_.push_async_callback(self._close_tcp, server)
             tcp = (host, server.sockets[0].getsockname()[1])
         name = f"[{host}]" if ":" in host else host
         return Addresses(f"http://{name}:{port}/", f"ws://{name}:{port}{SOCKET_PATH}", tcp, options.vmc)
@@ -188,6 +189,9 @@ class PlayServer:
             writer.write((message if isinstance(message, bytes) else message.encode()) + b"\n")
             await writer.drain()
 
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections[task] = writer
         _send_late(writer.transport)
         client = self.live.join(as_json=True)
         try:
@@ -202,6 +206,15 @@ class PlayServer:
                 await asyncio.wait_for(_read_away(reader), CLOSE_SECONDS)
         finally:
             writer.close()
+            del self._connections[task]
+
+    async def _close_tcp(self, server: asyncio.Server) -> None:
+        """Close port and connections; the tasks of the latter end by themselves, as if the clients had gone."""
+        server.close()
+        for writer in self._connections.values():
+            writer.transport.abort()
+        if self._connections:
+            await asyncio.wait(list(self._connections), timeout=CLOSE_SECONDS)
 
     async def _attend(
         self,
