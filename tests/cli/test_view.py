@@ -59,12 +59,12 @@ def test_nothing_is_opened_without_a_desktop(monkeypatch: pytest.MonkeyPatch, tm
     monkeypatch.setattr("webbrowser.open", lambda address: pytest.fail("opened"))
     monkeypatch.setenv("CI", "true")
     monkeypatch.setenv("DISPLAY", ":0")
-    assert not open_in_browser(tmp_path / "page.html")
+    assert not open_in_browser((tmp_path / "page.html").as_uri())
     monkeypatch.delenv("CI")
     monkeypatch.delenv("DISPLAY")
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
     monkeypatch.setattr(sys, "platform", "linux")
-    assert not open_in_browser(tmp_path / "page.html")
+    assert not open_in_browser((tmp_path / "page.html").as_uri())
 
 
 def test_a_path_is_put_into_the_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -73,6 +73,7 @@ def command(
 
     from motionkit.apps.play.server import Addresses, PlayServer, ServerOptions
     from motionkit.apps.play.session import Session
+    from motionkit.cli.showing import open_in_browser
     from motionkit.models.bundled import open_model
     from motionkit.synthesis.synthesize import inner_threads
 
@@ -93,7 +94,7 @@ def command(
                 click.echo(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}", err=True)
             click.echo("Ctrl-C ends", err=True)
         if not headless and not no_open:
-            click.launch(addresses.url)
+            open_in_browser(addresses.url)
 
     session = Session(open_model(model_path), character)
     options = ServerOptions(host, port, tcp, vmc, page=not headless)

@@ -25,16 +25,16 @@ def write_and_open(path: Path, shown: Sequence[Shown], quiet: bool) -> Path:
 
     write_viewer(path, shown)
     if not quiet:
-        open_in_browser(path)
+        open_in_browser(path.resolve().as_uri())
     return path
 
 
-def open_in_browser(path: Path) -> bool:
-    """Open a file in the user's browser; False without a desktop, in CI, or when there is no browser."""
+def open_in_browser(address: str) -> bool:
+    """Open an address in the user's browser; False without a desktop, in CI, or when there is no browser."""
     if not has_desktop():
         return False
     try:
-        return webbrowser.open(path.resolve().as_uri())
+        return webbrowser.open(address)
     except webbrowser.Error:
         return False
 

@@ -85,7 +85,7 @@ def command(
     shown = [Shown(clip.stem, bvh_to_motion(read_bvh(clip)), path=path) for clip in clips]
     _write(target, shown, poses, every, width)
     if target.suffix.lower() == ".html" and opens and not as_json:
-        open_in_browser(target)
+        open_in_browser(target.resolve().as_uri())
     facts = [
         {"file": str(clip), "frames": len(s.motion), "seconds": s.motion.seconds, "fps": s.motion.fps}
         for clip, s in zip(clips, shown, strict=True)

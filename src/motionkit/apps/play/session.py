@@ -67,8 +67,7 @@ class Character:
     def set_noise(self, noise: Noise) -> None:
         """Draw its frames otherwise from now on."""
         self.noise = noise
-        for state in self.stream.states:
-            state.noise = noise
+        self.stream.state.noise = noise
 
     def follow(self, points: list[tuple[float, float]], kind: str | None, speed: float | None) -> None:
         """Follow a drawn path; raises ControlError if it is no path."""
