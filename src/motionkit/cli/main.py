@@ -23,6 +23,7 @@ COMMANDS = {
     "mirror": "mirror",
     "view": "view",
     "play": "play",
+    "export": "export",
 }
 
 

@@ -1,0 +1,57 @@
+"""motionkit export: a model for game engines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionkit.cli.common import json_option, print_json
+
+
+@click.command("export")
+@click.option(
+    "--onnx",
+    "path",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The ONNX file to write; what it means goes beside it as JSON.",
+)
+@click.option(
+    "--model",
+    "model_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="A model file; the bundled model by default.",
+)
+@click.option("--character", default="default", show_default=True, help="The body the joints are of.")
+@json_option
+def command(path: Path, model_path: Path | None, character: str, as_json: bool) -> None:
+    """Write a model as an ONNX graph of one frame.
+
+    Controls and state go in, a posed body and the next state come out: see docs/engines.md. With
+    onnxruntime installed, graph and motionkit then run 600 frames side by side, and the largest
+    difference is printed.
+    """
+    from motionkit.apps.onnx_export import export_onnx
+    from motionkit.models.bundled import open_model
+
+    check = export_onnx(open_model(model_path), path, character)
+    if as_json:
+        result: dict = {"file": str(path), "metadata": str(path.with_suffix(".json"))}
+        if check is not None:
+            result |= {
+                "frames": check.frames,
+                "largest_joint_difference_cm": check.positions,
+                "largest_feature_difference": check.features,
+                "frames_per_second": check.frames_per_second,
+            }
+        print_json(result)
+        return
+    click.echo(f"wrote {path} and {path.with_suffix('.json')}")
+    if check is None:
+        click.echo("not checked: onnxruntime is not installed (pip install 'motionkit[onnx]')", err=True)
+        return
+    click.echo(
+        f"{check.frames} frames in closed loop: joints differ by at most {check.positions:.1e} cm, "
+        f"normalised features by {check.features:.1e}; {check.frames_per_second:.0f} frames per second"
+    )

@@ -1,0 +1,102 @@
+"""The ONNX graph against motionkit's own roll-out, and the page that tells how to drive it."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.models.checkpoint import MotionModel, load_model
+from motionkit.models.network import PartTransformer
+from motionkit.models.presets import preset
+
+pytest.importorskip("onnx")
+pytest.importorskip("onnxruntime")
+
+from motionkit.apps.onnx_export import OPSET, OnnxStep, check_export, export_onnx, present_name
+
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
+
+
+@pytest.fixture(scope="module")
+def exported(tiny_model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The graph of tiny_model, with its metadata beside it; not to be written to."""
+    path = tmp_path_factory.mktemp("onnx") / "model.onnx"
+    export_onnx(load_model(tiny_model_file), path)
+    return path
+
+
+def test_both_make_the_same_motion_in_closed_loop(tiny_model: MotionModel, exported: Path) -> None:
+    check = check_export(tiny_model, exported, "default", frames=300)
+    assert check.frames == 300
+    assert check.positions < 0.05 and check.features < 5e-3
+
+
+@pytest.mark.parametrize("change", [{"fusion": "none"}, {"kernel": 1}, {"layer_controls": False}])
+def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None:
+    network = PartTransformer(replace(preset("tiny"), **change), tiny_model.controls.size).eval()
+    check = export_onnx(replace(tiny_model, network=network), tmp_path / "model.onnx")
+    assert check is not None and check.positions < 0.05
+
+
+def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
+    tall = {**tiny_model.characters, "tall": 1.2 * tiny_model.characters["default"]}
+    check = export_onnx(replace(tiny_model, characters=tall), tmp_path / "tall.onnx", "tall")
+    assert check is not None and check.positions < 0.05
+    offsets = json.loads((tmp_path / "tall.json").read_text())["offsets"]
+    assert np.allclose(offsets, tall["tall"].numpy(), atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["trajectory", "progress", "noise", "type_weights"])
+def test_every_control_counts(exported: Path, name: str) -> None:
+    made = []
+    for value in (0.0, 1.0):
+        graph = OnnxStep(exported)
+        graph.values["given"][:] = 1.0
+        graph.values[name][:] = value
+        made.append(graph.step()["features"])
+    assert not np.array_equal(*made)
+
+
+def test_a_trajectory_that_is_not_given_does_not_count(exported: Path) -> None:
+    made = []
+    for value in (0.0, 50.0):
+        graph = OnnxStep(exported)
+        graph.values["trajectory"][:] = value
+        made.append(graph.step()["features"])
+    assert np.array_equal(*made)
+
+
+def test_shapes_are_static_and_state_comes_out_as_it_goes_in(exported: Path) -> None:
+    import onnx
+
+    proto = onnx.load(str(exported))
+    onnx.checker.check_model(proto, full_check=True)
+    assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
+    shapes = [
+        {v.name: [d.dim_value for d in v.type.tensor_type.shape.dim] for v in values}
+        for values in (proto.graph.input, proto.graph.output)
+    ]
+    assert all(0 not in shape for side in shapes for shape in side.values())
+    about = json.loads(exported.with_suffix(".json").read_text())
+    for name, state in about["state"].items():
+        assert shapes[0][name] == shapes[1][state["out"]] == state["shape"]
+        assert state["out"] == present_name(name)
+    assert present_name("past_key_values.3.key") == "present.3.key"
+    inside = json.loads(proto.metadata_props[0].value)
+    assert inside == {key: value for key, value in about.items() if key != "starts"}
+    assert len(about["joints"]) == len(about["parents"]) == len(about["offsets"]) == 23
+
+
+def test_the_example_on_the_page_runs(
+    exported: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
+    assert len(code) == 1 and "motionkit" not in code[0].replace("about", "")
+    monkeypatch.chdir(exported.parent)
+    exec(compile(code[0], "engines.md", "exec"), {})
+    assert re.match(r"Hips went to \[.*\] cm", capsys.readouterr().out)
