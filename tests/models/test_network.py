@@ -208,7 +208,7 @@ def test_momentum_adds_a_share_of_the_last_step(make_network, make_inputs) -> No
     assert network.momentum is not None
     with torch.no_grad():
         before = network(*inputs).mean
-        network.momentum.fill_(0.5)
+        network.momentum.add_(0.5)
         difference = network(*inputs).mean - before
     steps = torch.diff(inputs[0], dim=1, prepend=inputs[0][:, :1])
     assert torch.allclose(difference, 0.5 * steps, atol=1e-5)

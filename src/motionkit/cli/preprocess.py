@@ -53,6 +53,13 @@ SHOWN_SKIPS = 20
     type=click.Choice(LAYOUT_CHOICES),
     help="Version of the 276 numbers; tptn-paper needs expmap-root-1.",
 )
+@click.option(
+    "--smooth/--raw",
+    "smooth",
+    default=True,
+    show_default=True,
+    help="Filter the trembling of markers out (7 Hz), or take rotations as they are.",
+)
 @click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
 @json_option
 def command(
@@ -65,6 +72,7 @@ def command(
     mirror: bool,
     own_bodies: bool,
     layout: str,
+    smooth: bool,
     strict: bool,
     as_json: bool,
 ) -> None:
@@ -76,7 +84,7 @@ def command(
     """
     from motionkit.data.preprocess import PreprocessOptions, preprocess
 
-    options = PreprocessOptions(labels, fps, scale, mirror, own_bodies, layout, jobs, strict)
+    options = PreprocessOptions(labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth)
     with progress_bar() as bar:
         tasks: dict[str, Any] = {}
 

@@ -17,7 +17,7 @@ SIDED = ("kick", "punch")
 # Heights in cm, speeds in cm/s, times in frames at 60 fps, on the canonical body.
 KICK_HEIGHT = 0.75  # of the hips' usual height, which the foot rises above
 FOOT_DOWN = 20.0  # the ankle of a foot that stands is at about 10
-PUNCH_SPEED = 250.0  # at which the hand leaves its shoulder
+PUNCH_SPEED = 220.0  # at which the hand leaves its shoulder
 PUNCH_REACH = 0.85  # of the arm's length, at the end
 AIR = 4.0  # that all toes and ankles are above where they stand
 AIR_FRAMES = 10

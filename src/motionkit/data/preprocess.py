@@ -30,6 +30,7 @@ from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
+from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
@@ -58,6 +59,7 @@ class PreprocessOptions:
     layout: str = DEFAULT_LAYOUT
     jobs: int = 0
     strict: bool = False
+    smooth: bool = True
 
 
 @dataclass
@@ -332,7 +334,7 @@ def _pass_two(
     clips: list[Clip] = []
     bodies: list[list[list[float]]] = []
     row = 0
-    items = [(p, references, options.layout) for p in prepared if p.runs]
+    items = [(p, references, options.layout, options.smooth) for p in prepared if p.runs]
     indices = [i for i, p in enumerate(prepared) if p.runs]
     for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
         item = prepared[index]
@@ -364,6 +366,7 @@ def _pass_two(
         "fps": FPS,
         "layout": options.layout,
         "types": list(types),
+        "smoothed": options.smooth,
         "phase_seconds": {types[kind]: round(rule.frames / FPS, 3) for kind, rule in sorted(rules.items())},
         "phase_events": {types[kind]: rule.event for kind, rule in sorted(rules.items())},
         "bodies": bodies,
@@ -423,11 +426,17 @@ def _create(folder: Path, name: str, shape: tuple[int, ...], dtype: Any) -> np.m
     return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
 
 
-def _encode_file(item: tuple[_Prepared, Tensor, str]) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+def _encode_file(
+    item: tuple[_Prepared, Tensor, str, bool],
+) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Features, contacts and ground of each run, encoded within the whole recording: ends have real neighbours."""
-    prepared, references, layout = item
+    prepared, references, layout, smoothed = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = torch.from_numpy(arrays["rotations"]), torch.from_numpy(arrays["root"])
+    for start, end, *_ in prepared.runs if smoothed else ():
+        # Run by run: what was cut out between them must not leak in.
+        rotations[start:end] = smooth_rotations(rotations[start:end])
+        root[start:end] = smooth(root[start:end])
     skeleton = canonical_skeleton(torch.tensor(prepared.body))
     encoded = encode_motion(Motion(skeleton, rotations, root, FPS), references, layout)
     return [

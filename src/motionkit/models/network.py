@@ -139,7 +139,7 @@ class PartTransformer(nn.Module):
         # Each part gets one linear map of all the other parts' shallow features.
         self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.fusion == "linear" else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
-        self.momentum = nn.Parameter(torch.zeros(FEATURE_COUNT)) if config.head_momentum else None
+        self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head_momentum else None
         self.feet = [i for i, part in enumerate(self.body.parts) if part.contacts]
         self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.contact_hidden, CONTACT_COUNT)
         self._initialise()

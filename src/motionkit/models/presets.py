@@ -11,7 +11,7 @@ from motionkit.models.config import ModelConfig
 def tptn() -> ModelConfig:
     """Two parts; leaky head with momentum and relative positions, so that it fits fast and streams."""
     return ModelConfig(
-        input_dropout=0.2, deep_dropout=0.0, spatial_dropout=0.0, head_leak=0.9, head_momentum=True
+        input_dropout=0.1, deep_dropout=0.0, spatial_dropout=0.0, head_leak=0.9, head_momentum=True
     )
 
 

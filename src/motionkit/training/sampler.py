@@ -42,7 +42,7 @@ class SamplerOptions:
     trajectory_dropout: float = 0.5  # windows without a trajectory
     lead_share: float = 0.5  # windows whose type is announced ahead of the motion
     lead_frames: int = 30  # by at most this many frames
-    noise: float = 0.03  # deviation of the input noise, normalised (paper: 0.05)
+    noise: float = 0.01  # deviation of the input noise, normalised (paper: 0.05)
 
 
 @dataclass(frozen=True)
