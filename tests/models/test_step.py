@@ -29,6 +29,7 @@ VARIANTS: list[dict] = [
     {"window": 4},
     {"window": 12},
     {"head_leak": 0.0},
+    {"head_momentum": False},
     {"heads": 16, "width": 48},
 ]
 # Weights in 16 bits are whole numbers up to 32767 times a scale.
@@ -42,6 +43,8 @@ def stepper(weights: StepWeights, way: str, batch: int) -> NetworkStep:
 def largest_difference(network: PartTransformer, inputs: tuple, way: str) -> float:
     """Between one frame at a time and all at once, over all outputs."""
     with torch.no_grad():
+        if network.momentum is not None:  # zero at the start
+            network.momentum.normal_(generator=torch.Generator().manual_seed(4))
         whole = network(*inputs)
     step = stepper(pack(network), way, len(inputs[0]))
     worst = 0.0

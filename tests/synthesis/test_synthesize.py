@@ -209,3 +209,32 @@ def test_written_motion_is_what_was_rolled_out(tiny_model: MotionModel, tmp_path
     back = bvh_to_motion(read_bvh(tmp_path / "out.bvh"))
     assert back.fps == 60.0 and back.skeleton.names == motion.skeleton.names
     assert (motion_kinematics(motion)[1] - motion_kinematics(back)[1]).norm(dim=-1).max() < 0.01
+
+
+# ---- crowds ----
+
+
+def test_a_crowd_takes_plans_and_bodies_in_turn(tiny_model: MotionModel) -> None:
+    tall = {**tiny_model.characters, "tall": 1.2 * tiny_model.characters["default"]}
+    model = replace(tiny_model, characters=tall)
+    plans = [parse_types("walking:0.5"), parse_types("idle:0.3,cartwheel:0.4")]
+    options = SynthesisOptions(count=5, character="default,tall,default", noise=Noise("mean"))
+    made = synthesize(model, plans, options).motions
+    assert [len(one.motion) for one in made] == [30, 42, 30, 42, 30]
+    assert [one.types[0].type for one in made] == ["walking", "idle", "walking", "idle", "walking"]
+    sizes = [leg_length(one.motion.skeleton) / leg_length(model.character("default")) for one in made]
+    assert sizes == pytest.approx([1.0, 1.2, 1.0, 1.0, 1.2])
+    alone = synthesize(model, plans[0], SynthesisOptions(noise=Noise("mean"))).motions[0].motion
+    assert torch.allclose(alone.root_positions, made[0].motion.root_positions, atol=1e-2)
+    alone = synthesize(model, plans[1], SynthesisOptions(noise=Noise("mean"))).motions[0].motion
+    assert torch.allclose(1.2 * alone.root_positions, made[1].motion.root_positions, atol=1e-2)
+
+
+def test_a_crowd_larger_than_a_block_is_every_one_alone(tiny_model: MotionModel) -> None:
+    plans = [parse_types("walking:0.2"), parse_types("idle:0.2"), parse_types("running:0.2")]
+    crowd = synthesize(tiny_model, plans, SynthesisOptions(count=40, noise=Noise("mean"))).motions
+    for index in (0, 1, 2, 17, 39):
+        few = [plans[index % 3]] * (index // 3 + 1)
+        alone = synthesize(tiny_model, few[0], SynthesisOptions(count=len(few), noise=Noise("mean")))
+        expected = alone.motions[-1].motion.root_positions
+        assert torch.allclose(crowd[index].motion.root_positions, expected, atol=1e-2)

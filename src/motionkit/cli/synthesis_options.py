@@ -45,7 +45,12 @@ def synthesis_options(function: Callable) -> Callable:
             help="A model file; the bundled model by default.",
         ),
         seed_option(),
-        click.option("--character", default="default", show_default=True, help="The body to move."),
+        click.option(
+            "--character",
+            default="default",
+            show_default=True,
+            help="The body to move; of a crowd, several names with commas, taken in turn.",
+        ),
         click.option(
             "--init",
             type=click.Path(exists=True, dir_okay=False, path_type=Path),

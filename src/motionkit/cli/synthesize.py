@@ -22,7 +22,10 @@ if TYPE_CHECKING:
 
 @click.command("synthesize")
 @click.option(
-    "--types", help="Motion types in order, such as running,cartwheel or running:4,cartwheel:3 (seconds)."
+    "--types",
+    multiple=True,
+    help="Motion types in order, such as running,cartwheel or running:4,cartwheel:3 (seconds). "
+    "Given more than once, the characters of --count take them in turn.",
 )
 @click.option("--list-types", is_flag=True, help="List the model's motion types and characters.")
 @click.option(
@@ -38,11 +41,11 @@ if TYPE_CHECKING:
     default=1,
     show_default=True,
     type=click.IntRange(1, 4096),
-    help="How many motions; files are numbered.",
+    help="How many motions, made as one crowd; files are numbered.",
 )
 @synthesis_options
 def command(
-    types: str | None,
+    types: tuple[str, ...],
     list_types: bool,
     output: Path | None,
     seconds: float | None,
@@ -82,15 +85,16 @@ def command(
     from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 
     model = open_model(model_path)
-    parts = parse_types(types, seconds, model.phase_seconds)
-    for part in parts:
+    plans = [parse_types(text, seconds, model.phase_seconds) for text in types]
+    for part in (part for plan in plans for part in plan):
         model.type_id(part.type)
+    count = max(count, len(plans))
     options = SynthesisOptions(count, seed, make_noise(noise, temperature), character, init, ik, fps)
-    frames = sum(round(part.seconds * model.fps) for part in parts)
+    frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
     with progress_bar() as bar:
         task = bar.add_task("synthesizing", total=frames)
-        result = synthesize(model, parts, options, lambda done: bar.update(task, completed=done))
-    base = output or default_output("-".join(part.type for part in parts)[:80])
+        result = synthesize(model, plans, options, lambda done: bar.update(task, completed=done))
+    base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
     made: list[dict[str, Any]] = []
     for number, synthesis in enumerate(result.motions, 1):
         path = base if count == 1 else base.with_name(f"{base.stem}-{number:0{len(str(count))}}{base.suffix}")

@@ -45,6 +45,8 @@ class NetworkStep:
             self.out[:, FEATURE_COUNT : 2 * FEATURE_COUNT],
         )
         self.contact_logits = self.contacts_out[:, :CONTACT_COUNT]
+        self._controls = np.zeros((batch, weights.shallow.controls.shape[1]), np.float32)
+        self._run = self._numpy_step if kernel is None else kernel.bind(self, self._controls)
 
     @property
     def bytes_per_character(self) -> int:
@@ -78,18 +80,16 @@ class NetworkStep:
         recent[:, -1, FEATURE_COUNT:-1] = contacts
         self.filled += 1
         self.slot = (self.slot + 1) % self.config.window
-        if self.kernel is not None:
-            self.kernel.step(self, controls)
-        else:
-            self._step(controls)
+        self._controls[:] = controls
+        self._run(self.slot)
         momentum = self.weights.momentum
         if momentum is not None:
             self.before[self.filled == 1] = x[self.filled == 1]  # nothing has moved yet at the first frame
             self.mean += momentum * (x - self.before)
             self.before[:] = x
 
-    def _step(self, controls: Floats) -> None:
-        weights, config, B = self.weights, self.config, self.batch
+    def _numpy_step(self, slot: int) -> None:
+        weights, config, B, controls = self.weights, self.config, self.batch, self._controls
         inputs = self.recent[:, :, weights.columns].transpose(2, 0, 1, 3).reshape(len(weights.columns), B, -1)
         shallow = self._module(0, weights.shallow, inputs, controls)
         together = np.broadcast_to(shallow, (len(weights.columns), *shallow.shape))

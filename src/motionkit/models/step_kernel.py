@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
 from functools import cache
@@ -119,25 +120,33 @@ class StepKernel:
             self._keep(weights.columns),
         )
 
-    def step(self, state: NetworkStep, controls: Floats) -> None:
-        """Do what NetworkStep.step has prepared: rings, mean, log_sigma and contact_logits of all characters."""
-        controls = np.ascontiguousarray(controls, np.float32)
-        position = self._position[state.slot]
-        arrays: list[NDArray] = [state.recent, state.keys, state.values, state.filled, controls, position]
-        arrays += [state.out, state.contacts_out]
-        frame = _Frame(*(array.ctypes.data for array in arrays), state.slot)
-        program = byref(self._program)
+    def bind(self, state: NetworkStep, controls: Floats) -> Callable[[int], None]:
+        """What does a step of NetworkStep at a slot: rings, mean, log_sigma and contact_logits of all characters.
+
+        The arrays of the state, and controls, are to stay where they are.
+        """
+        arrays: list[NDArray] = [state.recent, state.keys, state.values, state.filled, controls]
+        arrays += [self._position, state.out, state.contacts_out]
+        assert all(array.flags.c_contiguous for array in arrays)
+        frame = _Frame(*(array.ctypes.data for array in arrays), 0)
+        places = [self._position[slot].ctypes.data for slot in range(len(self._position))]
+        program, call = byref(self._program), self._library.step
         size = self._library.scratch_size(program, min(ROWS, state.batch))
+        shares = [
+            (first, min(ROWS, state.batch - first), np.empty(size, np.float32))
+            for first in range(0, state.batch, ROWS)
+        ]
+        calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
 
-        def share(first: int) -> None:
-            scratch = np.empty(size, np.float32)
-            count = min(ROWS, state.batch - first)
-            self._library.step(program, byref(frame), first, count, scratch.ctypes.data)
+        def step(slot: int) -> None:
+            frame.position, frame.slot = places[slot], slot
+            if len(calls) == 1:
+                call(*calls[0])
+            else:  # the library does not hold Python's lock
+                list(_workers(torch.get_num_threads()).map(lambda words: call(*words), calls))
 
-        if state.batch <= ROWS:
-            share(0)
-        else:  # the library call does not hold Python's lock
-            list(_workers(torch.get_num_threads()).map(share, range(0, state.batch, ROWS)))
+        step.keeps = (shares, controls)  # type: ignore[attr-defined]
+        return step
 
     def _module_maps(self, weights: ModuleWeights, layers: int) -> list[_Map]:
         """Maps in the order of the kernel: part by part, layer by layer."""

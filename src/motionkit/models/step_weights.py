@@ -130,7 +130,6 @@ def pack(network: PartTransformer) -> StepWeights:
     from_shallow[network.feet], from_deep[network.feet] = root * first[:, 0], root * first[:, 1]
     head = torch.cat([root * aggregate.weight[:shown].double().T, from_deep.reshape(P * D, hidden)], dim=1)
     assert feet.inner.bias is not None and feet.outer.bias is not None
-    momentum = getattr(network, "momentum", None)
     head_bias = torch.cat([aggregate.bias[:shown], feet.inner.bias[0, 0]])
     return StepWeights(
         config,
@@ -142,7 +141,7 @@ def pack(network: PartTransformer) -> StepWeights:
         _floats(head_bias),
         _floats(feet.outer.weight[0]),
         _floats(feet.outer.bias[0, 0]),
-        None if momentum is None else _floats(momentum),
+        None if network.momentum is None else _floats(network.momentum),
     )
 
 

@@ -79,22 +79,30 @@ def type_track(model: MotionModel, parts: list[TypePart]) -> Tensor:
     return torch.cat([torch.full((count,), i) for i, count in zip(ids, counts, strict=True)])
 
 
-def plan_controller(
-    weights: Tensor, progress: Tensor, batch: int, tracks: tuple[Tensor, Tensor] | None = None
+def crowd_controller(
+    model: MotionModel, plans: list[list[TypePart]], batch: int, behind: list[int], choice: int = 0
 ) -> Controller:
-    """Type weights (T, N), progress (T,) and, if given, the tracks of plan_tracks for every character."""
-    if tracks is None:
-        tracks = torch.zeros(len(weights), TRAJECTORY_COUNT), torch.zeros(len(weights))
-    trajectory, given = tracks
+    """What is asked of a crowd: characters take the plans in turn, and go on with the last frame of theirs.
+
+    Args:
+        behind: for each plan the frames of its first performance that lie behind already.
+        choice: picks among the recorded tracks of a type.
+    """
+    longest = max(len(type_track(model, plan)) for plan in plans)
+
+    def whole(values: Tensor) -> Tensor:
+        return torch.cat([values, values[-1:].expand(longest - len(values), *values.shape[1:])])
+
+    weights = torch.stack([whole(plan_weights(model, plan)) for plan in plans], 1)
+    pairs = list(zip(plans, behind, strict=True))
+    progress = torch.stack([whole(plan_progress(model, plan, first)) for plan, first in pairs], 1)
+    tracks = [plan_tracks(model, plan, first, choice) for plan, first in pairs]
+    trajectory, given = (torch.stack([whole(t[i]) for t in tracks], 1) for i in (0, 1))
+    turn = torch.arange(batch) % len(plans)
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
-        now = min(frame, len(weights) - 1)
-        return FrameControls(
-            weights[now].expand(batch, -1),
-            trajectory[now].expand(batch, -1),
-            given[now].expand(batch),
-            progress[now].expand(batch),
-        )
+        now = min(frame, longest - 1)
+        return FrameControls(weights[now, turn], trajectory[now, turn], given[now, turn], progress[now, turn])
 
     return controls
 

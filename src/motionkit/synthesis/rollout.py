@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,6 +65,10 @@ class Rollout:
     contacts: Tensor
     ground: Tensor
 
+    def first(self, frames: int) -> Rollout:
+        """The first frames of it."""
+        return Rollout(self.features[:, :frames], self.contacts[:, :frames], self.ground[:, :frames])
+
 
 def progress_at(frame: float, phase_frames: float) -> float:
     """Progress through performances of a length that follow each other; negative without a length."""
@@ -115,18 +119,19 @@ class RolloutState:
         contacts: Tensor,
         type_weights: Tensor,
         ground: Tensor | None = None,
-        phase_frames: float = 0.0,
+        phase_frames: float | Sequence[float] = 0.0,
     ) -> None:
         """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
 
-        phase_frames is the length of a performance, if the frames are the beginning of one.
+        phase_frames is the length of a performance, of all or of each, if the frames are the beginning of one.
         The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
         """
         self.network.reset()
         x = ((features.numpy() - self._mean) / self._std).astype(np.float32)
         none = torch.zeros(self.batch, TRAJECTORY_COUNT)
+        lengths = [phase_frames] * self.batch if isinstance(phase_frames, (int, float)) else phase_frames
         for t in range(x.shape[1] - 1):
-            progress = torch.full((self.batch,), progress_at(t, phase_frames))
+            progress = torch.tensor([progress_at(t, length) for length in lengths])
             self._ask(FrameControls(type_weights, none, torch.zeros(self.batch), progress))
             self.network.step(x[:, t], contacts[:, t].numpy(), self._controls)
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1].numpy()

@@ -25,12 +25,19 @@ class Start:
     ground: Tensor
 
 
-def seed_start(model: MotionModel, kind: str, count: int) -> Start:
-    """The seeds of a type for count characters in turn, at the origin facing +Z."""
-    seeds = model.seeds.get(kind)
-    if not seeds:
-        raise ControlError(f"the model has no frames to start {kind!r} from")
-    chosen = [seeds[i % len(seeds)] for i in range(count)]
+def seed_start(model: MotionModel, kind: str | list[str], count: int) -> Start:
+    """The seeds of a type for count characters in turn, at the origin facing +Z.
+
+    Of several types each character takes the next one, and of its type the next seed.
+    """
+    kinds = [kind] if isinstance(kind, str) else kind
+    chosen = []
+    for i in range(count):
+        name = kinds[i % len(kinds)]
+        seeds = model.seeds.get(name)
+        if not seeds:
+            raise ControlError(f"the model has no frames to start {name!r} from")
+        chosen.append(seeds[i // len(kinds) % len(seeds)])
     frames = min(len(seed.features) for seed in chosen)
     return Start(
         torch.stack([seed.features[:frames] for seed in chosen]),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,7 +16,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
-from motionkit.synthesis.plan import TypePart, plan_controller, plan_progress, plan_tracks, plan_weights
+from motionkit.synthesis.plan import TypePart, crowd_controller, plan_weights
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.synthesis.start import clip_start, seed_start
 
@@ -67,44 +67,61 @@ class SynthesisResult:
 
 def synthesize(
     model: MotionModel,
-    parts: list[TypePart],
+    parts: Sequence[TypePart] | Sequence[Sequence[TypePart]],
     options: SynthesisOptions | None = None,
     progress: Callable[[int], None] | None = None,
 ) -> SynthesisResult:
     """Motion types one after another; the same seed gives the same motion.
 
+    All characters run in one batch. parts are for all of them, or several lists of parts that they take
+    in turn, as they do the names in options.character, which commas separate.
+
     Raises:
         ControlError: for an unknown type or character, or a count below one.
     """
     options = options or SynthesisOptions()
-    if options.count < 1:
-        raise ControlError(f"expected a count of at least 1, found {options.count}")
-    skeleton = model.character(options.character)
-    weights = plan_weights(model, parts)
+    count = options.count
+    if count < 1:
+        raise ControlError(f"expected a count of at least 1, found {count}")
+    plans = _plans(parts)
+    skeletons = [model.character(name.strip()) for name in options.character.split(",")]
+    first = torch.stack([plan_weights(model, plan)[0] for plan in plans])
+    kinds = [plan[0].type for plan in plans]
+    lengths = [0.0] * len(plans)
     if options.init is not None:
-        start = clip_start(model, options.init, options.count)
+        start = clip_start(model, options.init, count)
     else:
-        start = seed_start(model, parts[0].type, options.count)
-    with inner_threads(options.count):
-        state = RolloutState(model, options.count, options.noise, options.seed)
-        first = weights[:1].expand(options.count, -1)
-        length = 0.0 if options.init is not None else model.phase_seconds(parts[0].type) * model.fps
-        state.start(start.features, start.contacts, first, start.ground, length)
-        behind = start.features.shape[1] if length else 0
-        tracks = plan_tracks(model, parts, behind, options.seed)
-        controller = plan_controller(weights, plan_progress(model, parts, behind), options.count, tracks)
+        start = seed_start(model, kinds, count)
+        lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
+    turn = [i % len(plans) for i in range(count)]
+    with inner_threads(count):
+        state = RolloutState(model, count, options.noise, options.seed)
+        state.start(start.features, start.contacts, first[turn], start.ground, [lengths[i] for i in turn])
+        behind = [start.features.shape[1] if length else 0 for length in lengths]
+        controller = crowd_controller(model, plans, count, behind, options.seed)
+        frames = [len(plan_weights(model, plan)) for plan in plans]
         started = time.perf_counter()
-        rollout = run(state, len(weights), controller, progress)
+        rollout = run(state, max(frames), controller, progress)
         seconds = time.perf_counter() - started
-    motions = tuple(
-        Synthesis(
-            finish_motion(model, rollout, i, skeleton, options.ik, options.fps),
-            rollout.contacts[i],
-            tuple(parts),
-        )
-        for i in range(options.count)
-    )
-    return SynthesisResult(motions, seconds)
+    motions = []
+    for i in range(count):
+        mine = rollout.first(frames[turn[i]])
+        skeleton = skeletons[i % len(skeletons)]
+        motion = finish_motion(model, mine, i, skeleton, options.ik, options.fps)
+        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]])))
+    return SynthesisResult(tuple(motions), seconds)
+
+
+def _plans(parts: Sequence[TypePart] | Sequence[Sequence[TypePart]]) -> list[list[TypePart]]:
+    """One list of parts for every kind of character."""
+    plans: list[list[TypePart]] = []
+    alone: list[TypePart] = []
+    for part in parts:
+        if isinstance(part, TypePart):
+            alone.append(part)
+        else:
+            plans.append(list(part))
+    return plans or [alone]
 
 
 def finish_motion(
