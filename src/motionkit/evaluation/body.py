@@ -65,6 +65,10 @@ class Body:
         part = slice(start, end)
         return Body(self.rotations[part], self.positions[part], self.heading[part], self.fps)
 
+    def every(self, step: int) -> Body:
+        """Every step-th frame."""
+        return Body(self.rotations[::step], self.positions[::step], self.heading[::step], self.fps / step)
+
     # ---- over the ground ----
 
     @cached_property

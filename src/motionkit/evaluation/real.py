@@ -80,6 +80,7 @@ class RealMotion:
     def __init__(self, dataset: Dataset) -> None:
         self.types, self.fps = dataset.types, dataset.fps
         self.stretches: list[Stretch] = []
+        self.training: dict[int, Body] = {}  # by clip number
         poses, kinds, clips = [], [], []
         for number, clip in enumerate(dataset.clips):
             if clip.mirrored:
@@ -96,6 +97,7 @@ class RealMotion:
                     part = body.cut(start, end)
                     self.stretches.append(Stretch(dataset.types[kind], number, clip.name, clip.split, part))
             if clip.split == "train":
+                self.training[number] = body
                 some, kind_ids = body.poses(BANK_EVERY), data.types[::BANK_EVERY]
                 poses += [some, _mirrored(some)]
                 kinds += [kind_ids, dataset.mirrored_type_ids[kind_ids]]

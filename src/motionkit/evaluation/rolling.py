@@ -17,8 +17,17 @@ from motionkit.features.decode import decode_rotations, root_height
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
+from motionkit.synthesis.drive import together
 from motionkit.synthesis.plan import TypePart, plan_progress, plan_tracks, plan_weights
-from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState, run, seed_batch
+from motionkit.synthesis.rollout import (
+    Controller,
+    FrameControls,
+    Noise,
+    Rollout,
+    RolloutState,
+    run,
+    seed_batch,
+)
 from motionkit.synthesis.synthesize import inner_threads
 
 BATCH = 128  # characters a network step takes; more gain nothing and cost memory
@@ -102,6 +111,42 @@ def _roll_batch(
         state.start(features, contacts, weights[0])
         rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     return performances(model, rollout)
+
+
+def roll_controlled(
+    model: MotionModel,
+    kinds: list[str],
+    controllers: list[Controller],
+    frames: int,
+    noise: Noise,
+    seed: int = 0,
+    progress: Progress | None = None,
+    ground: Tensor | None = None,
+    done: Callable[[], bool] | None = None,
+) -> list[Performance]:
+    """Let each character be controlled by its own controller for some frames, or until done.
+
+    Args:
+        kinds: the type whose seed frames each character starts from.
+        ground: (B, 3) where they start; the origin facing +Z if not given.
+        done: asked after every frame whether all may stop.
+    """
+    seeds = [model.seeds[kind] for kind in kinds]
+    features, contacts = seed_batch([some[i % len(some)] for i, some in enumerate(seeds)])
+    weights = torch.eye(len(model.types))[[model.type_id(kind) for kind in kinds]]
+    made: list[tuple[Tensor, Tensor, Tensor]] = []
+    with inner_threads(len(kinds)):
+        state = RolloutState(model, len(kinds), noise, seed)
+        state.start(features, contacts, weights, ground)
+        for frame in range(frames):
+            here = state.ground
+            asked = [c(frame, here[i : i + 1]) for i, c in enumerate(controllers)]
+            made.append(state.step(together(asked)))
+            if progress:
+                progress((frame + 1) / frames)
+            if done and done():
+                break
+    return performances(model, Rollout(*(torch.stack(values, 1) for values in zip(*made, strict=True))))
 
 
 def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:

@@ -1,0 +1,160 @@
+"""Endurance: does the motion go on as it began, alive, on its feet and near the data?"""
+
+from __future__ import annotations
+
+import random
+
+import torch
+
+from motionkit.evaluation.body import Body
+from motionkit.evaluation.real import Manner, RealMotion
+from motionkit.evaluation.report import Goal, Section, Table
+from motionkit.evaluation.rolling import Plan, Progress, roll_plans
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.metrics.smoothness import mean_jerk
+from motionkit.models.checkpoint import MotionModel
+from motionkit.synthesis.plan import TypePart
+
+FREEZE_SECONDS = 5.0
+# Frozen: joints slower over FREEZE_SECONDS than this share of the slowest recorded windows of the type.
+FROZEN_SHARE = 0.5
+EDGE_SHARE = 1 / 3  # of the time: the first and last part between which the root's height must not drift
+DRIFT_LIMIT = 5.0  # cm
+DISTANCE_LIMIT, JERK_LIMIT = 1.5, 1.5  # times real
+CHANGE_SECONDS = (3.0, 8.0)  # a type of the mixed run lasts so long
+
+
+def frozen_seconds(body: Body, slowest: float) -> float:
+    """Seconds of the windows of FREEZE_SECONDS in which the joints are slower than slowest (rad/s)."""
+    size = min(len(body), round(FREEZE_SECONDS * body.fps))
+    starts = range(0, len(body) - size + 1, size)
+    return sum(body.cut(s, s + size).joint_speed() < slowest for s in starts) * size / body.fps
+
+
+def height_drift(body: Body) -> float:
+    """Change in cm of the root's mean height from the first third of the time to the last."""
+    edge = max(1, int(EDGE_SHARE * len(body)))
+    heights = body.positions[:, 0, 1]
+    return float(heights[-edge:].mean() - heights[:edge].mean())
+
+
+def real_measures(real: RealMotion, kinds: list[str]) -> tuple[float, float]:
+    """Mean distance (cm a joint) of recordings to the nearest training pose, and their mean jerk (m/s^3).
+
+    The distance is that of held-out recordings, or without any of the training ones to poses of other clips.
+    """
+    found = [s for s in real.stretches if s.type in kinds]
+    held_out = [s for s in found if s.split == "test"]
+    distances, jerks, frames = [], [], []
+    for stretch in held_out or found:
+        each = real.pose_distances(stretch.body, -1 if held_out else stretch.clip).amin(dim=1)
+        distances.append(each[each.isfinite()])
+    for stretch in found:
+        jerks.append(mean_jerk(stretch.body.positions, real.fps).value or 0.0)
+        frames.append(float(len(stretch.body)))
+    far = torch.cat([*distances, torch.zeros(0)])
+    jerk = sum(j * f for j, f in zip(jerks, frames, strict=True)) / max(sum(frames), 1.0)
+    return float(far.mean()) if len(far) else float("nan"), jerk
+
+
+def _row(name: str, body: Body, real: RealMotion, kinds: list[str]) -> dict[str, float | str | bool | None]:
+    manners: list[Manner] = [m for m in map(real.manner, kinds) if m is not None]
+    slowest = min((m.speeds[0] for m in manners), default=0.0) * FROZEN_SHARE
+    finite = bool(torch.isfinite(body.positions).all())
+    if not finite:
+        return {"type": name, "finite": False}
+    distance, jerk = real_measures(real, kinds)
+    heights = body.positions[:, 0, 1]
+    near = float(real.pose_distances(body.every(10)).amin(dim=1).mean())
+    return {
+        "type": name,
+        "finite": True,
+        "frozen, s": frozen_seconds(body, slowest),
+        "height drift, cm": height_drift(body),
+        "lowest root, cm": float(heights.min()),
+        "highest root, cm": float(heights.max()),
+        "pose distance, cm": near,
+        "/ held-out real": near / distance if distance > 0 else None,
+        "jerk / real": (mean_jerk(body.positions, body.fps).value or 0.0) / jerk if jerk > 0 else None,
+    }
+
+
+def random_plan(model: MotionModel, kinds: list[str], seconds: float, seed: int) -> Plan:
+    """Types in random order, each for a random time or a whole performance, for some seconds in all."""
+    chance = random.Random(seed)
+    parts, total = [], 0.0
+    while total < seconds:
+        kind = chance.choice(kinds)
+        time = model.phase_seconds(kind) or chance.uniform(*CHANGE_SECONDS)
+        # Whole frames, so that plans of one length have one number of frames.
+        time = round(min(time, seconds - total) * model.fps) / model.fps
+        if time <= 0.0:
+            break
+        parts.append(TypePart(kind, time))
+        total += time
+    return Plan(tuple(parts), seed)
+
+
+def endurance_section(
+    model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
+) -> Section:
+    """The section of the scoreboard: one long roll-out of every type, and one of random changes of type."""
+    kinds = [kind for kind in model.types if kind in real.types and real.manner(kind) is not None]
+    plans = [Plan((TypePart(kind, settings.endurance),), 0) for kind in kinds]
+    first = settings.endurance / (settings.endurance + settings.mixed)
+    single = roll_plans(model, plans, settings.noise, settings.seed, lambda x: progress(first * x))
+    wild = random_plan(model, kinds, settings.mixed, settings.seed)
+    mixed = roll_plans(
+        model, [wild], settings.noise, settings.seed, lambda x: progress(first + (1 - first) * x)
+    )
+    rows = [_row(kind, p.body, real, [kind]) for kind, p in zip(kinds, single, strict=True)]
+    rows.append(_row("random changes", mixed[0].body, real, kinds))
+    columns = max((tuple(row) for row in rows), key=len)
+    tables = [
+        Table(
+            f"{settings.endurance:g} s of every type, {settings.mixed:g} s of random changes",
+            columns,
+            [tuple(row.get(column) for column in columns) for row in rows],
+        )
+    ]
+    notes = [
+        f"frozen: seconds in windows of {FREEZE_SECONDS:g} s with joints slower than {FROZEN_SHARE:g} times the lower "
+        "limit of the type's manner, 0.7 times the 2 % quantile of the type's recorded windows; height drift: last third of the time against the first",
+        "pose distance: mean distance a joint to the nearest training pose of any type, over the same figure for "
+        "held-out recordings of the type (without any: of training recordings against other clips)",
+        "jerk: of 60 fps positions, over that of the type's recordings",
+    ]
+    return Section("endurance", "Endurance", tables, _goals(rows, settings), notes)
+
+
+def _goals(rows: list[dict], settings: EvaluationSettings) -> list[Goal]:
+    checks = [
+        ("no NaN", "finite", 1.0, None),
+        ("not frozen", "frozen, s", None, 0.0),
+        (f"height drift within {DRIFT_LIMIT:g} cm", "height drift, cm", -DRIFT_LIMIT, DRIFT_LIMIT),
+        (f"pose distance ≤ {DISTANCE_LIMIT:g} times real", "/ held-out real", None, DISTANCE_LIMIT),
+        (f"jerk ≤ {JERK_LIMIT:g} times real", "jerk / real", None, JERK_LIMIT),
+    ]
+    goals = []
+    for what, column, lowest, highest in checks:
+        bad = [
+            row["type"] for row in rows[:-1] if not _within(row.get(column), lowest, highest, row["finite"])
+        ]
+        share = 1.0 - len(bad) / max(1, len(rows) - 1)
+        note = f"not: {', '.join(bad)}" if bad else ""
+        name = f"{settings.endurance:g} s, {what}: share of types"
+        goals.append(Goal(name, share, "all", 1.0, None, note))
+    last = rows[-1]
+    good = [_within(last.get(column), low, high, last["finite"]) for _, column, low, high in checks]
+    failed = ", ".join(what for (what, *_), ok in zip(checks, good, strict=True) if not ok)
+    note = f"not: {failed}" if failed else ""
+    name = f"{settings.mixed:g} s of random changes: share of the same checks"
+    goals.append(Goal(name, sum(good) / len(good), "all", 1.0, None, note))
+    return goals
+
+
+def _within(value: float | None, lowest: float | None, highest: float | None, finite: bool) -> bool:
+    """Whether a value keeps its limits; one that could not be measured does, unless the motion is not finite."""
+    if value is None:
+        return finite
+    return (lowest is None or value >= lowest) and (highest is None or value <= highest)

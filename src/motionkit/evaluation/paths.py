@@ -1,0 +1,133 @@
+"""How closely the model follows paths (paper 5.2), several characters on each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.evaluation.report import Goal, Section, Table
+from motionkit.evaluation.rolling import Progress, roll_controlled
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.metrics.trajectory import trajectory_distance
+from motionkit.models.checkpoint import MotionModel
+from motionkit.synthesis.follow import PathFollower
+from motionkit.synthesis.path import METRE, SHAPES, SPACING, Path2D, PathPart, make_path, shape_path
+from motionkit.synthesis.rollout import FrameControls
+
+PATIENCE = 1.6  # times the expected duration, after which the end is given up
+
+
+@dataclass(frozen=True)
+class PathTrial:
+    """A path to follow: its name, the types on it, and the largest mean distance (cm a frame) to reach."""
+
+    name: str
+    path: Path2D
+    target: float
+
+
+def path_trials() -> list[PathTrial]:
+    """The paths of the scoreboard."""
+    corner = SHAPES["pentagram"](6.0 * METRE)[:3]
+    return [
+        PathTrial("line 10 m, walking", shape_path("line", 10.0, ["walking"], None), 0.8),
+        PathTrial("circle r = 3 m, walking", shape_path("circle", 3.0, ["walking"], None), 0.8),
+        PathTrial("circle r = 6 m, running", shape_path("circle", 6.0, ["running"], None), 2.0),
+        PathTrial("figure-eight r = 2 m, walking", shape_path("figure-eight", 2.0, ["walking"], None), 0.8),
+        PathTrial("pentagram corner (144°), running", make_path([PathPart(corner, "running")]), 2.0),
+        PathTrial("U-turn, walking", shape_path("u-turn", 6.0, ["walking"], None), 0.8),
+        PathTrial(
+            "running → cartwheel → running", _line(("running", 6), ("cartwheel", 3), ("running", 6)), 2.0
+        ),
+        PathTrial(
+            "jumping-r → jumping-l → running → jumping-l → jumping-r",
+            _line(("jumping-r", 4), ("jumping-l", 4), ("running", 6), ("jumping-l", 4), ("jumping-r", 4)),
+            2.0,
+        ),
+    ]
+
+
+def _line(*parts: tuple[str, float]) -> Path2D:
+    """A straight path with types on stretches of some metres."""
+    out, at = [], 0.0
+    for kind, metres in parts:
+        ends = torch.tensor([[0.0, at], [0.0, at + metres * METRE]])
+        out.append(PathPart(ends, kind))
+        at += metres * METRE
+    return make_path(out)
+
+
+class _Walker:
+    """One character on a path: a Controller that remembers when it reached the end."""
+
+    def __init__(self, model: MotionModel, trial: PathTrial) -> None:
+        self.follower = PathFollower(model, trial.path)
+        self.limit = int((PATIENCE * self.follower.expected_seconds + 3.0) * model.fps)
+        self.frames, self.finished = 0, False
+
+    def __call__(self, frame: int, ground: Tensor) -> FrameControls:
+        asked = self.follower(frame, ground)
+        if not self.over:
+            self.frames = frame + 1
+            self.finished = self.follower.arc >= self.follower.path.length - SPACING
+        return asked
+
+    @property
+    def over(self) -> bool:
+        """Whether the end is reached or given up."""
+        return self.finished or self.frames >= self.limit
+
+
+def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Progress) -> Section:
+    """The section of the scoreboard: mean and largest distance from each path, and whether its end was reached."""
+    trials = [t for t in path_trials() if {p.type for p in t.path.parts} <= set(model.types)]
+    table_columns = ("path", "cm a frame", "largest, cm", "finished", "seconds")
+    if not trials:
+        note = "the model knows the types of none of the paths"
+        return Section("paths", "Paths", [], [], [note])
+    walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.few)]
+    starts = torch.stack([_start(walker.follower) for walker in walkers])
+    kinds = [walker.follower.path.parts[0].type for walker in walkers]
+    performed = roll_controlled(
+        model,
+        kinds,
+        list(walkers),
+        max(walker.limit for walker in walkers),
+        settings.noise,
+        settings.seed,
+        progress,
+        starts,
+        lambda: all(walker.over for walker in walkers),
+    )
+    rows, goals = [], []
+    for number, trial in enumerate(trials):
+        mine = range(number * settings.few, (number + 1) * settings.few)
+        means, largest, finished, seconds = [], [], 0, []
+        for i in mine:
+            track = performed[i].body.positions[: walkers[i].frames, 0, [0, 2]]
+            distance = trajectory_distance(track, trial.path.points)
+            means.append(distance.mean)
+            largest.append(distance.max)
+            finished += walkers[i].finished
+            seconds.append(walkers[i].frames / model.fps)
+        mean = sum(means) / len(means)
+        ends = f"{finished} of {len(means)}"
+        rows.append((trial.name, mean, max(largest), ends, sum(seconds) / len(seconds)))
+        note = "" if finished == len(means) else f"finished {ends}"
+        goals.append(Goal(f"{trial.name}, cm a frame", mean, f"≤ {trial.target:g}", None, trial.target, note))
+    notes = [
+        f"{settings.few} characters a path, at each type's usual speed; nearest distance of the root's track to the "
+        "path (path-mean, path-max), over all frames until the end; means over characters, the largest of all",
+        f"an end not reached in {PATIENCE:g} times the expected time and 3 s is given up",
+    ]
+    return Section("paths", "Paths", [Table("Distance from paths", table_columns, rows)], goals, notes)
+
+
+def _start(follower: PathFollower) -> Tensor:
+    """Root x, z and heading (3,) at the start of a path."""
+    tangent = follower.path.tangents[0]
+    heading = math.atan2(float(tangent[0]), float(tangent[1])) - float(follower.facings[0])
+    return torch.cat([follower.path.points[0], torch.tensor([heading])])
