@@ -119,7 +119,7 @@ def endurance_section(
     ]
     notes = [
         f"frozen: seconds in windows of {FREEZE_SECONDS:g} s with joints slower than {FROZEN_SHARE:g} times the lower "
-        "limit of the type's manner, 0.7 times the 2 % quantile of the type's recorded windows; height drift: last third of the time against the first",
+        "limit of the type's manner; height drift: last third of the time against the first",
         "pose distance: mean distance a joint to the nearest training pose of any type, over the same figure for "
         "held-out recordings of the type (without any: of training recordings against other clips)",
         "jerk: of 60 fps positions, over that of the type's recordings",

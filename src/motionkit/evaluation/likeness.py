@@ -199,7 +199,7 @@ def likeness_section(
     ]
     notes = [
         f"the first {INIT_FRAMES} frames of each held-out clip, then its types, trajectory and phase as controls; at "
-        f"most {settings.likeness:g} s of the rest are rolled out; means over frames; metrics as in docs/metrics.md, cm "
+        f"most {settings.likeness:g} s of the rest are rolled out; means over frames; metrics: docs/metrics.md, cm "
         "and degrees a frame at 60 fps",
         "floors: the last given frame held, and the training clip whose last half second is nearest, played on",
         "with IK: foot locks at the predicted contacts (`--ik`)",

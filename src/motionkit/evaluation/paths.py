@@ -67,13 +67,15 @@ class _Walker:
         self.follower = PathFollower(model, trial.path)
         self.limit = int((PATIENCE * self.follower.expected_seconds + 3.0) * model.fps)
         self.frames, self.finished = 0, False
+        self._asked: FrameControls | None = None
 
     def __call__(self, frame: int, ground: Tensor) -> FrameControls:
-        asked = self.follower(frame, ground)
-        if not self.over:
-            self.frames = frame + 1
-            self.finished = self.follower.arc >= self.follower.path.length - SPACING
-        return asked
+        if self._asked is not None and self.over:  # it waits for the others
+            return self._asked
+        self._asked = self.follower(frame, ground)
+        self.frames = frame + 1
+        self.finished = self.follower.arc >= self.follower.path.length - SPACING
+        return self._asked
 
     @property
     def over(self) -> bool:

@@ -1,7 +1,8 @@
 """Response: seconds from a command until the motion shows it (the responsiveness of Starke et al. 2020).
 
 Characters are driven as a user drives them: a Driver turns the wish of the moment into controls. A command has been
-answered at the first frame from which its condition holds for HELD_SECONDS.
+answered at the first frame from which its condition holds for HELD_SECONDS. Velocities are read from windows
+around a frame; the answer counts from the end of the window, so that no look ahead makes it seem sooner.
 """
 
 from __future__ import annotations
@@ -13,8 +14,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionkit.evaluation.body import Body, spans
-from motionkit.evaluation.report import Goal, Section, Table
+from motionkit.evaluation.body import SPEED_SPAN, Body, spans
+from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.models.checkpoint import MotionModel
@@ -26,6 +27,7 @@ HELD_SECONDS = 0.25
 DIRECTION_LIMIT = math.radians(15.0)
 SPEED_SHARE = 0.15
 TARGET_SECONDS = 0.5
+STEADY_SECONDS = 1 / 3  # over which a speed is taken: a step's own ups and downs are no answer
 DEFAULT_SPEED = 1.3  # m/s of a type whose speed the model does not know
 
 # Called with the motion from the command on; (T,) whether each frame answers it.
@@ -34,13 +36,14 @@ Answer = Callable[[Body], Tensor]
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """One change of wish: what is wanted before and after it, and what answers it."""
+    """One change of wish: what is wanted before and after it, what answers it, and seconds that looks ahead."""
 
     name: str
     group: str
     before: Wish
     after: Wish
     answers: Answer
+    looks_ahead: float = SPEED_SPAN / 2
 
 
 # What shows a type at once: speed over the ground (m/s), and its part along the facing.
@@ -78,7 +81,8 @@ def commands(model: MotionModel) -> list[Command]:
             before, after = ahead(kind, share=first), ahead(kind, share=then)
             wanted = math.hypot(*(after.velocity or (0.0, 0.0))) / 100.0
             name = f"{kind}, {first:.0%} → {then:.0%} of its speed"
-            out.append(Command(name, "speed", before, after, _goes_at(wanted)))
+            ahead_by = (SPEED_SPAN + STEADY_SECONDS) / 2
+            out.append(Command(name, "speed", before, after, _goes_at(wanted), ahead_by))
     return [c for c in out if {c.before.type, c.after.type} <= set(model.types)]
 
 
@@ -95,8 +99,7 @@ def _goes_towards(angle: float) -> Answer:
 
 def _goes_at(speed: float) -> Answer:
     def answers(body: Body) -> Tensor:
-        # A step's own ups and downs are no answer: the speed is taken over a third of a second around.
-        width = round(body.fps / 3) // 2 * 2 + 1
+        width = round(body.fps * STEADY_SECONDS) // 2 * 2 + 1
         padded = torch.nn.functional.pad(body.speed[None, None], (width // 2, width // 2), mode="replicate")
         smooth = torch.nn.functional.avg_pool1d(padded, width, 1)[0, 0]
         return (smooth / speed - 1.0).abs() < SPEED_SHARE
@@ -140,32 +143,39 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
         progress,
     )
     change = round(BEFORE_SECONDS * model.fps)
-    times = [
-        response_seconds(c.answers(p.body)[change:], model.fps)
-        for c, p in zip(wanted, performed, strict=True)
-    ]
-    rows = []
+    held = round(HELD_SECONDS * model.fps)
+    rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
     for number in range(0, len(wanted), settings.few):
-        command, some = wanted[number], times[number : number + settings.few]
-        seconds = [AFTER_SECONDS if t is None else t for t in some]
+        command = wanted[number]
+        seconds: list[float] = []
+        unanswered = already = 0
+        for made in performed[number : number + settings.few]:
+            flags = command.answers(made.body)
+            if bool(flags[change - held : change].all()):
+                already += 1
+                continue
+            answer = response_seconds(flags[change:], model.fps)
+            unanswered += answer is None
+            seconds.append(AFTER_SECONDS if answer is None else answer + command.looks_ahead)
         groups.setdefault(command.group, []).extend(seconds)
-        unanswered = sum(t is None for t in some)
-        rows.append((command.group, command.name, sum(seconds) / len(seconds), max(seconds), unanswered))
+        mean = sum(seconds) / len(seconds) if seconds else None
+        rows.append((command.group, command.name, mean, max(seconds, default=None), unanswered, already))
     goals = [
         Goal(
             f"response to a change of {group}, s",
-            sum(seconds) / len(seconds),
+            sum(seconds) / len(seconds) if seconds else None,
             f"≤ {TARGET_SECONDS:g}",
             None,
             TARGET_SECONDS,
         )
         for group, seconds in groups.items()
     ]
-    columns = ("change of", "command", "seconds, mean", "slowest", "never answered")
+    columns = ("change of", "command", "seconds, mean", "slowest", "never answered", "so already")
     notes = [
         f"{settings.few} characters a command, driven by the live Driver for {BEFORE_SECONDS:g} s before; answered: "
-        f"from the first frame from which it holds for {HELD_SECONDS:g} s; never counts as {AFTER_SECONDS:g} s",
+        f"from the first frame from which it holds for {HELD_SECONDS:g} s; never counts as {AFTER_SECONDS:g} s; who "
+        "did so already before the command does not count",
         "type: idle below 0.25 m/s, walking 0.4 to 2 m/s ahead, running above 1.8 m/s ahead, b-walking 0.3 m/s "
         "backwards; direction: root within 15° of the asked way; speed: within 15 % of the asked, over 1/3 s",
     ]

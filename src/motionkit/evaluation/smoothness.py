@@ -1,6 +1,12 @@
-"""Transitions that are in no clip: does a joint turn faster than any does in the recordings?"""
+"""Transitions that are in no clip: does a joint turn faster than joints do in the recordings?
+
+A few recorded frames hold leaps of one joint (up to half a turn between two frames), by which anything would
+pass for smooth. The measure is therefore the speed that all but one in a thousand recorded frames keep below.
+"""
 
 from __future__ import annotations
+
+import torch
 
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.real import RealMotion
@@ -12,6 +18,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.synthesis.plan import TypePart
 
+REAL_SHARE = 0.999  # of the recorded frames have no faster joint than the limit
 LASTING_SECONDS = 3.0  # of a type without a length of its own
 SEQUENCES = (
     ("running", "twist", "cartwheel", "kicking"),
@@ -28,11 +35,18 @@ def fastest_turn(body: Body) -> tuple[float, str]:
     return float(speeds[joint]), JOINT_NAMES[joint]
 
 
+def recorded_limit(real: RealMotion) -> tuple[float, float]:
+    """Degrees per second the fastest joint keeps below in REAL_SHARE of the recorded frames, and its largest."""
+    frames = torch.cat([geodesic_movement(s.body.rotations).amax(dim=1) * s.body.fps for s in real.stretches])
+    ordered = frames.sort().values
+    return float(ordered[int(REAL_SHARE * (len(ordered) - 1))]), float(ordered[-1])
+
+
 def smoothness_section(
     model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
 ) -> Section:
     """The section of the scoreboard: the fastest joint of each sequence against that of all recordings."""
-    limit, joint = max(fastest_turn(stretch.body) for stretch in real.stretches)
+    limit, largest = recorded_limit(real)
     rows, goals = [], []
     known = [s for s in SEQUENCES if set(s) <= set(model.types)]
     for number, sequence in enumerate(known):
@@ -46,8 +60,9 @@ def smoothness_section(
         progress((number + 1) / len(known))
     columns = ("sequence", "fastest joint, degrees/s", "joint", "/ real")
     notes = [
-        f"the largest of {settings.few} characters, each type for its own length or {LASTING_SECONDS:g} s; the fastest "
-        f"joint of all recordings is {joint} at {limit:.0f} degrees/s",
+        f"the largest of {settings.few} characters, each type for its own length or {LASTING_SECONDS:g} s",
+        f"real: {limit:.0f} degrees/s, which the fastest joint of {REAL_SHARE:.1%} of the recorded frames keeps below; "
+        f"the largest single step in the recordings is {largest:.0f} degrees/s, a leap no motion should be measured by",
     ]
     return Section(
         "smoothness", "Transitions in no clip", [Table("Fastest joint", columns, rows)], goals, notes

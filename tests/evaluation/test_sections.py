@@ -1,0 +1,123 @@
+"""The sections of the scoreboard on a model that hardly moves: what they measure, not how good it is."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.evaluation.body import body_of
+from motionkit.evaluation.endurance import endurance_section, frozen_seconds, height_drift, random_plan
+from motionkit.evaluation.likeness import held_out_clips, likeness_section
+from motionkit.evaluation.paths import path_trials, paths_section
+from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.response import commands, response_seconds
+from motionkit.evaluation.settings import QUICK
+from motionkit.evaluation.smoothness import fastest_turn, recorded_limit
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.motion import Motion
+from synthetic_motions import make_idle, make_walk
+
+TINY = replace(QUICK, seeds=1, endurance=0.5, mixed=0.5, likeness=0.6)
+
+
+def quiet(share: float) -> None:
+    """Progress that nobody looks at."""
+
+
+def test_paths_are_as_long_as_they_say() -> None:
+    trials = {trial.name: trial.path for trial in path_trials()}
+    assert trials["circle r = 3 m, walking"].length == pytest.approx(2 * math.pi * 300.0, rel=0.01)
+    assert trials["circle r = 6 m, running"].length == pytest.approx(2 * math.pi * 600.0, rel=0.01)
+    corner = trials["pentagram corner (144°), running"]
+    cosine = float((corner.tangents[10] * corner.tangents[-10]).sum())
+    assert math.degrees(math.acos(cosine)) == pytest.approx(144.0, abs=1.0)
+    mixed = next(path for name, path in trials.items() if name.startswith("jumping-r"))
+    assert [part.type for part in mixed.parts][:3] == ["jumping-r", "jumping-l", "running"]
+
+
+def test_every_path_of_known_types_is_measured(
+    tiny_model: MotionModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = [trial for trial in path_trials() if trial.name.startswith(("line", "running"))]
+    monkeypatch.setattr("motionkit.evaluation.paths.path_trials", lambda: wanted)
+    monkeypatch.setattr("motionkit.evaluation.paths.PATIENCE", -0.3)  # less than the 3 s everyone has
+    section = paths_section(tiny_model, TINY, quiet)
+    assert [row[0] for row in section.tables[0].rows] == [trial.name for trial in wanted]
+    assert all(goal.value is not None and goal.value >= 0.0 for goal in section.goals)
+
+
+def test_an_answer_has_to_hold() -> None:
+    flags = torch.zeros(120, dtype=torch.bool)
+    flags[10:20] = True
+    assert response_seconds(flags, 60.0) is None
+    flags[60:80] = True
+    assert response_seconds(flags, 60.0) == pytest.approx(1.0)
+
+
+def test_commands_are_answered_by_motion_that_does_what_they_say(tiny_model: MotionModel) -> None:
+    found = {command.name: command for command in commands(tiny_model)}
+    walk = body_of(make_walk(120, turn=0.0, speed=120.0))
+    assert bool(found["idle → walking"].answers(walk)[20:100].all())
+    assert not bool(found["walking → idle"].answers(walk).any())
+    assert not bool(found["walking, 90° left"].answers(walk)[20:100].any())
+    assert found["walking → idle"].looks_ahead == pytest.approx(0.1)
+    assert bool(found["walking → idle"].answers(body_of(make_idle(120)))[20:100].all())
+
+
+def test_a_frozen_and_a_sinking_body_are_told() -> None:
+    still = make_walk(600, speed=0.0, swing=0.0)
+    assert frozen_seconds(body_of(still), 0.1) == pytest.approx(10.0)
+    assert frozen_seconds(body_of(make_walk(600)), 0.1) == 0.0
+    root = still.root_positions.clone()
+    root[:, 1] -= torch.linspace(0.0, 30.0, 600)
+    sinking = Motion(still.skeleton, still.local_rotations, root, 60.0)
+    assert height_drift(body_of(sinking)) == pytest.approx(-20.0, abs=0.5)
+
+
+def test_random_plans_fill_the_time_and_repeat(tiny_model: MotionModel) -> None:
+    kinds = list(tiny_model.types)
+    plan = random_plan(tiny_model, kinds, 20.0, 3)
+    assert sum(part.seconds for part in plan.parts) == pytest.approx(20.0)
+    assert len({part.type for part in plan.parts}) > 1
+    assert plan == random_plan(tiny_model, kinds, 20.0, 3) != random_plan(tiny_model, kinds, 20.0, 4)
+
+
+def test_endurance_measures_every_type_and_the_changes(tiny_model: MotionModel, real: RealMotion) -> None:
+    section = endurance_section(tiny_model, real, TINY, quiet)
+    rows = section.tables[0].rows
+    assert [row[0] for row in rows] == [*tiny_model.types, "random changes"]
+    assert all(goal.value is not None and 0.0 <= goal.value <= 1.0 for goal in section.goals)
+
+
+def test_likeness_has_the_truth_at_one_and_floors_beside_the_model(
+    tiny_model: MotionModel, dataset: Dataset, real: RealMotion
+) -> None:
+    section = likeness_section(tiny_model, dataset, real, TINY, quiet)
+    rows = {(row[0], row[1]): row[2:] for row in section.tables[0].rows}
+    truth, still = rows["all", "ground truth"], rows["all", "last frame"]
+    assert truth[2:] == (1.0, 1.0, 0.0)
+    assert still[0] == pytest.approx(0.0, abs=1e-3) and truth[0] > 1.0
+    assert rows["all", "nearest clip"][4] > 0.0 and rows["all", "model"][4] > 0.0
+    assert len(held_out_clips(tiny_model, dataset, 0.6)) == 1
+
+
+def test_without_held_out_clips_likeness_says_so(
+    tiny_model: MotionModel, dataset: Dataset, real: RealMotion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(dataset, "clips", tuple(c for c in dataset.clips if c.split == "train"))
+    section = likeness_section(tiny_model, dataset, real, TINY, quiet)
+    assert not section.tables and not section.goals and "no held-out clips" in section.notes[0]
+
+
+def test_the_fastest_joint_is_found(real: RealMotion) -> None:
+    motion = make_idle(60)
+    rotations = motion.local_rotations.clone()
+    rotations[30, 4] = torch.tensor([math.cos(0.5), math.sin(0.5), 0.0, 0.0])
+    speed, joint = fastest_turn(body_of(Motion(motion.skeleton, rotations, motion.root_positions, 60.0)))
+    assert joint == "LeftToeBase" and speed == pytest.approx(math.degrees(1.0) * 60.0, rel=0.05)
+    limit, largest = recorded_limit(real)
+    assert 0.0 < limit <= largest
