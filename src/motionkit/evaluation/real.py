@@ -24,6 +24,7 @@ MANNER_SECONDS = 7.0
 # has few recordings the detour to its own poses may be DETOUR at least.
 LOWEST, HIGHEST = 0.02, 0.98
 SLOWER, FASTER, FARTHER, DETOUR = 0.7, 1.4, 1.25, 1.15
+TIE = 1.0  # cm a joint, below which one type is as near as another
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +64,7 @@ class Manner:
         if not self.movements[0] <= body.body_movement() <= self.movements[1]:
             return False
         mine = float(distances[self.kind])
-        return mine <= self.distance and mine <= self.detour * float(distances.min())
+        return mine <= self.distance and mine <= self.detour * max(float(distances.min()), TIE)
 
     def says(self) -> str:
         """The sign in words."""
