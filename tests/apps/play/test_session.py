@@ -99,6 +99,16 @@ def test_frames_carry_what_was_asked(session: Session, tiny_model: MotionModel) 
     assert np.allclose(shown.positions[0], shown.root, atol=1e-3)
 
 
+def test_the_first_frame_after_a_wish_is_another(tiny_model: MotionModel) -> None:
+    one, two = Session(tiny_model), Session(tiny_model)
+    for session in (one, two):
+        session.join(1)
+        play(session, 10)
+    ask(one, 1, "wish", velocity=[0, 300], type="running")
+    first, same = one.step().characters[0], two.step().characters[0]
+    assert not np.array_equal(first.rotations, same.rotations), "no frame is waiting in between"
+
+
 def test_frames_count_without_a_leap(session: Session) -> None:
     session.join(1)
     assert [frame.number for frame in play(session, 5)] == [1, 2, 3, 4, 5]

@@ -1,0 +1,232 @@
+"""`motionkit play` as a user feels it: the step, a key to its first frame on loopback, and a key to obedience.
+
+    python benchmarks/live.py [--model FILE] [--presses 60] [--repeats 2] [--characters 1 4 8]
+
+The server runs as a process of its own and is asked over TCP, as a program would. What counts as obeyed is told in
+motionkit.evaluation.response; the baseline is the 0.7 s that the paper reports for its own demo.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import random
+import socket
+import statistics
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from common import percentiles, print_table
+
+from motionkit.apps.play.requests import Request
+from motionkit.apps.play.session import Session
+from motionkit.evaluation.body import Body
+from motionkit.evaluation.response import (
+    AFTER_SECONDS,
+    BEFORE_SECONDS,
+    Command,
+    commands,
+    response_seconds,
+)
+from motionkit.models.bundled import open_model
+from motionkit.models.checkpoint import MotionModel
+from motionkit.synthesis.drive import Wish
+
+PAPER_SECONDS = 0.7
+MOST_DELAY_MS, MOST_RESPONSE_SECONDS = 50.0, 0.5
+WARM_UP = 60  # frames
+
+
+class Client:
+    """A TCP client whose thread notes when each frame came."""
+
+    def __init__(self, port: int) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", port))
+        self.socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.lines = self.socket.makefile("r", encoding="utf-8")
+        self.hello = json.loads(self.lines.readline())
+        self.frames: list[tuple[float, dict[str, Any]]] = []
+        self.arrived = threading.Condition()
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        try:
+            for line in self.lines:
+                now = time.perf_counter()
+                event = json.loads(line)
+                if event["event"] == "error":
+                    print(f"the server says: {event['message']}", file=sys.stderr)
+                if event["event"] == "frame":
+                    with self.arrived:
+                        self.frames.append((now, event))
+                        self.arrived.notify_all()
+        except OSError:
+            pass
+
+    def ask(self, **request: Any) -> float:
+        """Send a request; answers when."""
+        data = json.dumps(request).encode() + b"\n"
+        now = time.perf_counter()
+        self.socket.sendall(data)
+        return now
+
+    def wish(self, wish: Wish, character: int, seq: int) -> float:
+        """Send a wish."""
+        velocity = None if wish.velocity is None else list(wish.velocity)
+        return self.ask(
+            do="wish", character=character, velocity=velocity, facing=wish.facing, type=wish.type, seq=seq
+        )
+
+    def first_frame(self, seq: int) -> float:
+        """When the first frame came that obeys a request."""
+        with self.arrived:
+            while not (self.frames and self.frames[-1][1]["characters"][0]["seq"] == seq):
+                if not self.arrived.wait(10.0):
+                    raise SystemExit("no frame came within 10 s")
+            return self.frames[-1][0]
+
+    def close(self) -> None:
+        """End the connection."""
+        self.socket.shutdown(socket.SHUT_RDWR)
+        self.socket.close()
+
+
+@contextmanager
+def server(model: str | None) -> Iterator[int]:
+    """A running server; its TCP port."""
+    command = [sys.executable, "-m", "motionkit", "play", "--headless", "--port", "0", "--tcp", "0", "--json"]
+    command += ["--model", model] if model else []
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if not line:
+            raise SystemExit("the server did not start")
+        try:
+            yield json.loads(line)["tcp"][1]
+        finally:
+            process.terminate()
+
+
+def step_times(model: MotionModel, count: int, frames: int) -> list[float]:
+    """Seconds of the steps of a session with so many characters that run about."""
+    session = Session(model)
+    fields = {"character": None, "velocity": (0.0, 300.0), "facing": None, "type": None, "seq": 0}
+    for client in range(count):
+        session.join(client)
+        session.obey(client, Request("wish", fields))
+    return [session.step().step_ms / 1000.0 for _ in range(WARM_UP + frames)][WARM_UP:]
+
+
+def key_delays(client: Client, presses: int) -> list[float]:
+    """Seconds from a key to the first frame that obeys it, pressed at random moments."""
+    generator = random.Random(0)
+    mine = client.hello["character"]
+    out = []
+    for seq in range(1, presses + 1):
+        time.sleep(generator.uniform(0.05, 0.12))
+        speed = generator.choice([0.0, 120.0, 300.0])
+        pressed = client.wish(Wish((0.0, speed)), mine, seq)
+        out.append(client.first_frame(seq) - pressed)
+    return out
+
+
+def frame_gaps(client: Client, seconds: float) -> list[float]:
+    """Seconds between frames as they come."""
+    first = len(client.frames)
+    time.sleep(seconds)
+    times = [when for when, _ in client.frames[first:]]
+    return [b - a for a, b in zip(times, times[1:], strict=False)]
+
+
+def responses(port: int, wanted: Sequence[Command], fps: float) -> list[float]:
+    """Seconds from each command's key to the frame, as it comes, from which it is obeyed."""
+    out: list[float] = []
+    client = Client(port)
+    room = int(client.hello["limits"]["characters"])
+    for first in range(0, len(wanted), room):
+        some = wanted[first : first + room]
+        present = client.frames[-1][1]["characters"] if client.frames else client.hello["characters"]
+        for _ in range(len(some) - len(present)):
+            client.ask(do="add")
+            time.sleep(0.5)
+        time.sleep(0.5)
+        ids = [c["id"] for c in client.frames[-1][1]["characters"]][: len(some)]
+        for number, command in zip(ids, some, strict=True):
+            client.wish(command.before, number, 1)
+        time.sleep(BEFORE_SECONDS)
+        start = len(client.frames)
+        pressed = [client.wish(command.after, number, 2) for number, command in zip(ids, some, strict=True)]
+        time.sleep(AFTER_SECONDS + 0.5)
+        for number, command, when in zip(ids, some, pressed, strict=True):
+            out.append(_response(client.frames[start:], number, command, when, fps))
+    client.close()
+    return out
+
+
+def _response(
+    frames: list[tuple[float, dict]], number: int, command: Command, pressed: float, fps: float
+) -> float:
+    shown = [next(c for c in event["characters"] if c["id"] == number) for _, event in frames]
+    body = Body(
+        torch.tensor([c["rotations"] for c in shown]),
+        torch.tensor([c["positions"] for c in shown]),
+        torch.tensor([c["heading"] for c in shown]),
+        fps,
+    )
+    seconds = response_seconds(command.answers(body), fps)
+    return AFTER_SECONDS if seconds is None else frames[round(seconds * fps)][0] - pressed
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--model", help="a model file; the bundled model by default")
+    parser.add_argument("--characters", type=int, nargs="+", default=[1, 4, 8])
+    parser.add_argument("--frames", type=int, default=600, help="timed steps for each number of characters")
+    parser.add_argument("--presses", type=int, default=60, help="keys whose first frame is timed")
+    parser.add_argument("--repeats", type=int, default=2, help="how often each command is given")
+    arguments = parser.parse_args()
+    torch.set_num_threads(1)
+    model = open_model(arguments.model)
+    budget = 1000.0 / model.fps
+    rows = []
+    for count in arguments.characters:
+        p50, p95, p99 = (1000.0 * p for p in percentiles(step_times(model, count, arguments.frames)))
+        rows.append([str(count), f"{p50:.2f}", f"{p95:.2f}", f"{p99:.2f}", f"{budget / p50:.1f}"])
+    title = f"server step of a whole session, ms; ratio: a frame at {model.fps:g} fps, {budget:.1f} ms, over p50"
+    print_table(title, ["characters", "p50", "p95", "p99", "ratio"], rows)
+    with server(arguments.model) as port:
+        client = Client(port)
+        time.sleep(1.0)
+        gaps = [1000.0 * p for p in percentiles(frame_gaps(client, 5.0))]
+        delays = [1000.0 * p for p in percentiles(key_delays(client, arguments.presses))]
+        client.close()
+        kinds = [c for c in commands(model) for _ in range(arguments.repeats)]
+        obeyed = responses(port, kinds, model.fps)
+    rows = [
+        ["between frames as they come", *(f"{p:.1f}" for p in gaps), f"{budget:.1f}"],
+        ["key to its first frame", *(f"{p:.1f}" for p in delays), f"at most {MOST_DELAY_MS:g}"],
+    ]
+    print_table("one client on loopback, ms", ["what", "p50", "p95", "p99", "wanted"], rows)
+    rows, every = [], []
+    for number in range(0, len(kinds), arguments.repeats):
+        times = obeyed[number : number + arguments.repeats]
+        mean = sum(times) / len(times)
+        every.extend(times)
+        rows.append([kinds[number].name, f"{mean:.2f}", f"{max(times):.2f}", f"{PAPER_SECONDS / mean:.1f}"])
+    middle = statistics.median(every)
+    rows.append(["median of all", f"{middle:.2f}", f"{max(every):.2f}", f"{PAPER_SECONDS / middle:.1f}"])
+    title = (
+        f"key to obeyed, s; wanted at most {MOST_RESPONSE_SECONDS:g}; never within {AFTER_SECONDS:g} s counts as that; "
+        f"ratio: {PAPER_SECONDS:g} s over the mean"
+    )
+    print_table(title, ["command", "mean", "slowest", "ratio"], rows)
+
+
+if __name__ == "__main__":
+    main()
