@@ -19,14 +19,11 @@ import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 from typing import Any
 
 import torch
 from common import percentiles, print_table
-
-from motionkit.apps.play.requests import Request
-from motionkit.apps.play.session import Session
-from motionkit.evaluation.body import Body
 from motionkit.evaluation.response import (
     AFTER_SECONDS,
     BEFORE_SECONDS,
@@ -34,6 +31,10 @@ from motionkit.evaluation.response import (
     commands,
     response_seconds,
 )
+
+from motionkit.apps.play.requests import Request
+from motionkit.apps.play.session import Session
+from motionkit.evaluation.body import Body
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel
 from motionkit.synthesis.drive import Wish
@@ -91,6 +92,14 @@ class Client:
                     raise SystemExit("no frame came within 10 s")
             return self.frames[-1][0]
 
+    def characters(self, least: int) -> list[int]:
+        """Ids of the characters in the newest frame, once there are so many."""
+        with self.arrived:
+            while not self.frames or len(self.frames[-1][1]["characters"]) < least:
+                if not self.arrived.wait(10.0):
+                    raise SystemExit("no frame came within 10 s")
+            return [c["id"] for c in self.frames[-1][1]["characters"]]
+
     def close(self) -> None:
         """End the connection."""
         self.socket.shutdown(socket.SHUT_RDWR)
@@ -141,7 +150,7 @@ def frame_gaps(client: Client, seconds: float) -> list[float]:
     first = len(client.frames)
     time.sleep(seconds)
     times = [when for when, _ in client.frames[first:]]
-    return [b - a for a, b in zip(times, times[1:], strict=False)]
+    return [b - a for a, b in pairwise(times)]
 
 
 def responses(port: int, wanted: Sequence[Command], fps: float) -> list[float]:
@@ -151,12 +160,9 @@ def responses(port: int, wanted: Sequence[Command], fps: float) -> list[float]:
     room = int(client.hello["limits"]["characters"])
     for first in range(0, len(wanted), room):
         some = wanted[first : first + room]
-        present = client.frames[-1][1]["characters"] if client.frames else client.hello["characters"]
-        for _ in range(len(some) - len(present)):
+        for _ in range(len(some) - len(client.characters(1))):
             client.ask(do="add")
-            time.sleep(0.5)
-        time.sleep(0.5)
-        ids = [c["id"] for c in client.frames[-1][1]["characters"]][: len(some)]
+        ids = client.characters(len(some))[: len(some)]
         for number, command in zip(ids, some, strict=True):
             client.wish(command.before, number, 1)
         time.sleep(BEFORE_SECONDS)
@@ -198,7 +204,9 @@ def main() -> None:
     for count in arguments.characters:
         p50, p95, p99 = (1000.0 * p for p in percentiles(step_times(model, count, arguments.frames)))
         rows.append([str(count), f"{p50:.2f}", f"{p95:.2f}", f"{p99:.2f}", f"{budget / p50:.1f}"])
-    title = f"server step of a whole session, ms; ratio: a frame at {model.fps:g} fps, {budget:.1f} ms, over p50"
+    title = (
+        f"server step of a whole session, ms; ratio: a frame at {model.fps:g} fps, {budget:.1f} ms, over p50"
+    )
     print_table(title, ["characters", "p50", "p95", "p99", "ratio"], rows)
     with server(arguments.model) as port:
         client = Client(port)

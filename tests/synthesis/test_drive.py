@@ -1,13 +1,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
 from torch import Tensor
 
 from motionkit.errors import ControlError
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.checkpoint import Gait, MotionModel
 from motionkit.motion.rotations import rotate_ground
 from motionkit.synthesis.drive import DriveOptions, Driver, Wish, together
 from motionkit.synthesis.follow import PathFollower
@@ -148,6 +149,19 @@ def test_a_type_without_a_length_is_performed_for_the_seconds_given(tiny_model: 
     assert max(shares(asked, tiny_model, "running")) == 1.0
     assert shares(asked, tiny_model, "idle")[-1] == 1.0
     assert all(float(a.progress) == -1.0 for a in asked)
+
+
+@pytest.mark.parametrize(("velocity", "given"), [((0.0, 0.0), 0.0), (None, 0.0), ((0.0, 200.0), 1.0)])
+def test_a_length_without_a_track_leaves_one_who_stands_free(
+    tiny_model: MotionModel, velocity: tuple[float, float] | None, given: float
+) -> None:
+    gaits = {**tiny_model.gaits, "walking": Gait(120.0, 0.0, 1.0)}
+    driver = Driver(replace(tiny_model, gaits=gaits), "idle", DriveOptions(blend_frames=10))
+    driver.set_wish(Wish(velocity))
+    driver.perform("walking")
+    asked = play(driver, 50)[0][5:]
+    assert [float(a.given) for a in asked] == [given] * 45
+    assert [float(a.progress) for a in asked] == pytest.approx([i / 60 for i in range(45)])
 
 
 def test_a_path_is_followed_as_follow_path_does_and_then_it_stands(tiny_model: MotionModel) -> None:

@@ -187,9 +187,9 @@ class Driver:
         progress = at / shown.frames if shown.has_phase else -1.0
         if shown.track is not None:
             return _Asked(kind, shown.track[min(at, len(shown.track) - 1)][None], progress, weights)
-        stands = self.wish.velocity is not None and math.hypot(*self.wish.velocity) < STANDS_BELOW
-        trajectory = None if shown.has_phase or stands else otherwise.trajectory
-        return _Asked(kind, trajectory, progress, weights)
+        # Who stands and kicks is not to be held in place; who goes or follows a path goes on.
+        goes = self._follower is not None or math.hypot(*(self.wish.velocity or (0.0, 0.0))) >= STANDS_BELOW
+        return _Asked(kind, otherwise.trajectory if goes else None, progress, weights)
 
     def _blend(self, kind: str, weights: Tensor | None) -> Tensor:
         """Type weights (N,) that go over to those of a kind, or to the given ones, within blend_frames."""
