@@ -42,6 +42,7 @@ from motionkit.synthesis.drive import Wish
 PAPER_SECONDS = 0.7
 MOST_DELAY_MS, MOST_RESPONSE_SECONDS = 50.0, 0.5
 WARM_UP = 60  # frames
+PATIENCE = 60.0  # seconds
 
 
 class Client:
@@ -88,16 +89,16 @@ class Client:
         """When the first frame came that obeys a request."""
         with self.arrived:
             while not (self.frames and self.frames[-1][1]["characters"][0]["seq"] == seq):
-                if not self.arrived.wait(10.0):
-                    raise SystemExit("no frame came within 10 s")
+                if not self.arrived.wait(PATIENCE):
+                    raise SystemExit(f"no frame came within {PATIENCE:g} s")
             return self.frames[-1][0]
 
     def characters(self, least: int) -> list[int]:
         """Ids of the characters in the newest frame, once there are so many."""
         with self.arrived:
             while not self.frames or len(self.frames[-1][1]["characters"]) < least:
-                if not self.arrived.wait(10.0):
-                    raise SystemExit("no frame came within 10 s")
+                if not self.arrived.wait(PATIENCE):
+                    raise SystemExit(f"no frame came within {PATIENCE:g} s")
             return [c["id"] for c in self.frames[-1][1]["characters"]]
 
     def close(self) -> None:
