@@ -1,125 +1,160 @@
-"""One frame at a time with the streaming network, against recomputing its 87 frames at every step.
+"""A frame of motion by every way of making one: recomputed as in the paper, streamed, as an ONNX graph.
 
-    python benchmarks/synthesis.py [--characters 1 64] [--steps 300] [--threads 1]
+    python benchmarks/synthesis.py [--model FILE] [--characters 1 64] [--steps 300]
 
-The weights are random: time does not depend on them. Both ways are fed the same frames, and their
-predictions compared.
+Controls, noise, network, integration, forward kinematics and, where named, foot locking are all in the
+time; only "network alone" and the floor leave them out. The floor is one pass over memory of the size of the
+weights, the least that a step has to do. One character has one core, a crowd has all of them.
 """
 
 from __future__ import annotations
 
 import argparse
+import tempfile
 import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 
+import numpy as np
 import torch
 from common import percentiles, print_table
-from torch import Tensor
 
-from motionkit.features.control import ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.models.bundled import open_model
+from motionkit.models.checkpoint import MotionModel
 from motionkit.models.network import PartTransformer
-from motionkit.models.presets import PRESETS, preset
-from motionkit.synthesis.stream import NetworkStream
+from motionkit.models.step import NetworkStep
+from motionkit.models.step_kernel import StepKernel, kernel_library
+from motionkit.models.step_weights import Floats, StepWeights, pack
+from motionkit.synthesis.character import CharacterStream
+from motionkit.synthesis.rollout import FrameControls
+from motionkit.synthesis.stepping import TorchStep
 
-TYPES = tuple(f"type-{i}" for i in range(21))
-Frame = tuple[Tensor, ...]  # features, contacts, controls of all characters
+Step = Callable[[], object]
 
 
-class WindowRecompute:
-    """The plain way: the last 87 frames through the whole network, of which the last prediction counts."""
+class WindowStep(TorchStep):
+    """The paper's way: the last 87 frames through the whole network, of which the last prediction counts."""
 
     def __init__(self, network: PartTransformer, batch: int) -> None:
-        self.network = network
+        super().__init__(network, batch)
         sizes = (FEATURE_COUNT, CONTACT_COUNT, network.control_size)
-        self.past = [torch.zeros(batch, 0, size) for size in sizes]
-
-    def append(self, *frame: Tensor) -> None:
-        """Take in a frame (B, ...) of features, contacts and controls."""
-        length = self.network.config.receptive_field
-        self.past = [
-            torch.cat([past, new[:, None]], dim=1)[:, -length:]
-            for past, new in zip(self.past, frame, strict=True)
-        ]
+        self.past = [torch.zeros(batch, network.config.receptive_field, size) for size in sizes]
 
     @torch.inference_mode()
-    def step(self, *frame: Tensor) -> Tensor:
-        """Take in a frame and predict the mean (B, 276) of the next."""
-        self.append(*frame)
-        return self.network(*self.past).mean[:, -1]
+    def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
+        """Take in a frame and predict the next."""
+        new = (torch.tensor(v)[:, None] for v in (x, contacts, controls))
+        self.past = [torch.cat([past[:, 1:], now], dim=1) for past, now in zip(self.past, new, strict=True)]
+        made = self.network(*self.past)
+        self.mean, self.log_sigma = made.mean[:, -1].numpy(), made.log_sigma[:, -1].numpy()
+        self.contact_logits = made.contact_logits[:, -1].numpy()
 
 
-class Streaming:
-    """The same by the streaming network."""
-
-    def __init__(self, network: PartTransformer, batch: int) -> None:
-        self.stream = NetworkStream(network, batch)
-
-    def append(self, *frame: Tensor) -> None:
-        """Take in a frame (B, ...) of features, contacts and controls."""
-        self.stream.step(*frame)
-
-    def step(self, *frame: Tensor) -> Tensor:
-        """Take in a frame and predict the mean (B, 276) of the next."""
-        return self.stream.step(*frame).mean
+def asked_of(model: MotionModel, count: int) -> FrameControls:
+    """Every character in a type of its own."""
+    weights = torch.eye(len(model.types))[torch.arange(count) % len(model.types)]
+    return FrameControls(weights, torch.zeros(count, 24), torch.zeros(count), torch.full((count,), -1.0))
 
 
-def run(
-    way: WindowRecompute | Streaming, frames: list[Frame], fill: int, limit: float
-) -> tuple[list[float], list[Tensor]]:
-    """Seconds and predictions of the steps after the first fill frames, until a limit in seconds is passed."""
-    for frame in frames[:fill]:
-        way.append(*frame)
+def characters(model: MotionModel, count: int, make: Callable[[], NetworkStep | TorchStep], ik: bool) -> Step:
+    """All of a frame for count characters, on a network step of one's choice."""
+    stream = CharacterStream(model, count, ik=ik)
+    stream.state.network = make()
+    asked = asked_of(model, count)
+    return lambda: stream.step(asked)
+
+
+def network_alone(step: NetworkStep) -> Step:
+    """The network without anything around it."""
+    rng = np.random.default_rng(0)
+    x, contacts = (rng.standard_normal((step.batch, n), np.float32) for n in (FEATURE_COUNT, CONTACT_COUNT))
+    controls = rng.standard_normal((step.batch, step.weights.shallow.controls.shape[1]), np.float32)
+    return lambda: step.step(x, contacts, controls)
+
+
+def floor(weights: StepWeights, bits: int) -> Step:
+    """One sum over as much memory as the weights take."""
+    modules = (weights.shallow, weights.deep)
+    size = sum(array.size for module in modules for array in vars(module).values()) + weights.head.size
+    memory = torch.ones(size * bits // 32)
+    return lambda: memory.sum()
+
+
+def graph(model: MotionModel, folder: Path) -> Step:
+    """The ONNX graph, forward kinematics included."""
+    from motionkit.apps.onnx_export import OnnxStep, build_graph
+
+    path = folder / "model.onnx"
+    path.write_bytes(build_graph(model).SerializeToString())
+    return OnnxStep(path).step
+
+
+def timed(step: Step, steps: int, limit: float) -> list[float]:
+    """Seconds of each step, after some that do not count; fewer where they take long."""
+    for _ in range(3):
+        step()
     seconds: list[float] = []
-    predictions = []
-    for frame in frames[fill:]:
+    while len(seconds) < steps and (sum(seconds) < limit or len(seconds) < 5):
         began = time.perf_counter()
-        predictions.append(way.step(*frame))
+        step()
         seconds.append(time.perf_counter() - began)
-        if sum(seconds) > limit:
-            break
-    return seconds, predictions
+    return seconds
 
 
-def random_frames(network: PartTransformer, batch: int, count: int) -> list[Frame]:
-    """Normalised frames, contacts and controls."""
-    generator = torch.Generator().manual_seed(0)
-    sizes = (FEATURE_COUNT, CONTACT_COUNT, network.control_size)
-    drawn = [torch.randn(count, batch, size, generator=generator) for size in sizes]
-    return list(zip(*drawn, strict=True))
+def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
+    """What is to be timed for a number of characters; the first is the baseline."""
+    network, weights = model.network, pack(model.network)
+    out: dict[str, Step] = {
+        "recompute the window, torch": characters(model, count, lambda: WindowStep(network, count), False),
+    }
+    if count == 1:
+        out["stream, torch"] = characters(model, count, lambda: TorchStep(network, count), False)
+    out["stream, numpy"] = characters(model, count, lambda: NetworkStep(weights, count), False)
+    if kernel_library() is not None:
+        kernels = {"C, float32": StepKernel(weights), "C, 16 bits": StepKernel(weights, small=True)}
+        for name, kernel in kernels.items():
+            make = lambda kernel=kernel: NetworkStep(weights, count, kernel)  # noqa: E731
+            out[f"stream, {name}"] = characters(model, count, make, False)
+            out[f"stream, {name}, foot locking"] = characters(model, count, make, True)
+            out[f"network alone, {name}"] = network_alone(make())
+    else:
+        make = lambda: NetworkStep(weights, count)  # noqa: E731
+        out["stream, numpy, foot locking"] = characters(model, count, make, True)
+        out["network alone, numpy"] = network_alone(make())
+    if count == 1:
+        with suppress(ImportError):
+            import onnxruntime  # noqa: F401
+
+            out["ONNX Runtime, float32"] = graph(model, folder)
+        out["floor: 32-bit weights"], out["floor: 16-bit weights"] = floor(weights, 32), floor(weights, 16)
+    return out
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--preset", default="tptn", choices=[n for n in PRESETS if n != "tptn-paper"])
+    parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
     parser.add_argument("--characters", type=int, nargs="+", default=[1, 64])
     parser.add_argument("--steps", type=int, default=300, help="timed steps of each way")
-    parser.add_argument("--seconds", type=float, default=30.0, help="stop a way early after so long")
-    parser.add_argument("--threads", type=int, default=1, help="torch threads")
+    parser.add_argument("--seconds", type=float, default=2.0, help="stop a way early after so long")
     arguments = parser.parse_args()
-    torch.set_num_threads(arguments.threads)
-    torch.manual_seed(0)
-    network = PartTransformer(preset(arguments.preset), ControlLayout(TYPES).size).eval()
-    fill = network.config.receptive_field  # before that the window is short, and recomputing cheap
-    rows, ratios, largest = [], [], 0.0
+    model = open_model(arguments.model)
+    cores = torch.get_num_threads()
+    rows = []
     for count in arguments.characters:
-        frames = random_frames(network, count, fill + arguments.steps)
-        ways: dict[str, WindowRecompute | Streaming] = {
-            "recompute the window": WindowRecompute(network, count),
-            "stream": Streaming(network, count),
-        }
-        results = [run(way, frames, fill, arguments.seconds) for way in ways.values()]
-        for name, (seconds, _) in zip(ways, results, strict=True):
-            p50, p95, p99 = percentiles(seconds)
-            times = [f"{1000 * p:.2f}" for p in (p50, p95, p99, p50 / count)]
-            rows.append([f"{name}, {count}", str(len(seconds)), f"{1 / p50:.1f}", *times])
-        medians = [percentiles(seconds)[0] for seconds, _ in results]
-        ratios.append(f"{medians[0] / medians[1]:.1f} for {count}")
-        pairs = zip(results[0][1], results[1][1], strict=False)  # the slow way may have stopped early
-        largest = max(largest, *(float((a - b).abs().max()) for a, b in pairs))
-    header = ["way, characters", "steps", "steps per s", "p50 ms", "p95 ms", "p99 ms", "p50 ms per character"]
-    print_table(f"{arguments.preset}, after {fill} frames", header, rows)
-    print(f"predictions of both ways differ by at most {largest:.1e} (normalised units)")
-    print(f"ratio (p50): {', '.join(ratios)}")
+        torch.set_num_threads(1 if count == 1 else cores)
+        baseline = 0.0
+        with tempfile.TemporaryDirectory() as folder:
+            for name, step in ways(model, count, Path(folder)).items():
+                p50, p95, p99 = percentiles(timed(step, arguments.steps, arguments.seconds))
+                baseline = baseline or p50
+                times = [f"{1000 * p:.2f}" for p in (p50, p95, p99)]
+                rows.append([f"{count}: {name}", *times, f"{count / p50:.0f}", f"{baseline / p50:.1f}"])
+    header = ["characters: way", "p50 ms", "p95 ms", "p99 ms", "character-frames/s", "times as fast"]
+    memory = NetworkStep(pack(model.network), 1).bytes_per_character
+    print_table("a frame, and how many times as fast as recomputing", header, rows)
+    print(f"state of the network: {memory / 1024:.0f} KB per character")
 
 
 if __name__ == "__main__":

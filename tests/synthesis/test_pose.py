@@ -29,6 +29,8 @@ def test_products_and_matrices() -> None:
     close(pose.quat_product(p.numpy(), q.numpy()), whole.quat_multiply(p, q))
     close(pose.quat_to_matrix(p.numpy()), whole.quat_to_matrix(p))
     close(pose.matrix_to_quat(whole.quat_to_matrix(p).numpy()), whole.matrix_to_quat(whole.quat_to_matrix(p)))
+    back = np.array([pose.sixd_to_quat(row) for row in whole.quat_to_sixd(p).tolist()], np.float32)
+    close(np.abs((back * p.numpy()).sum(-1)), torch.ones(200))
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-9, 1e-5, 1e-3, 1.0, np.pi, 6.0])
@@ -41,7 +43,7 @@ def test_exponential_maps_of_any_size(size: float) -> None:
 
 def test_half_turns_have_a_quaternion() -> None:
     turns = torch.tensor([[0.0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [0, 0.6, 0.8, 0]])
-    back = pose.matrix_to_quat(whole.quat_to_matrix(turns).numpy())
+    back = np.array([pose.sixd_to_quat(row) for row in whole.quat_to_sixd(turns).tolist()])
     assert np.abs(np.abs((back * turns.numpy()).sum(-1)) - 1.0).max() < 1e-6
 
 

@@ -11,7 +11,6 @@ import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import bvhio
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -62,6 +61,8 @@ class BvhFile:
 
 def read_bvh(path: str | Path) -> BvhFile:
     """Read a BVH file; raises BvhError naming file and line for anything that is not one."""
+    import bvhio  # a quarter of a second, for those who read
+
     text = read_bvh_text(path)
     with tempfile.NamedTemporaryFile("w", suffix=".bvh", encoding="ascii", delete=False) as header:
         header.write(text.header)

@@ -71,7 +71,24 @@ class CharacterStream:
         self.body = BodyKinematics(np.zeros((count, JOINT_COUNT, 3), np.float32))
         self.feet = FootLock(count)
         for index in range(count):
-            self.reset(index, characters[index % len(characters)])
+            self._take_body(index, characters[index % len(characters)])
+        kind = model_first_type(model)
+        start = seed_start(model, kind, count)
+        weights = self._weights(kind).expand(count, -1)
+        self.state.start(start.features, start.contacts, weights, None, model.phase_seconds(kind) * model.fps)
+
+    def _take_body(self, index: int, character: str) -> None:
+        skeleton = self.model.character(character)
+        self.scale[index] = leg_length(skeleton) / leg_length(self.model.character("default"))
+        self._scaled = bool((self.scale != 1.0).any())
+        self.body.set_offsets(index, skeleton.offsets.numpy())
+        self.feet.reset(index)
+
+    def _weights(self, kind: str) -> Tensor:
+        """Type weights (1, N) of one type alone."""
+        weights = torch.zeros(1, len(self.model.types))
+        weights[0, self.model.type_id(kind)] = 1.0
+        return weights
 
     def reset(
         self,
@@ -86,18 +103,13 @@ class CharacterStream:
             ControlError: for an unknown character or type.
         """
         model, kind = self.model, type or model_first_type(self.model)
-        skeleton = model.character(character)
-        weights = torch.zeros(1, len(model.types))
-        weights[0, model.type_id(kind)] = 1.0
+        weights = self._weights(kind)
         start = seed_start(model, kind, 1)
-        self.scale[index] = leg_length(skeleton) / leg_length(model.character("default"))
+        self._take_body(index, character)
         ground = torch.tensor([place])
         ground[:, :2] /= float(self.scale[index])
         length = model.phase_seconds(kind) * model.fps
         self.state.start_one(index, start.features, start.contacts, weights, ground, length)
-        self._scaled = bool((self.scale != 1.0).any())
-        self.body.set_offsets(index, skeleton.offsets.numpy())
-        self.feet.reset(index)
 
     @property
     def ground(self) -> Tensor:

@@ -6,6 +6,8 @@ the tests hold the two together. All arrays are float32.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -84,13 +86,37 @@ def expmap_to_quat(expmap: Floats) -> Floats:
     return quat
 
 
-def sixd_to_matrix(sixd: Floats) -> Floats:
-    """Rotation matrices (N, 3, 3) of their first two columns (N, 6), made orthonormal first (Gram-Schmidt)."""
-    first, second = sixd[:, :3], sixd[:, 3:]
-    first = first / np.maximum(np.sqrt((first * first).sum(axis=-1, keepdims=True)), 1e-8)
-    second = second - (first * second).sum(axis=-1, keepdims=True) * first
-    second = second / np.maximum(np.sqrt((second * second).sum(axis=-1, keepdims=True)), 1e-8)
-    return np.stack([first, second, cross(first, second)], axis=-1)
+def sixd_to_quat(sixd: list[float]) -> tuple[float, float, float, float]:
+    """A unit quaternion of two matrix columns (6,), made orthonormal first (Gram-Schmidt).
+
+    In plain floats: for one rotation that is ten times as fast as forty small arrays.
+    """
+    ax, ay, az, bx, by, bz = sixd
+    size = max(math.sqrt(ax * ax + ay * ay + az * az), 1e-8)
+    ax, ay, az = ax / size, ay / size, az / size
+    along = ax * bx + ay * by + az * bz
+    bx, by, bz = bx - along * ax, by - along * ay, bz - along * az
+    size = max(math.sqrt(bx * bx + by * by + bz * bz), 1e-8)
+    bx, by, bz = bx / size, by / size, bz / size
+    cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+    # Four forms of the same; the one with the largest leading number is well-conditioned.
+    w, x, y, z = max(
+        ((1 + ax + by + cz, bz - cy, cx - az, ay - bx), 0),
+        ((bz - cy, 1 + ax - by - cz, bx + ay, cx + az), 1),
+        ((cx - az, bx + ay, 1 - ax + by - cz, cy + bz), 2),
+        ((ay - bx, cx + az, cy + bz, 1 - ax - by + cz), 3),
+        key=lambda form: form[0][form[1]],
+    )[0]
+    size = math.sqrt(w * w + x * x + y * y + z * z)
+    return w / size, x / size, y / size, z / size
+
+
+def expmap_to_quat_one(expmap: list[float]) -> tuple[float, float, float, float]:
+    """A unit quaternion of one exponential map (3,), in plain floats."""
+    x, y, z = expmap
+    angle = max(math.sqrt(x * x + y * y + z * z), 1e-12)
+    scale = math.sin(0.5 * angle) / angle
+    return math.cos(0.5 * angle), scale * x, scale * y, scale * z
 
 
 def cross(a: Floats, b: Floats) -> Floats:
@@ -121,12 +147,13 @@ class PoseDecoder:
         assert features.shape[1] == FEATURE_COUNT
         count = len(features)
         rotations = np.empty((count, JOINT_COUNT, 4), np.float32)
-        root = features[:, self.root]
-        facing = matrix_to_quat(sixd_to_matrix(root)) if self.continuous else expmap_to_quat(root)
-        half = 0.5 * ground[:, 2]
-        heading = np.zeros((count, 4), np.float32)
-        heading[:, 0], heading[:, 2] = np.cos(half), np.sin(half)
-        rotations[:, 0] = quat_product(heading, facing)
+        to_quat = sixd_to_quat if self.continuous else expmap_to_quat_one
+        for i, (root, heading) in enumerate(
+            zip(features[:, self.root].tolist(), ground[:, 2].tolist(), strict=True)
+        ):
+            w, x, y, z = to_quat(root)
+            c, s = math.cos(0.5 * heading), math.sin(0.5 * heading)
+            rotations[i, 0] = c * w - s * y, c * x + s * z, c * y + s * w, c * z - s * x
         joints = expmap_to_quat(features[:, self.joints].reshape(count, -1, 3))
         np.matmul(joints[:, :, None, :], self.references, out=rotations[:, 1:, None, :])
         positions = np.empty((count, 3), np.float32)
