@@ -14,10 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from tests.apps.play.conftest import PATIENCE, Running, Web
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from apps.play.conftest import PATIENCE, Running, Web
 from motionkit.apps.play.client import Client, TooManyMessages
 from motionkit.apps.play.limits import Limits
 from motionkit.apps.play.requests import parse_request
