@@ -40,7 +40,7 @@ class DriveOptions:
     """How wishes turn into controls; blend_frames is what a change of type takes.
 
     The paper's 40 frames suit changes that are known beforehand. Here the blend begins with the wish, so
-    its length is delay: with 12 as many flips were turned as with 40, a third of a second earlier.
+    its length is delay: with 8 and with 20 frames as many flips were turned as with 40.
     """
 
     steering: SteeringOptions = field(default_factory=SteeringOptions)
