@@ -8,7 +8,7 @@ import { build } from "esbuild";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "..", "src", "motionkit", "assets", "web");
-const PAGES = ["view"];
+const PAGES = ["play", "view"];
 
 /** The hash of everything a bundle is made of; tests/apps/test_web_assets.py computes the same. */
 function sourceHash() {

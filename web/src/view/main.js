@@ -6,7 +6,7 @@ import { button, element, fillHelp, icon, initialTheme, toggle } from "../lib/do
 import { Figure } from "../lib/figure.js";
 import { Footprints, Ribbon } from "../lib/marks.js";
 import { Stage } from "../lib/stage.js";
-import { Labels } from "./labels.js";
+import { Labels } from "../lib/labels.js";
 import { Timeline } from "./timeline.js";
 
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227", "#8d97a8"];

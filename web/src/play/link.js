@@ -1,0 +1,103 @@
+// The connection to the server, as docs/live.md tells: requests and events as JSON, frames as bytes.
+
+const HEADER = 24;
+const CHARACTER = 396;
+const KEPT = 30; // frames
+const DRIFT = 0.0005; // seconds a frame by which the clocks' difference is taken to grow, until a frame comes early
+const AGAIN = 1000; // ms until a lost connection is tried again
+
+export class Link {
+  /** @param {{hello: Function, event: Function, frame: Function, lost: Function}} listeners */
+  constructor(address, listeners) {
+    Object.assign(this, { address, listeners, seq: 0, frames: [], offset: Infinity, delays: [] });
+    this.#connect();
+    setInterval(() => this.ask("ping", { stamp: performance.now() }), 1000);
+  }
+
+  #connect() {
+    const socket = new WebSocket(this.address);
+    socket.binaryType = "arraybuffer";
+    socket.onmessage = ({ data }) => (typeof data === "string" ? this.#event(JSON.parse(data)) : this.#frame(data));
+    socket.onclose = () => {
+      this.listeners.lost(this.fault);
+      Object.assign(this, { frames: [], offset: Infinity, fault: undefined });
+      setTimeout(() => this.#connect(), AGAIN);
+    };
+    this.socket = socket;
+  }
+
+  /** Sends a request; returns its seq. */
+  ask(what, fields = {}, counted = false) {
+    if (this.socket.readyState !== WebSocket.OPEN) return null;
+    if (counted) this.seq += 1;
+    this.socket.send(JSON.stringify({ do: what, ...fields, ...(counted ? { seq: this.seq } : {}) }));
+    return this.seq;
+  }
+
+  #event(event) {
+    if (event.event === "pong") this.delay = (performance.now() - event.stamp) / 2;
+    else if (event.event === "hello") {
+      this.hello = event;
+      this.listeners.hello(event);
+    } else {
+      if (event.event === "error" && event.closing) this.fault = event.message;
+      this.listeners.event(event);
+    }
+  }
+
+  #frame(data) {
+    const frame = readFrame(data);
+    if (!frame) return; // a kind this page does not know
+    const arrived = performance.now() / 1000;
+    this.offset = Math.min(this.offset + DRIFT, arrived - frame.time);
+    this.frames.push(frame);
+    if (this.frames.length > KEPT) this.frames.shift();
+    this.listeners.frame(frame, arrived);
+  }
+
+  /**
+   * The two newest frames to show between at a moment, and how far between: one step behind the newest
+   * at most, so that a frame that is a little late is not missed.
+   */
+  around(now) {
+    const { frames } = this;
+    if (!frames.length) return null;
+    const time = now - this.offset - 1 / this.hello.fps;
+    let n = frames.length - 1;
+    while (n > 0 && frames[n].time > time) n -= 1;
+    const [before, after] = [frames[n], frames[Math.min(n + 1, frames.length - 1)]];
+    const span = after.time - before.time;
+    return { before, after, share: span > 0 ? Math.max(0, Math.min(1, (time - before.time) / span)) : 1 };
+  }
+}
+
+/** A binary frame as an object; null for anything else. Rotations and root stay views of the message. */
+export function readFrame(data) {
+  const view = new DataView(data);
+  if (data.byteLength < HEADER || view.getUint8(0) !== 1 || view.getUint8(1) !== 1) return null;
+  const count = view.getUint16(2, true);
+  if (data.byteLength !== HEADER + count * CHARACTER) return null;
+  const characters = new Map();
+  for (let n = 0; n < count; n++) {
+    const at = HEADER + n * CHARACTER;
+    const flags = view.getUint8(at + 10);
+    characters.set(view.getUint32(at, true), {
+      seq: view.getUint32(at + 4, true),
+      type: view.getUint16(at + 8, true),
+      performing: Boolean(flags & 1),
+      following: Boolean(flags & 2),
+      recording: Boolean(flags & 4),
+      contacts: view.getUint8(at + 11),
+      heading: view.getFloat32(at + 12, true),
+      root: new Float32Array(data, at + 16, 3),
+      rotations: new Float32Array(data, at + 28, 92),
+    });
+  }
+  return {
+    number: view.getUint32(4, true),
+    time: view.getFloat64(8, true),
+    stepMs: view.getFloat32(16, true),
+    fps: view.getFloat32(20, true),
+    characters,
+  };
+}
