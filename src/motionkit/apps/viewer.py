@@ -6,6 +6,7 @@ import json
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 from motionkit.apps.figure_data import Shown, figure_data
 from motionkit.errors import MotionkitError
@@ -23,9 +24,7 @@ def viewer_page(shown: Sequence[Shown], title: str = "") -> str:
         raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
     named = title or " · ".join(one.name for one in shown)
     data = {"title": f"{named} · motionkit", "motions": [figure_data(one) for one in shown]}
-    # Escaped, nothing in a name can end the element that holds the data.
-    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
-    return page_asset("view.html").replace("__DATA__", text)
+    return fill_page("view.html", data)
 
 
 def write_viewer(path: str | Path, shown: Sequence[Shown], title: str = "") -> None:
@@ -33,6 +32,13 @@ def write_viewer(path: str | Path, shown: Sequence[Shown], title: str = "") -> N
     page = viewer_page(shown, title)
     with atomic_write(path) as file:
         file.write(page)
+
+
+def fill_page(name: str, data: dict[str, Any]) -> str:
+    """A built page with the data it is to show."""
+    # Escaped, nothing in a name can end the element that holds the data.
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    return page_asset(name).replace("__DATA__", text)
 
 
 def page_asset(name: str) -> str:

@@ -3,6 +3,7 @@ from __future__ import annotations
 import pytest
 
 from motionkit.apps.play.page import host_allowed, known_names, load_page, origin_allowed
+from motionkit.motion.skeleton import canonical_skeleton
 
 
 @pytest.mark.parametrize(
@@ -51,4 +52,4 @@ def test_origins(origin: str | None, allowed: bool) -> None:
 
 
 def test_there_is_a_page() -> None:
-    assert load_page().lower().startswith(b"<!doctype html>")
+    assert load_page({"default": canonical_skeleton()}).lower().startswith(b"<!doctype html>")

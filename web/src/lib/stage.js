@@ -11,6 +11,8 @@ export const THEMES = {
   light: { sky: 0xeef1f5, ground: 0xe3e7ed, line: 0xb4bdc9, shadow: 0.28, hemi: 1.35, key: 2.6, rim: 0.7 },
 };
 const SUN = new Vector3(1.7, 5.6, 2.2);
+const TOO_SLOW = 70; // ms from picture to picture
+const LEAST_SHARP = 0.45;
 const SHADOW_REACH = 1.7; // metres around a figure's hips that its shadow may fall on
 
 export class Stage {
@@ -18,6 +20,7 @@ export class Stage {
   constructor(canvas) {
     this.canvas = canvas;
     this.plain = drawsInSoftware();
+    this.sharpness = 1;
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.plain, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
     this.renderer.shadowMap.type = this.plain ? BasicShadowMap : PCFShadowMap;
@@ -43,7 +46,7 @@ export class Stage {
 
   resize() {
     const { clientWidth, clientHeight } = this.canvas.parentElement;
-    this.renderer.setPixelRatio(this.plain ? 1 : Math.min(window.devicePixelRatio, 2));
+    this.renderer.setPixelRatio(this.plain ? this.sharpness : Math.min(window.devicePixelRatio, 2));
     this.renderer.setSize(Math.max(1, clientWidth), Math.max(1, clientHeight), false);
     this.camera.aspect = Math.max(1, clientWidth) / Math.max(1, clientHeight);
     this.camera.updateProjectionMatrix();
@@ -95,6 +98,7 @@ export class Stage {
     this.controls.update();
     if (!this.dirty) return false;
     this.dirty = false;
+    if (this.plain) this.#keepUp(performance.now());
     const { target } = this.controls;
     const distance = this.camera.position.distanceTo(target);
     this.scene.fog.near = 8 + distance;
@@ -104,6 +108,18 @@ export class Stage {
     this.renderer.render(this.scene, this.camera);
     this.frames += 1;
     return true;
+  }
+
+  // Fewer pixels where pictures that follow each other at once still take long.
+  #keepUp(now) {
+    const passed = now - (this.drawnAt ?? -Infinity);
+    this.drawnAt = now;
+    this.slow = passed > TOO_SLOW && passed < 10 * TOO_SLOW ? (this.slow ?? 0) + 1 : 0;
+    if (this.slow < 5 || this.sharpness <= LEAST_SHARP) return;
+    this.slow = 0;
+    this.sharpness *= 0.75;
+    this.resize();
+    this.dirty = false;
   }
 
   /** Says where figures stand, [x, z, x, z, ...], so that their shadows are drawn as sharply as they can be. */

@@ -24,7 +24,7 @@ const SLOWEST = 40; // cm/s a stick gives at least
 const TURNED = 0.03; // radians the way must change before the server is told
 const PATH_STEP = 0.08; // metres between the points of a drawn path
 const SMOOTH = 0.12; // seconds the camera takes to come along
-const EYE = 0.95;
+const EYE = 0.8;
 const $ = (id) => document.getElementById(id);
 
 class Play {
@@ -38,7 +38,7 @@ class Play {
     this.told = new Map(); // id to what the server says of it
     Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [], shownFrames: 0 });
     this.theme = initialTheme();
-    this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.2, 4.4);
+    this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4);
     this.#marker();
     this.#keys();
     this.#mouse();
@@ -191,7 +191,6 @@ class Play {
         for (let k = i; k < i + 4; k++) dot += a.rotations[k] * b.rotations[k];
         const sign = dot < 0 ? -1 : 1;
         for (let k = i; k < i + 4; k++) turns[k] = a.rotations[k] + share * (sign * b.rotations[k] - a.rotations[k]);
-        if (sign < 0 && share > 0.5) for (let k = i; k < i + 4; k++) turns[k] = -turns[k];
       }
       for (let k = 0; k < 3; k++) root[k] = CM * (a.root[k] + share * (b.root[k] - a.root[k]));
       one.pose.set(one.rig, turns, 0, root, 0);
@@ -438,7 +437,7 @@ class Play {
       const node = button(name, title, (event) => {
         this.touched = event.timeStamp;
         this.perform(name);
-      }, ...keys.map((key) => element("kbd", {}, key.toUpperCase())), name);
+      }, name, element("span", { className: "keys" }, ...keys.map((key) => element("kbd", {}, key.toUpperCase()))));
       if (!(seconds > 0)) node.setAttribute("aria-pressed", "false");
       this.typeButtons.set(name, node);
     });

@@ -5,26 +5,31 @@ from __future__ import annotations
 import ipaddress
 import re
 import socket
-from collections.abc import Collection
-from pathlib import Path
+from collections.abc import Collection, Mapping
 
+import torch
+
+from motionkit.apps.figure_data import CM, rig_data
 from motionkit.apps.play.recording import Recordings
+from motionkit.apps.viewer import fill_page
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import Skeleton
 
-PAGE = Path(__file__).resolve().parents[2] / "assets" / "web" / "play.html"
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64})\.bvh")
-_HEADERLESS_PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><title>motionkit play</title>
-<body style="font: 16px/1.5 sans-serif; max-width: 40em; margin: 3em auto">
-<h1>motionkit play</h1>
-<p>The live session is running. This installation has no page for it; programs connect by WebSocket to
-<code>/live</code> on this address, as docs/live.md tells.</p>
-"""
 
 
-def load_page() -> bytes:
-    """The page as it is served."""
-    return PAGE.read_bytes() if PAGE.is_file() else _HEADERLESS_PAGE.encode()
+def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
+    """The page as it is served, with a figure for every body, by name."""
+    rigs = {name: rig_data(_standing(skeleton)) for name, skeleton in bodies.items()}
+    return fill_page("play.html", {"bodies": rigs}).encode()
+
+
+def _standing(skeleton: Skeleton) -> Motion:
+    """One frame of a body in cm as a motion in metres."""
+    turns = quat_identity((1, len(skeleton)))
+    return Motion(skeleton, turns, torch.zeros(1, 3), 60.0).scaled(CM)
 
 
 def policy(host: str) -> str:

@@ -73,7 +73,9 @@ class PlayServer:
     def __init__(self, session: Session, options: ServerOptions) -> None:
         self.options = options
         self.live = Live(session)
-        self._page = load_page() if options.page else None
+        model = session.model
+        bodies = {name: model.character(name) for name in model.characters}
+        self._page = load_page(bodies) if options.page else None
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # of the TCP port
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
