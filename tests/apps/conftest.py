@@ -48,11 +48,9 @@ def open_page(browser: Browser) -> Iterator[Callable[..., Page]]:
     contexts = []
     faults: list[str] = []
 
-    def start(address: str, offline: bool = False, **options: Any) -> Page:
+    def start(address: str, width: int = 800, height: int = 560, **options: Any) -> Page:
         # playwright waits for conditions with eval, which the pages' own policy forbids.
-        context = browser.new_context(
-            viewport={"width": 800, "height": 560}, offline=offline, bypass_csp=True, **options
-        )
+        context = browser.new_context(viewport={"width": width, "height": height}, bypass_csp=True, **options)
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(40_000)

@@ -581,6 +581,10 @@ class Play {
     this.measured = { at: now, frames: this.shownFrames };
     this.smoothed = this.smoothed ? 0.7 * this.smoothed + 0.3 * drawn : drawn;
     const { newest, link, responses, hello } = this;
+    if (this.behind) {
+      this.behind.fps = newest.fps; // what it said when it fell behind is soon out of date
+      this.#pace();
+    }
     const middle = [...responses].sort((a, b) => a - b)[Math.floor(responses.length / 2)];
     const rows = [
       ["step", `${newest.stepMs.toFixed(1)} ms`, newest.stepMs > 1000 / hello.fps],
