@@ -23,7 +23,7 @@ def noise_options(function: Callable) -> Callable:
     temperature = click.option(
         "--temperature",
         type=click.FloatRange(0, 2),
-        help="Strength of the noise; 0.3 by default, 1 for sample.",
+        help="Strength of the noise; 0.05 by default, 1 for sample.",
     )
     kind = click.option(
         "--noise",
@@ -80,7 +80,7 @@ def make_noise(kind: str, temperature: float | None) -> Noise:
     """The noise a user asks for."""
     from motionkit.synthesis.rollout import Noise
 
-    usual = 1.0 if kind == "sample" else 0.3
+    usual = 1.0 if kind == "sample" else 0.05
     return Noise(kind, usual if temperature is None else temperature)
 
 

@@ -31,7 +31,7 @@ class Noise:
     """
 
     kind: str = "correlated"
-    temperature: float = 0.3
+    temperature: float = 0.05
     rho: float = 0.95
 
     def __post_init__(self) -> None:

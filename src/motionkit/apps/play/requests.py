@@ -123,7 +123,7 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
     "noise": {
         **_CHARACTER,
         "kind": (_noise_kind, "correlated"),
-        "temperature": (_number(0.0, MAX_TEMPERATURE), 0.3),
+        "temperature": (_number(0.0, MAX_TEMPERATURE), 0.05),
     },
     "record": {**_CHARACTER, "on": (_flag, _REQUIRED)},
     "ping": {"stamp": (_number(-1e300, 1e300), 0.0)},
