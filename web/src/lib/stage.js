@@ -1,7 +1,7 @@
 // Renderer, light, ground and camera; draws only when something changed.
 
 import {
-  BasicShadowMap, Color, DirectionalLight, Fog, HemisphereLight, Mesh, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
+  BasicShadowMap, BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, Group, HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
   ShaderMaterial, ShadowMaterial, Vector3, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
@@ -57,10 +57,15 @@ export class Stage {
     const theme = THEMES[name];
     this.scene.background.set(theme.sky);
     this.scene.fog.color.set(theme.sky);
-    const { uniforms } = this.grid.material;
-    uniforms.ground.value.set(theme.ground);
-    uniforms.line.value.set(theme.line);
-    uniforms.sky.value.set(theme.sky);
+    if (this.plain) {
+      this.floor.material.color.set(theme.ground);
+      this.lines.material.color.set(theme.line);
+    } else {
+      const { uniforms } = this.grid.material;
+      uniforms.ground.value.set(theme.ground);
+      uniforms.line.value.set(theme.line);
+      uniforms.sky.value.set(theme.sky);
+    }
     this.shade.material.opacity = theme.shadow;
     this.hemi.intensity = theme.hemi;
     this.hemi.groundColor.set(theme.ground);
@@ -103,8 +108,9 @@ export class Stage {
     const distance = this.camera.position.distanceTo(target);
     this.scene.fog.near = 8 + distance;
     this.scene.fog.far = 40 + 5 * distance;
-    this.grid.position.set(target.x, 0, target.z);
-    this.grid.material.uniforms.far.value = this.scene.fog.far;
+    // Lines that are drawn one by one stay where they are in the world.
+    this.grid.position.set(Math.round(target.x), 0, Math.round(target.z));
+    if (!this.plain) this.grid.material.uniforms.far.value = this.scene.fog.far;
     this.renderer.render(this.scene, this.camera);
     this.frames += 1;
     return true;
@@ -153,7 +159,7 @@ export class Stage {
 
   #ground() {
     const plane = new PlaneGeometry(400, 400).rotateX(-Math.PI / 2);
-    this.grid = new Mesh(plane, gridMaterial(this.plain));
+    this.grid = this.plain ? this.#plainGrid(plane) : new Mesh(plane, gridMaterial());
     this.shade = new Mesh(plane, new ShadowMaterial());
     this.shade.receiveShadow = true;
     this.shade.position.y = 0.002;
@@ -161,6 +167,15 @@ export class Stage {
     this.shade.renderOrder = -1;
     this.shade.material.depthWrite = false;
     this.scene.add(this.grid, this.shade);
+  }
+
+  // A shader that reckons every pixel of the ground is what takes longest without a graphics card.
+  #plainGrid(plane) {
+    this.floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
+    this.lines = new LineSegments(gridLines(45, 3), new LineBasicMaterial({ depthWrite: false }));
+    this.floor.renderOrder = -3;
+    this.lines.renderOrder = -2;
+    return new Group().add(this.floor, this.lines);
   }
 }
 
@@ -174,8 +189,19 @@ function drawsInSoftware() {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
+// Lines every metre, so many metres each way, in short pieces: software renderers lose lines that reach behind the camera.
+function gridLines(reach, piece) {
+  const points = [];
+  for (let n = -reach; n <= reach; n++) {
+    for (let at = -reach; at < reach; at += piece) {
+      points.push(n, 0, at, n, 0, at + piece, at, 0, n, at + piece, 0, n);
+    }
+  }
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
+}
+
 // Lines every metre, finer ones every quarter, fading into the distance; as wide as a pixel anywhere.
-function gridMaterial(plain) {
+function gridMaterial() {
   return new ShaderMaterial({
     uniforms: {
       ground: { value: new Color() },
@@ -203,7 +229,7 @@ function gridMaterial(plain) {
       void main() {
         float away = distance(world, cameraPosition);
         float whole = lines(world.xz, 1.2);
-        float parts = ${plain ? "0.0" : "lines(world.xz * 4.0, 0.6) * 0.22"};
+        float parts = lines(world.xz * 4.0, 0.6) * 0.22;
         vec3 color = mix(ground, line, max(whole * 0.85, parts));
         color = mix(color, sky, smoothstep(0.1 * far, 0.55 * far, away));
         gl_FragColor = vec4(color, 1.0);
