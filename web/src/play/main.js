@@ -451,7 +451,7 @@ class Play {
     const face = toggle("Face ahead", "Look where the camera looks, whichever way it goes (V)", this.facing, (on) => (this.facing = on));
     const info = toggle("Figures", "Measurements (I)", !$("figures").hidden, (on) => ($("figures").hidden = !on));
     this.recordButton = button("Record", "Record, and download as BVH when it ends (O)", () => this.record());
-    const noise = element("input", { type: "range", min: "0", max: "1", step: "0.05", value: "0.3", title: "How much chance there is in the motion" });
+    const noise = element("input", { type: "range", min: "0", max: "1", step: "0.05", value: "0.05", title: "How much chance there is in the motion" });
     noise.setAttribute("aria-label", "Noise");
     noise.oninput = () => this.link.ask("noise", { character: this.chosen, kind: "correlated", temperature: Number(noise.value) });
     noise.onchange = () => noise.blur();
