@@ -6,11 +6,13 @@ import json
 import math
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from PIL import Image
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
@@ -34,11 +36,16 @@ def address() -> Iterator[str]:
 
 @pytest.fixture(scope="module")
 def join(address: str, open_page: Callable) -> Callable[..., Page]:
-    """A function that opens the page and waits until its character stands there."""
+    """A function that opens the page and waits until its character stands there.
 
-    def start() -> Page:
+    Unless it is to be seen, it draws no more then: what software takes to draw, the server would lack.
+    """
+
+    def start(seen: bool = False) -> Page:
         page = open_page(address, 520, 380)
-        page.wait_for_function("motionkit.own?.root", timeout=PATIENCE)
+        page.wait_for_function("motionkit.own?.root && motionkit.stage.frames > 0", timeout=PATIENCE)
+        if not seen:
+            page.evaluate("motionkit.stage.renderer.render = () => {}")
         return page
 
     return start
@@ -79,6 +86,24 @@ def camera_way(page: Page) -> tuple[float, float]:
     return x / math.hypot(x, z), z / math.hypot(x, z)
 
 
+def test_the_character_is_drawn(join: Callable[..., Page]) -> None:
+    page = join(seen=True)
+
+    def colours() -> set[tuple[int, ...]]:
+        wait_frames(page, 10)
+        with Image.open(BytesIO(page.locator("#scene").screenshot(timeout=PATIENCE))) as picture:
+            return {colour for _, colour in picture.convert("RGB").getcolors(1 << 20)}
+
+    with_character = colours()
+    page.evaluate(
+        "motionkit.own.figure.visible = false; motionkit.stage.renderer.shadowMap.needsUpdate = true"
+    )
+    page.evaluate("motionkit.link.around = () => null")
+    bluish = [c for c in with_character - colours() if c[2] > c[0] + 60]
+    assert len(bluish) > 20, "a lit body in the colour of one's first character"
+    page.close()
+
+
 def test_w_goes_where_the_camera_looks_and_release_stops(page: Page) -> None:
     start, ahead = place(page), camera_way(page)
     page.keyboard.down("w")
@@ -92,6 +117,184 @@ def test_w_goes_where_the_camera_looks_and_release_stops(page: Page) -> None:
     stopped = place(page)
     wait_frames(page, 60)
     assert math.dist(stopped, place(page)) < 0.15
+
+
+PAD = """() => {
+  const button = () => ({ pressed: false, touched: false, value: 0 });
+  window.pad = {
+    id: "pad of a test", index: 1, connected: true, mapping: "standard", timestamp: 0,
+    axes: [0, 0, 0, 0], buttons: Array.from({ length: 17 }, button),
+  };
+  navigator.getGamepads = () => [null, window.pad, null, null];
+  const event = new Event("gamepadconnected");
+  event.gamepad = window.pad;
+  dispatchEvent(event);
+}"""
+
+
+@pytest.fixture
+def pad(page: Page) -> Iterator[Callable[..., None]]:
+    """A gamepad at the page; the function moves its sticks and holds buttons: pad(axes=[0, -1, 0, 0], buttons=[7])."""
+    page.evaluate(PAD)
+
+    def move(axes: Sequence[float] = (0, 0, 0, 0), buttons: Sequence[int] = ()) -> None:
+        page.evaluate(
+            "([axes, held]) => { pad.axes = axes; pad.buttons.forEach((b, n) => { b.pressed = held.includes(n); }); }",
+            [list(axes), list(buttons)],
+        )
+
+    yield move
+    page.evaluate("window.pad = null")
+
+
+def asked_speed(page: Page, holds: str) -> None:
+    """Wait until the speed last asked for is so, in cm/s."""
+    page.wait_for_function(
+        f"motionkit.sent && Math.hypot(...motionkit.sent.velocity) {holds}", timeout=PATIENCE
+    )
+
+
+def test_a_stick_goes_where_the_camera_looks(page: Page, pad: Callable[..., None]) -> None:
+    assert "pad of a test" in page.locator("#hint").inner_text()
+    start, ahead = place(page), camera_way(page)
+    pad(axes=[0.1, -0.1, 0, 0])
+    wait_frames(page, 5)
+    asked_speed(page, "=== 0")  # sticks at rest are never quite at 0
+    pad(axes=[0, -1, 0, 0])
+    wait_frames(page, 120)
+    end = place(page)
+    pad()
+    moved = end[0] - start[0], end[1] - start[1]
+    assert moved[0] * ahead[0] + moved[1] * ahead[1] > 0.7
+    assert abs(moved[0] * ahead[1] - moved[1] * ahead[0]) < 0.8
+    asked_speed(page, "=== 0")
+
+
+def test_how_far_the_stick_is_pushed_is_how_fast(page: Page, pad: Callable[..., None]) -> None:
+    walking, running = (page.evaluate(f"motionkit.speeds.{name}") for name in ("walking", "running"))
+    pad(axes=[0.6, 0, 0, 0])
+    asked_speed(page, f"> 0.4 * {walking} && Math.hypot(...motionkit.sent.velocity) < 0.6 * {walking}")
+    pad(axes=[0.9, 0.9, 0, 0])  # square corners of round sticks
+    asked_speed(page, f"> 0.99 * {walking} && Math.hypot(...motionkit.sent.velocity) < 1.01 * {walking}")
+    for button in (5, 7):
+        pad(axes=[-1, 0, 0, 0], buttons=[button])
+        asked_speed(page, f"> 0.99 * {running}")
+        pad(axes=[-1, 0, 0, 0])
+        asked_speed(page, f"< 1.01 * {walking}")
+
+
+def test_the_cross_goes_as_the_keys_do(page: Page, pad: Callable[..., None]) -> None:
+    for button, key in ((12, "w"), (13, "s"), (14, "a"), (15, "d")):
+        pad(buttons=[button])
+        asked_speed(page, "> 0")
+        by_pad = page.evaluate("motionkit.sent.velocity")
+        pad()
+        asked_speed(page, "=== 0")
+        page.keyboard.down(key)
+        asked_speed(page, "> 0")
+        assert page.evaluate("motionkit.sent.velocity") == pytest.approx(by_pad, abs=1.0)
+        page.keyboard.up(key)
+        asked_speed(page, "=== 0")
+
+
+def test_the_right_stick_looks_around(page: Page, pad: Callable[..., None]) -> None:
+    before, height = camera_way(page), page.evaluate("motionkit.stage.camera.position.y")
+    pad(axes=[0, 0, 1, 0])
+    right = "(({camera, controls}) => [controls.target.x - camera.position.x, controls.target.z - camera.position.z])"
+    page.wait_for_function(
+        f"(([x, z]) => x * {-before[1]} + z * {before[0]} > 0.3 * Math.hypot(x, z))({right}(motionkit.stage))",
+        timeout=PATIENCE,
+    )
+    pad(axes=[0, 0, 0, 1])
+    page.wait_for_function(f"motionkit.stage.camera.position.y > {height + 0.3}", timeout=PATIENCE)
+    pad(axes=[0, 0, 0, -1])
+    page.wait_for_function(f"motionkit.stage.camera.position.y < {height}", timeout=PATIENCE)
+    pad()
+    wait_frames(page, 5)
+    still = camera_way(page)
+    wait_frames(page, 10)
+    assert camera_way(page) == pytest.approx(still, abs=1e-3)
+
+
+def test_buttons_show_types_once_a_press_and_record(page: Page, pad: Callable[..., None]) -> None:
+    page.evaluate(
+        """() => {
+          window.asked = [];
+          const ask = motionkit.link.ask;
+          motionkit.link.ask = function (what, fields, ...more) {
+            if (what !== "ping") asked.push([what, fields]);
+            return ask.call(this, what, fields, ...more);
+          };
+        }"""
+    )
+    shown = page.evaluate("Array.from(motionkit.typeButtons.keys())")
+    seconds = {t["name"]: t["seconds"] for t in page.evaluate("motionkit.hello.types")}
+    pad(buttons=[0])
+    page.wait_for_function(f"motionkit.own.now.type === {type_index(page, shown[0])}", timeout=PATIENCE)
+    wait_frames(page, 10)
+    pad()
+    asked = [fields.get("type") for _, fields in page.evaluate("asked")]
+    assert asked.count(shown[0]) == 1, "held, it is one press"
+    assert seconds[shown[0]] > 0, "performances come first"
+    page.wait_for_function("!motionkit.own.now.performing", timeout=PATIENCE)
+    pad(buttons=[9])
+    page.wait_for_function("motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+    pad()
+    wait_frames(page, 10)
+    with page.expect_download(timeout=PATIENCE):
+        pad(buttons=[9])
+        page.wait_for_function("!motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+    pad(buttons=[4, 6, 8, 10, 16])
+    wait_frames(page, 10)
+    asked = [what for what, _ in page.evaluate("asked")]
+    assert asked.count("record") == 2 and asked.count("perform") == 1
+    page.evaluate("delete motionkit.link.ask")
+
+
+def type_index(page: Page, name: str) -> int:
+    """The number of a type in frames."""
+    return [t["name"] for t in page.evaluate("motionkit.hello.types")].index(name)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        "pad.mapping = ''; pad.axes = [-1, -1, -1, -1]",  # where triggers lie on axes
+        "pad.connected = false; pad.axes = [1, 1, 1, 1]",
+        "pad.axes = []; pad.buttons = []",
+        "navigator.getGamepads = () => []",
+        "document.hasFocus = () => false; pad.axes = [1, 1, 1, 1]",
+    ],
+)
+def test_a_gamepad_that_cannot_steer_does_nothing(page: Page, pad: Callable[..., None], fault: str) -> None:
+    looked = camera_way(page)
+    page.evaluate(fault)
+    wait_frames(page, 10)
+    asked_speed(page, "=== 0")
+    assert camera_way(page) == pytest.approx(looked, abs=1e-3)
+    page.evaluate("delete document.hasFocus")
+
+
+def test_a_pulled_out_gamepad_stops(page: Page, pad: Callable[..., None]) -> None:
+    pad(axes=[0, 1, 0, 0])
+    asked_speed(page, "> 0")
+    page.evaluate("window.pad = null")
+    asked_speed(page, "=== 0")
+
+
+def test_a_hidden_page_lets_go_of_the_keys(page: Page) -> None:
+    page.keyboard.down("w")
+    asked_speed(page, "> 0")
+    page.evaluate(
+        """() => {
+          window.usual = requestAnimationFrame;
+          requestAnimationFrame = (next) => { window.next = next; }; // a hidden page is asked for no pictures
+          document.dispatchEvent(new Event("visibilitychange"));
+        }"""
+    )
+    assert page.evaluate("motionkit.sent.velocity") == [0, 0]
+    page.keyboard.up("w")
+    page.evaluate("requestAnimationFrame = window.usual; requestAnimationFrame(window.next)")
 
 
 def test_what_is_left_on_the_screen_is_left_in_the_world(page: Page) -> None:

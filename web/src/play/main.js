@@ -23,6 +23,7 @@ const RUN = 330; // cm/s, where the model has no such type
 const SLOWEST = 40; // cm/s a stick gives at least
 const TURNED = 0.03; // radians the way must change before the server is told
 const PATH_STEP = 0.08; // metres between the points of a drawn path
+const SPARE = 1.25; // of the server's limit of messages, left to other requests
 const SMOOTH = 0.12; // seconds the camera takes to come along
 const EYE = 0.8;
 const $ = (id) => document.getElementById(id);
@@ -78,6 +79,7 @@ class Play {
     Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
     this.behind = null;
     this.#pace();
+    this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // screens may be faster than the server takes wishes
     this.speeds = Object.fromEntries(hello.types.map(({ name, speed }) => [name, speed]));
     this.#controls();
     this.#characters(hello.characters);
@@ -160,7 +162,10 @@ class Play {
       return;
     }
     this.#gamepad(passed);
-    this.#wish();
+    if (now - (this.wished ?? -Infinity) >= this.apart) {
+      this.wished = now;
+      this.#wish();
+    }
     const around = this.link.around(performance.now() / 1000);
     if (around) this.#pose(around);
     if (this.own?.figure.visible) this.#camera(passed);
@@ -391,15 +396,25 @@ class Play {
         return;
       }
       if (event.repeat) return;
-      const key = event.key.length === 1 ? event.key.toLowerCase() : event.key;
+      const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code); // with Shift held too, and wherever digits need it
+      const key = digit ? digit[1] : event.key.length === 1 ? event.key.toLowerCase() : event.key;
       const type = this.typeKeys.get(key);
       const action = type ? () => this.perform(type) : this.commands[key];
-      if (!action) return;
+      if (!action || (key === "Tab" && this.mine.length < 2)) return; // Tab goes from button to button then, as anywhere
       action();
       event.preventDefault();
     });
     addEventListener("keyup", (event) => {
       if (this.steering.key(event, false)) this.touched = event.timeStamp;
+    });
+    // No pictures are asked of a hidden page, so nothing would tell the server that keys and sticks are let go.
+    document.addEventListener("visibilitychange", () => {
+      this.steering.release();
+      if (this.hello) this.#wish();
+    });
+    addEventListener("gamepadconnected", ({ gamepad }) => {
+      const known = gamepad.mapping === "standard";
+      this.say(known ? `Gamepad: ${gamepad.id}` : `This browser does not know the buttons of the gamepad ${gamepad.id}.`);
     });
   }
 
@@ -485,7 +500,7 @@ class Play {
       [["Tab"], "steer the next of one's characters"],
       [["Backspace"], "start anew"],
       [["T", "I"], "theme; measurements"],
-      [["Pad"], "left stick goes, a right trigger faster, right stick looks, buttons show types"],
+      [["Pad"], "left stick or cross goes, a right trigger faster, right stick looks, A B X Y show the first types, menu records"],
     ]);
   }
 

@@ -4,6 +4,9 @@ const WAYS = {
   w: [0, 1], arrowup: [0, 1], s: [0, -1], arrowdown: [0, -1], a: [-1, 0], arrowleft: [-1, 0], d: [1, 0], arrowright: [1, 0],
 };
 const DEAD = 0.18; // of a stick's way
+// Buttons of a gamepad with the standard mapping.
+const FAST = [5, 7]; // right shoulder and trigger
+const CROSS = { 12: [0, 1], 13: [0, -1], 14: [-1, 0], 15: [1, 0] };
 
 export class Steering {
   constructor() {
@@ -34,30 +37,31 @@ export class Steering {
 
   /** Where to: [right, ahead] as seen by the camera, at most 1 long, and whether to go fast. */
   way() {
-    let [right, ahead] = [0, 0];
-    for (const key of this.held) {
-      right += WAYS[key][0];
-      ahead += WAYS[key][1];
-    }
+    let [right, ahead] = sum([...this.held].map((key) => WAYS[key]));
     let { fast } = this;
-    const length = Math.hypot(right, ahead);
-    if (length > 1) [right, ahead] = [right / length, ahead / length];
     const pad = this.pad();
-    if (pad && length === 0) {
-      [right, ahead] = stick(pad.axes[0], -pad.axes[1]);
-      fast = fast || Boolean(pad.buttons[7]?.pressed || pad.buttons[5]?.pressed);
+    if (pad && !right && !ahead) {
+      const pressed = (n) => Boolean(pad.buttons[n]?.pressed);
+      [right, ahead] = sum(Object.keys(CROSS).filter(pressed).map((n) => CROSS[n]));
+      if (!right && !ahead) [right, ahead] = stick(pad.axes[0], -pad.axes[1]);
+      fast ||= FAST.some(pressed);
     }
     return { right, ahead, fast };
   }
 
+  /**
+   * The gamepad that steers. Only one with the standard mapping: others have triggers or nothing where a stick is
+   * expected, and would go off by themselves. Like keys, it steers only the page that has the focus.
+   */
   pad() {
-    return [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected && one.axes.length >= 2) ?? null;
+    if (!document.hasFocus()) return null;
+    return [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected && one.mapping === "standard") ?? null;
   }
 
-  /** Turn of the camera by the right stick. */
+  /** Turn of the camera by the right stick: [right, down]. */
   look() {
     const pad = this.pad();
-    return pad && pad.axes.length >= 4 ? stick(pad.axes[2], pad.axes[3]) : [0, 0];
+    return pad ? stick(pad.axes[2], pad.axes[3]) : [0, 0];
   }
 
   /** Buttons of the gamepad that went down since the last time. */
@@ -69,9 +73,16 @@ export class Steering {
   }
 }
 
+// Ways put together, at most 1 long.
+function sum(ways) {
+  const [x, y] = ways.reduce(([a, b], [c, d]) => [a + c, b + d], [0, 0]);
+  const length = Math.max(1, Math.hypot(x, y));
+  return [x / length, y / length];
+}
+
 function stick(x, y) {
   const length = Math.hypot(x, y);
-  if (length < DEAD) return [0, 0];
+  if (!(length >= DEAD)) return [0, 0];
   const scale = Math.min(1, (length - DEAD) / (1 - DEAD)) / length;
   return [x * scale, y * scale];
 }
