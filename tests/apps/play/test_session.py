@@ -53,6 +53,26 @@ def test_everyone_gets_a_character_and_takes_it_away_again(session: Session) -> 
     assert again.id not in (one.id, two.id)
 
 
+def test_who_comes_after_another_has_nothing_of_it(session: Session, tiny_model: MotionModel) -> None:
+    one = session.join(1)
+    assert one is not None
+    ask(session, 1, "noise", kind="mean", temperature=2)
+    ask(session, 1, "body", body=list(tiny_model.characters)[-1])
+    ask(session, 1, "wish", velocity=[300, 0], type="running", seq=9)
+    play(session, 40)
+    session.leave(1)
+    two = session.join(2)
+    assert two is not None and two.stream is one.stream, "what took long to make is used again"
+    fresh = Session(tiny_model).join(3)
+    assert fresh is not None
+    assert (two.noise, two.body, two.seq, two.recorder) == (fresh.noise, fresh.body, 0, None)
+    assert two.stream.state.noise == fresh.noise and torch.equal(two.stream.ground, fresh.stream.ground)
+    shown, other = two.step(0), fresh.step(0)
+    assert torch.allclose(torch.tensor(shown.positions), torch.tensor(other.positions), atol=2.0), (
+        "but for chance"
+    )
+
+
 def test_a_full_world_takes_watchers_only(tiny_model: MotionModel) -> None:
     session = Session(tiny_model, limits=Limits(characters=2))
     assert session.join(1) and session.join(2)

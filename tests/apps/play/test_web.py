@@ -7,6 +7,7 @@ import json
 import logging
 import socket
 import struct
+import threading
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -263,7 +264,7 @@ def test_a_recording_comes_down_as_it_was_sent(serve: Callable, web: Callable, t
     client.ask(do="record", on=True)
     frames = {}
     while len(frames) < 20:
-        frame = client.until("frame", lambda f: f["characters"][mine]["flags"] & 4)
+        frame = client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
         frames[frame["frame"]] = frame["characters"][mine]
     client.ask(do="record", on=False)
     event: dict = {}
@@ -299,6 +300,44 @@ def test_a_client_that_reads_nothing_does_not_hold_up_the_others(
     assert other.until("frame")["frame"] >= begun + 60
     held = server.ask(lambda: max(len(c._events) for c in server.server.live.clients.values()))
     assert held < 5, "frames do not pile up"
+
+
+def test_a_client_that_takes_nothing_in_is_closed(serve: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motionkit.apps.play.client.STALL_SECONDS", 0.2)
+    server = serve(tcp=0)
+    with socket.socket() as deaf:
+        deaf.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+        deaf.connect(server.addresses.tcp)
+        server.wait_until(lambda: len(server.server.live.session.characters) == 1)
+        server.wait_until(lambda: not server.server.live.session.characters)
+        assert server.ask(lambda: server.server.live.clients) == {}
+
+
+def test_recordings_do_not_pile_up(serve: Callable, web: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
+    begun, go_on = threading.Event(), threading.Event()
+
+    def slow(_: object) -> bytes:
+        begun.set()
+        assert go_on.wait(PATIENCE)
+        return b"HIERARCHY"
+
+    monkeypatch.setattr("motionkit.apps.play.live.bvh_bytes", slow)
+    client = web(serve(limits=Limits(recordings=1)))
+    mine = client.hello["character"]
+
+    def recorded() -> None:
+        client.ask(do="record", on=True)
+        client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
+        client.ask(do="record", on=False)
+
+    recorded()
+    assert begun.wait(PATIENCE)
+    client.ask(do="record", on=True)
+    assert client.until("error")["message"] == "earlier recordings are still being written"
+    go_on.set()
+    client.until("recorded")
+    recorded()
+    client.until("recorded")
 
 
 def test_requests_in_a_row_are_obeyed_in_order(serve: Callable, web: Callable) -> None:

@@ -70,6 +70,8 @@ class Live:
             client.tell({"event": "pong", "stamp": stamp, "time": self.session.time})
             return
         try:
+            if request.fields.get("on") and len(self._tasks) >= self.session.limits.recordings:
+                raise ControlError("earlier recordings are still being written")
             recorded = self.session.obey(client.number, request)
         except ControlError as error:
             client.tell(error_event(error, closing=False))

@@ -17,6 +17,7 @@ from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import Skeleton
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+_HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:;\[\]]+))(?::\d{1,5})?")
 _RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64})\.bvh")
 
 
@@ -42,10 +43,9 @@ def policy(host: str) -> str:
 
 
 def host_name(host: str) -> str:
-    """The name in a Host header, without its port; brackets of IPv6 addresses taken off."""
-    if host.startswith("["):
-        return host[1:].partition("]")[0].lower()
-    return host.partition(":")[0].lower()
+    """The name in a Host header, without its port and an IPv6 address's brackets; empty if it is no such header."""
+    match = _HOST.fullmatch(host)
+    return "" if match is None else (match[1] or match[2]).lower()
 
 
 def is_loopback(address: str) -> bool:

@@ -38,15 +38,18 @@ PATH_JOINS_WITHIN = 30.0  # cm; a path that begins further away is led up to
 class Character:
     """One character of the world and everything its user has asked for."""
 
-    def __init__(self, model: MotionModel, number: int, slot: int, body: str, noise: Noise) -> None:
+    def __init__(
+        self, model: MotionModel, number: int, slot: int, body: str, noise: Noise, stream: CharacterStream
+    ) -> None:
+        """The stream is one for a single character, new or left by another."""
         self.model, self.id, self.slot = model, number, slot
         self.owner: int | None = None
-        self.body, self.noise = body, noise
+        self.body, self.stream = body, stream
+        self.set_noise(noise)
         self.seq = 0
         self.recorder: Recorder | None = None
         # In a row, to the left and right of the first in turn.
         self.place = (SPACE_BETWEEN * ((slot + 1) // 2) * (-1.0) ** slot, 0.0, 0.0)
-        self.stream = CharacterStream(model, 1, noise, seed=number, characters=[body])
         self._start(body, self.place)
 
     def _start(self, body: str, place: tuple[float, float, float]) -> None:
@@ -131,6 +134,8 @@ class Session:
         self.number = 0
         self._clock, self._began = clock, clock()
         self._last_id = 0
+        # Of characters that have gone. To make one takes as long as many frames, to reset one does not.
+        self._spare: list[CharacterStream] = []
 
     @property
     def time(self) -> float:
@@ -170,8 +175,11 @@ class Session:
             raise ControlError(f"there is room for {self.limits.characters} characters, all of it is taken")
         taken = {c.slot for c in self.characters.values()}
         slot = next(i for i in range(self.limits.characters) if i not in taken)
-        character = Character(self.model, self._last_id + 1, slot, body or self.body, Noise())
+        body = body or self.body
+        self.model.character(body)
         self._last_id += 1
+        stream = self._spare.pop() if self._spare else CharacterStream(self.model, seed=self._last_id)
+        character = Character(self.model, self._last_id, slot, body, Noise(), stream)
         character.owner = client
         self.characters[character.id] = character
         return character
@@ -193,6 +201,7 @@ class Session:
             character.driver.set_wish(Wish())
         else:
             del self.characters[character.id]
+            self._spare.append(character.stream)
 
     def owned(self, client: int, number: int | None) -> Character:
         """A client's character, its first without a number; raises ControlError if it has no such."""
