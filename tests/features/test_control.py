@@ -15,6 +15,7 @@ from motionkit.features.control import (
     phase_signal,
     trajectory_mirror,
 )
+from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.normalize import Scaling
 
 
@@ -32,7 +33,9 @@ def test_control_vector_parts_stand_side_by_side() -> None:
     assert layout.trajectory == slice(72, 96)
     assert layout.flag == 96
     assert layout.phase == slice(97, 99)
-    assert layout.size == 99
+    assert layout.guide == slice(99, 99 + GUIDE_COUNT)
+    assert layout.guided == 99 + GUIDE_COUNT
+    assert layout.size == 100 + GUIDE_COUNT
 
 
 def test_phase_is_a_turn_and_silent_without_one() -> None:
@@ -40,16 +43,22 @@ def test_phase_is_a_turn_and_silent_without_one() -> None:
     assert torch.allclose(signal, torch.tensor([[0.0, 1.0], [1.0, 0.0], [0.0, -1.0], [0.0, 0.0]]), atol=1e-6)
 
 
-def test_control_vector_hides_a_trajectory_that_is_not_given() -> None:
+def test_control_vector_hides_a_trajectory_or_guide_that_is_not_given() -> None:
     layout = ControlLayout(("walking", "running"))
     scaling = Scaling(torch.zeros(TRAJECTORY_COUNT), torch.full((TRAJECTORY_COUNT,), 2.0))
     weights, trajectory = torch.tensor([[1.0, 0.0]] * 2), torch.full((2, TRAJECTORY_COUNT), 6.0)
     given, progress = torch.tensor([0.0, 1.0]), torch.tensor([-1.0, 0.25])
-    vectors = control_vector(layout, torch.zeros(69), weights, trajectory, given, progress, scaling)
+    guide, guided = torch.full((2, GUIDE_COUNT), 3.0), torch.tensor([1.0, 0.0])
+    vectors = control_vector(
+        layout, torch.zeros(69), weights, trajectory, given, progress, guide, guided, scaling
+    )
     assert vectors[:, layout.flag].tolist() == [0.0, 1.0]
     assert torch.equal(vectors[0, layout.trajectory], torch.zeros(TRAJECTORY_COUNT))
     assert torch.allclose(vectors[1, layout.trajectory], torch.full((TRAJECTORY_COUNT,), 3.0))
     assert torch.allclose(vectors[1, layout.phase], torch.tensor([1.0, 0.0]), atol=1e-6)
+    assert vectors[:, layout.guided].tolist() == [1.0, 0.0]
+    assert torch.equal(vectors[0, layout.guide], torch.full((GUIDE_COUNT,), 3.0))
+    assert not vectors[1, layout.guide].any()
 
 
 def test_straight_ahead() -> None:

@@ -9,6 +9,7 @@ from motionkit.data.dataset import ClipData, mirror_clip
 from motionkit.errors import SkeletonError
 from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.features.encode import EncodedMotion, encode_motion, relative_expmaps
+from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import mirror_motion
@@ -94,7 +95,9 @@ def test_mirror_in_features_is_the_mirror_of_the_motion(name: str, layout: str) 
 def as_clip(encoded: EncodedMotion) -> ClipData:
     types = torch.zeros(len(encoded.features), dtype=torch.long)
     none = torch.full((len(types),), -1.0)
-    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, none)
+    return ClipData(
+        encoded.features, encoded.contacts, encoded.ground, types, none, torch.zeros(len(types), GUIDE_COUNT)
+    )
 
 
 def test_mirroring_a_clip_twice_gives_it_back() -> None:

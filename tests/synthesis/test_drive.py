@@ -8,7 +8,9 @@ import torch
 from torch import Tensor
 
 from motionkit.errors import ControlError
-from motionkit.models.checkpoint import Gait, MotionModel
+from motionkit.features.control import future_trajectory
+from motionkit.features.guide import guide_signal
+from motionkit.models.checkpoint import MotionModel, Outline
 from motionkit.motion.rotations import rotate_ground
 from motionkit.synthesis.drive import DriveOptions, Driver, Wish, together
 from motionkit.synthesis.follow import PathFollower
@@ -100,7 +102,8 @@ def test_no_velocity_gives_no_trajectory(tiny_model: MotionModel) -> None:
 def test_a_performance_runs_once_along_its_track(tiny_model: MotionModel) -> None:
     blend = 10
     driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=blend))
-    track = tiny_model.tracks["cartwheel"][0]
+    outline = tiny_model.outlines["cartwheel"][0]
+    track = future_trajectory(outline.ground, torch.arange(len(outline)))
     driver.perform("cartwheel")
     asked = play(driver, len(track) + 40)[0]
     begins, ends = blend // 2, blend // 2 + len(track)
@@ -118,20 +121,21 @@ def test_a_performance_runs_once_along_its_track(tiny_model: MotionModel) -> Non
 
 def test_a_second_performance_waits_for_the_first(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
-    length = len(tiny_model.tracks["cartwheel"][0])
+    length = len(tiny_model.outlines["cartwheel"][0])
     driver.perform("cartwheel")
     play(driver, 5)
     driver.perform("cartwheel", choice=1)
     asked = play(driver, 2 * length + 20, first=5)[0]
     starts = [i for i, a in enumerate(asked) if float(a.progress) == 0.0]
     assert len(starts) == 2 and starts[1] - starts[0] == length
-    other = tiny_model.tracks["cartwheel"][1 % len(tiny_model.tracks["cartwheel"])]
-    assert torch.equal(asked[starts[1]].trajectory[0], other[0])
+    guides = [asked[start].guide for start in starts]
+    for guide, outline in zip(guides, tiny_model.outlines["cartwheel"][:2], strict=True):
+        assert torch.equal(guide, guide_signal(outline.poses, torch.tensor([0])))
 
 
 def test_a_type_with_a_phase_that_is_held_is_repeated(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
-    length = len(tiny_model.tracks["cartwheel"][0])
+    length = len(tiny_model.outlines["cartwheel"][0])
     driver.set_wish(Wish(type="cartwheel"))
     asked = play(driver, 3 * length)[0]
     starts = [i for i, a in enumerate(asked) if float(a.progress) == 0.0]
@@ -152,16 +156,28 @@ def test_a_type_without_a_length_is_performed_for_the_seconds_given(tiny_model: 
 
 
 @pytest.mark.parametrize(("velocity", "given"), [((0.0, 0.0), 0.0), (None, 0.0), ((0.0, 200.0), 1.0)])
-def test_a_length_without_a_track_leaves_one_who_stands_free(
+def test_a_performance_without_a_way_leaves_one_who_stands_free(
     tiny_model: MotionModel, velocity: tuple[float, float] | None, given: float
 ) -> None:
-    gaits = {**tiny_model.gaits, "walking": Gait(120.0, 0.0, 1.0)}
-    driver = Driver(replace(tiny_model, gaits=gaits), "idle", DriveOptions(blend_frames=10))
+    driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=10))
     driver.set_wish(Wish(velocity))
-    driver.perform("walking")
+    driver.perform("walking", seconds=1.0)
     asked = play(driver, 50)[0][5:]
     assert [float(a.given) for a in asked] == [given] * 45
-    assert [float(a.progress) for a in asked] == pytest.approx([i / 60 for i in range(45)])
+    assert all(a.guided is not None and float(a.guided) == 1.0 for a in asked)
+    assert all(float(a.progress) == -1.0 for a in asked)
+
+
+def test_a_strike_takes_its_own_time(tiny_model: MotionModel) -> None:
+    phases = torch.full((300,), -1.0)
+    phases[100:140] = torch.arange(40) / 40.0
+    kick = Outline(torch.zeros(330, 16), torch.zeros(300, 3), phases)
+    driver = Driver(replace(tiny_model, outlines={"running": [kick]}), "idle", DriveOptions(blend_frames=10))
+    driver.perform("running", seconds=5.0)
+    asked = play(driver, 120)[0]
+    progress = [float(a.progress) for a in asked]
+    assert progress.count(-1.0) == 80 and max(progress) == pytest.approx(39 / 40)
+    assert driver.performing is None
 
 
 def test_a_path_is_followed_as_follow_path_does_and_then_it_stands(tiny_model: MotionModel) -> None:

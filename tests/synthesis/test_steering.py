@@ -144,6 +144,6 @@ def test_a_model_without_the_usual_types_still_moves(tiny_model: MotionModel) ->
     from dataclasses import replace
 
     gaits = {"limp": Gait(50.0, 0.0), "flip": Gait(50.0, 0.0, 2.0), "sprint": Gait(700.0, 0.0)}
-    model = replace(tiny_model, types=tuple(gaits), gaits=gaits, tracks={})
+    model = replace(tiny_model, types=tuple(gaits), gaits=gaits, outlines={})
     assert steered_type(model, (0.0, 0.0), None) == "limp"
     assert steered_type(model, (600.0, 0.0), None) == "sprint"

@@ -78,6 +78,19 @@ def test_gaussian_loss_is_the_log_density() -> None:
     assert float(value) == pytest.approx(float(-density.sum(-1).mean()), rel=1e-5)
 
 
+def test_evenness_lets_hard_numbers_count() -> None:
+    """The gradient on the mean: of a likelihood error / sigma^2, half evened error / sigma, evened the error."""
+    target = torch.zeros(1, 1, 2)
+    log_sigma = torch.log(torch.tensor([[[0.1, 0.5]]]))
+    steep = []
+    for evenness in (0.0, 0.5, 1.0):
+        mean = torch.full((1, 1, 2), 0.2, requires_grad=True)
+        losses.gaussian_loss(mean, log_sigma, target, torch.ones(1, 1), evenness=evenness).backward()
+        assert mean.grad is not None
+        steep.append(mean.grad[0, 0] / mean.grad[0, 0, 0])
+    assert [float(s[1]) for s in steep] == pytest.approx([0.04, 0.2, 1.0], rel=1e-4)
+
+
 def test_smoothness_loss_by_hand() -> None:
     mean = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [2.0, 4.0], [3.0, 8.0]]])
     value = losses.smoothness_loss(mean, ONES)

@@ -7,6 +7,7 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.features.control import ControlLayout
+from motionkit.features.guide import GuideMap
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.training.losses import Batch
@@ -19,12 +20,22 @@ from motionkit.training.self_feeding import (
     take_windows,
 )
 
-ALWAYS = SelfFeedOptions(back=0.0, limit=1e9, temperature=0.0)
+ALWAYS = SelfFeedOptions(back=0.0, limit=1e9, guided_back=0.0, guided_limit=1e9, temperature=0.0)
 
 
 @pytest.fixture(scope="module")
-def batch(dataset: Dataset) -> Batch:
-    return WindowSampler(dataset, SamplerOptions(window=24, splices=0)).batch(0, 4)
+def sampler(dataset: Dataset) -> WindowSampler:
+    return WindowSampler(dataset, SamplerOptions(window=24, splices=0, guide_dropout=0.6))
+
+
+@pytest.fixture(scope="module")
+def guides(sampler: WindowSampler) -> GuideMap:
+    return sampler.guide_map
+
+
+@pytest.fixture(scope="module")
+def batch(sampler: WindowSampler) -> Batch:
+    return sampler.batch(0, 4)
 
 
 @pytest.fixture(scope="module")
@@ -40,8 +51,10 @@ def generators(count: int = 4) -> list[torch.Generator]:
     return [window_generator(0, 0, i, 1) for i in range(count)]
 
 
-def test_inputs_are_the_predictions_of_the_frames_before(network: PartTransformer, batch: Batch) -> None:
-    fed = feed_back(network, batch, ALWAYS, generators())
+def test_inputs_are_the_predictions_of_the_frames_before(
+    network: PartTransformer, batch: Batch, guides: GuideMap
+) -> None:
+    fed = feed_back(network, batch, ALWAYS, generators(), guides)
     assert network.training
     network.eval()
     with torch.no_grad():
@@ -53,8 +66,10 @@ def test_inputs_are_the_predictions_of_the_frames_before(network: PartTransforme
     assert torch.equal(fed.targets, batch.targets) and torch.equal(fed.mask, batch.mask)
 
 
-def test_real_frames_take_over_and_do_not_count_there(network: PartTransformer, batch: Batch) -> None:
-    fed = feed_back(network, batch, replace(ALWAYS, back=0.3), generators())
+def test_real_frames_take_over_and_do_not_count_there(
+    network: PartTransformer, batch: Batch, guides: GuideMap
+) -> None:
+    fed = feed_back(network, batch, replace(ALWAYS, back=0.3, guided_back=0.3), generators(), guides)
     own = (fed.inputs != batch.inputs).any(dim=-1)
     assert 0.4 < float(own[:, 1:].float().mean()) < 0.95
     returns = own[:, :-1] & ~own[:, 1:]
@@ -62,16 +77,43 @@ def test_real_frames_take_over_and_do_not_count_there(network: PartTransformer, 
     assert torch.equal(fed.mask[:, 1:] == 0, returns | (batch.mask[:, 1:] == 0))
 
 
-def test_a_frame_too_far_off_is_not_fed(network: PartTransformer, batch: Batch) -> None:
-    fed = feed_back(network, batch, replace(ALWAYS, limit=0.0), generators())
+def test_a_frame_too_far_off_is_not_fed(network: PartTransformer, batch: Batch, guides: GuideMap) -> None:
+    fed = feed_back(network, batch, replace(ALWAYS, limit=0.0, guided_limit=0.0), generators(), guides)
     assert torch.equal(fed.inputs, batch.inputs) and torch.equal(fed.mask, batch.mask)
 
 
-def test_windows_are_fed_the_same_alone_and_together(network: PartTransformer, batch: Batch) -> None:
-    options = SelfFeedOptions(limit=1e9)
-    together = feed_back(network, batch, options, generators())
-    alone = [feed_back(network, take_windows(batch, [i]), options, [generators()[i]]) for i in range(4)]
+def test_windows_are_fed_the_same_alone_and_together(
+    network: PartTransformer, batch: Batch, guides: GuideMap
+) -> None:
+    options = SelfFeedOptions(limit=1e9, guided_limit=1e9)
+    together = feed_back(network, batch, options, generators(), guides)
+    alone = [
+        feed_back(network, take_windows(batch, [i]), options, [generators()[i]], guides) for i in range(4)
+    ]
     assert torch.allclose(join_batches(alone).inputs, together.inputs, atol=1e-4)
+
+
+def test_guides_are_seen_from_the_frames_fed(
+    network: PartTransformer, batch: Batch, dataset: Dataset, guides: GuideMap
+) -> None:
+    fed = feed_back(network, batch, ALWAYS, generators(), guides)
+    layout = ControlLayout(dataset.types)
+    guided = batch.controls[..., layout.guided] > 0
+    assert guided.any() and not guided.all()
+    # What is asked for is the same pose from wherever it is seen.
+    before = batch.controls[..., layout.guide] + batch.inputs @ guides.matrix
+    after = fed.controls[..., layout.guide] + fed.inputs @ guides.matrix
+    assert torch.allclose(before[guided], after[guided], rtol=1e-3, atol=1e-3)
+    assert not torch.equal(fed.controls, batch.controls)
+    assert torch.equal(fed.controls[~guided], batch.controls[~guided]), "who has none sees none"
+
+
+def test_a_guide_lets_runs_be_longer(network: PartTransformer, batch: Batch, guides: GuideMap) -> None:
+    options = replace(ALWAYS, back=1.0, guided_back=0.0)
+    fed = feed_back(network, batch, options, generators(), guides)
+    guided = batch.controls[..., -1] > 0
+    own = (fed.inputs != batch.inputs).any(dim=-1)
+    assert torch.equal(own[:, 1:], guided[:, :-1])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.4, 0.5, 1.0])

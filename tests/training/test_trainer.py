@@ -74,7 +74,7 @@ def test_the_loss_falls_and_the_model_file_is_whole(
 # Total loss at steps 1, 5 and 10 of the run below, float32 on a CPU. Other processors and releases of
 # torch sum in another order; over ten steps that moves these by less than one in a thousand. A change to
 # the network, its inputs, the losses or the windows moves them by more: then these are to be taken anew.
-GOLDEN = {1: 363.506, 5: 369.13, 10: 256.055}
+GOLDEN = {1: 363.867, 5: 372.089, 10: 271.83}
 
 
 def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
@@ -83,10 +83,11 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
     # is told in full, so that other defaults are no other curve.
     config = {
         "input_dropout": 0.0, "deep_dropout": 0.0, "spatial_dropout": 0.0, "head_leak": 0.8, "head_momentum": False,
+        "control_embedding": 24,
     }  # fmt: skip
     sampler = SamplerOptions(
         window=32, balance=0.75, phase_weight=1.0, splices=0, splice_share=0.0, trajectory_dropout=0.5,
-        lead_share=0.5, lead_frames=30, noise=0.05,
+        guide_dropout=0.35, lead_share=0.5, lead_frames=30, noise=0.05,
     )  # fmt: skip
     weights = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
     options = tiny_options(
@@ -96,6 +97,7 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
         weights=weights,
         rate=1e-3,
         outlier=1e9,
+        evenness=0.0,
         self_feed=SelfFeedOptions(share=0.0),
     )
     train(dataset_folder, path, options, device="cpu")

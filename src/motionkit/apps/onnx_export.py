@@ -20,6 +20,7 @@ from torch import Tensor
 from motionkit import __version__
 from motionkit.errors import MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS, skeleton_signal
+from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS, guide_map
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, column_names, feature_layout
 from motionkit.files import atomic_write
 from motionkit.models.checkpoint import MotionModel
@@ -27,6 +28,8 @@ from motionkit.models.step import NetworkStep
 from motionkit.models.step_weights import NORM_EPS, ModuleWeights, StepWeights, pack
 from motionkit.motion.skeleton import JOINT_COUNT, canonical_skeleton, leg_length
 from motionkit.synthesis.character import model_first_type
+from motionkit.synthesis.outline_player import last_poses
+from motionkit.synthesis.plan import TypePart, plan_signals
 from motionkit.synthesis.pose import FROM_CONSTANT, FROM_MATRIX, LEFT, TO_MATRIX, BodyKinematics, PoseDecoder
 from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState
 from motionkit.synthesis.start import seed_start
@@ -35,7 +38,8 @@ if TYPE_CHECKING:
     from onnx import ModelProto, NodeProto, TensorProto
 
 OPSET = 17
-FORMAT = "motionkit-onnx-1"
+FORMAT = "motionkit-onnx-2"
+OUTLINE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
 # What comes in beside the state, with shape and meaning.
 CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     "trajectory": (
@@ -45,6 +49,8 @@ CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     ),
     "given": ((1, 1), "1 where the trajectory counts, else 0"),
     "progress": ((1, 1), "0 to 1 through a performance of a type with a phase, -1 for other types"),
+    "guide": ((1, GUIDE_COUNT), "outlines of a recording 5, 15 and 30 frames ahead, one after another"),
+    "guided": ((1, 1), "1 where the guide counts, else 0"),
     "noise": ((1, FEATURE_COUNT), "standard normal numbers times a temperature; zeros give the mean"),
 }
 OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
@@ -177,6 +183,8 @@ def metadata(model: MotionModel, character: str = "default", starts: bool = True
         "phase_seconds": {kind: model.phase_seconds(kind) for kind in model.types},
         "gaits": {kind: {"speed": g.speed, "facing": g.facing} for kind, g in model.gaits.items()},
         "trajectory_frames": list(TRAJECTORY_OFFSETS),
+        "guide_frames": list(GUIDE_OFFSETS),
+        "guides": model.guides,
         "controls": {
             "type_weights": {
                 "shape": [1, len(model.types)],
@@ -198,7 +206,25 @@ def metadata(model: MotionModel, character: str = "default", starts: bool = True
             for kind, seeds in model.seeds.items()
             if seeds
         }
+        described["outlines"] = {kind: _outlines(model, kind) for kind in model.types}
     return described
+
+
+def _outlines(model: MotionModel, kind: str) -> list[dict[str, list]]:
+    """Recordings of a type in outline, as guides are made of them; the way over the ground of performances."""
+    out: list[dict[str, list]] = []
+    frames = 0
+    for outline in model.outlines.get(kind, []):
+        if frames >= OUTLINE_SECONDS * model.fps:
+            break
+        frames += len(outline)
+        each = {"poses": _rounded(outline.poses, 3)}
+        if bool((outline.phases >= 0.0).any()):
+            each["progress"] = [round(value, 4) for value in outline.phases.tolist()]
+        if outline.performed:
+            each["ground"] = _rounded(outline.ground, 3)
+        out.append(each)
+    return out
 
 
 def _rounded(values: Tensor, digits: int) -> list:
@@ -262,7 +288,12 @@ def _control_vector(g: _Graph, model: MotionModel) -> str:
     has_phase = g.add("Cast", g.add("GreaterOrEqual", "progress", np.zeros((1, 1))), to=1)
     turns = [g.add("Mul", g.add(kind, angle), has_phase) for kind in ("Sin", "Cos")]
     skeleton = skeleton_signal(canonical_skeleton()).numpy()[None]
-    return g.add("Concat", g.constant(skeleton), "type_weights", shown, "given", *turns, axis=1)
+    guides = guide_map(model.outline, scaling=model.scaling)
+    present = g.add("Add", g.add("MatMul", "pose", guides.matrix.numpy()), guides.constant.numpy())
+    guide = g.add("Mul", g.add("Sub", g.add("Mul", "guide", guides.gains.numpy()), present), "guided")
+    return g.add(
+        "Concat", g.constant(skeleton), "type_weights", shown, "given", *turns, guide, "guided", axis=1
+    )
 
 
 def _recent_frames(g: _Graph, kernel: int) -> str:
@@ -502,10 +533,14 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     skeleton = model.character(character)
     share = leg_length(skeleton) / leg_length(model.character("default"))
     body = BodyKinematics(skeleton.offsets.numpy()[None])
-    asked = FrameControls(weights, torch.zeros(1, 24), torch.zeros(1), torch.full((1,), -1.0))
+    near = last_poses(model, start.features[0])
+    played = plan_signals(model, [TypePart(kind, frames / model.fps)], near)
+    way, given, none = torch.zeros(1, TRAJECTORY_COUNT), torch.zeros(1), torch.full((1,), -1.0)
     apart, features, seconds = 0.0, 0.0, 0.0
-    for _ in range(frames):
-        ours, _, ground = state.advance(asked)
+    for frame in range(frames):
+        guide, guided = played.guide[frame : frame + 1], played.guided[frame : frame + 1]
+        values["guide"], values["guided"] = guide.numpy(), guided[:, None].numpy()
+        ours, _, ground = state.advance(FrameControls(weights, way, given, none, guide, guided))
         rotations, root = decoder.decode(ours, ground)
         positions = body.forward(rotations, np.float32(share) * root)[..., :3, 3]
         began = time.perf_counter()

@@ -11,7 +11,7 @@ phases.npy      (N,) float32: progress through a flip, strike or jump (data/phas
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -24,11 +24,14 @@ from motionkit.data.events import SIDED
 from motionkit.data.labels import mirrored_type
 from motionkit.data.phases import mirror_phases
 from motionkit.errors import DatasetError
+from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS, PoseOutline, fit_outline, guide_signal
 from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
 from motionkit.features.normalize import Scaling
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
+# Outlines are fitted to about so many frames; 0 counts all alike, 1 all types alike.
+OUTLINE_FRAMES, OUTLINE_BALANCE = 200_000, 0.75
 ARRAYS = ("features", "contacts", "ground", "types", "phases")
 
 
@@ -50,13 +53,14 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class ClipData:
-    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,)."""
+    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), guide (T, 48)."""
 
     features: Tensor
     contacts: Tensor
     ground: Tensor
     types: Tensor
     phases: Tensor
+    guide: Tensor
 
     def cut(self, start: int, end: int) -> ClipData:
         """Frames start to end (exclusive)."""
@@ -116,6 +120,16 @@ class Dataset:
         return torch.tensor(self.manifest["references"], dtype=torch.float32)
 
     @cached_property
+    def outline(self) -> PoseOutline:
+        """What outlines of poses are made with: the directions in which training poses differ, rare types' more."""
+        clips = [clip for clip in self.select("train") if not clip.mirrored]
+        rows = np.concatenate([np.arange(clip.start, clip.start + clip.frames) for clip in clips])
+        rows = rows[:: 1 + len(rows) // OUTLINE_FRAMES]
+        types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
+        weights = torch.bincount(types).double()[types] ** -OUTLINE_BALANCE
+        return fit_outline(torch.from_numpy(self._arrays["features"][rows]), weights, self.layout)
+
+    @cached_property
     def bodies(self) -> tuple[Tensor, ...]:
         """(23, 3) offsets of every body in the data; clips index it."""
         return tuple(torch.tensor(body, dtype=torch.float32) for body in self.manifest["bodies"])
@@ -169,21 +183,31 @@ class Dataset:
         """Frames start to end of a clip, mirrored where the clip says so."""
         stop = clip.frames if end is None else min(end, clip.frames)
         rows = slice(clip.start + start, clip.start + stop)
-        features = torch.from_numpy(np.array(self._arrays["features"][rows]))
+        # Guides look ahead of the last frame.
+        beyond = clip.start + min(stop + GUIDE_OFFSETS[-1], clip.frames)
+        poses = torch.from_numpy(np.array(self._arrays["features"][rows.start : beyond]))
+        features = poses[: rows.stop - rows.start]
         contacts = torch.from_numpy(self._arrays["contacts"][rows].astype(np.float32))
         ground = torch.from_numpy(np.array(self._arrays["ground"][rows]))
         types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
         phases = torch.from_numpy(np.array(self._arrays["phases"][rows]))
-        data = ClipData(features, contacts, ground, types, phases)
-        if not clip.mirrored:
-            return data
-        return mirror_clip(data, self.layout, self.mirrored_type_ids, self.sided_types)
+        none = torch.zeros(len(features), GUIDE_COUNT)
+        data = ClipData(features, contacts, ground, types, phases, none)
+        if clip.mirrored:
+            data = mirror_clip(data, self.layout, self.mirrored_type_ids, self.sided_types)
+            columns, signs = self.layout.mirror_map()
+            poses = poses[:, columns] * signs
+        guide = guide_signal(self.outline.of(poses), torch.arange(len(features)))
+        return replace(data, guide=guide)
 
 
 def mirror_clip(
     data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor, sided_types: Tensor
 ) -> ClipData:
-    """The mirror image: in features it is a permutation with signs, since references are symmetric."""
+    """The mirror image, but for the guide.
+
+    In features it is a permutation with signs, since references are symmetric.
+    """
     columns, signs = layout.mirror_map()
     ground = data.ground * torch.tensor([-1.0, 1.0, -1.0])
     return ClipData(
@@ -192,6 +216,7 @@ def mirror_clip(
         ground,
         mirrored_type_ids[data.types],
         mirror_phases(data.phases, sided_types[data.types]),
+        data.guide,
     )
 
 

@@ -34,6 +34,7 @@ from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
+from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
 from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
 from motionkit.motion.kinematics import motion_kinematics
@@ -482,6 +483,7 @@ def _add_moments(
         torch.from_numpy(ground),
         torch.from_numpy(kinds.astype(np.int64)),
         torch.zeros(len(kinds)),
+        torch.zeros(len(kinds), GUIDE_COUNT),
     )
     for clip in clips:
         if clip.split != "train":

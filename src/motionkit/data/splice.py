@@ -41,6 +41,7 @@ class _Piece:
     velocities: Tensor
     types: Tensor
     phases: Tensor
+    guide: Tensor
 
 
 def splice_clips(
@@ -73,7 +74,9 @@ def splice_clips(
     encoded = encode_motion(motion, dataset.references, dataset.layout.version)
     types = torch.cat([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
     phases = torch.cat([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
-    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases)
+    # The guide is not blended: it is to be the one that is asked for, not the one that can be obeyed at once.
+    guide = torch.cat([a.guide[a_start : i + 1], b.guide[j + 1 : b_end]])
+    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, guide)
 
 
 def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
@@ -98,6 +101,7 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
         quat_rotate(turn, velocities),
         data.types,
         data.phases,
+        data.guide,
     )
 
 

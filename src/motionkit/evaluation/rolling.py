@@ -18,7 +18,8 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 from motionkit.synthesis.drive import together
-from motionkit.synthesis.plan import TypePart, plan_progress, plan_tracks, plan_weights
+from motionkit.synthesis.outline_player import last_poses
+from motionkit.synthesis.plan import TypePart, plan_signals, plan_weights
 from motionkit.synthesis.rollout import (
     Controller,
     FrameControls,
@@ -92,19 +93,21 @@ def roll_plans(
 def _roll_batch(
     model: MotionModel, plans: list[Plan], noise: Noise, seed: int, progress: Progress
 ) -> list[Performance]:
-    weights = torch.stack([plan_weights(model, list(plan.parts)) for plan in plans], dim=1)
+    weights = torch.stack([plan_weights(model, plan.parts) for plan in plans], dim=1)
     frames = len(weights)
     starts = [model.seeds[plan.parts[0].type] for plan in plans]
     features, contacts = seed_batch(
         [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
     )
-    clocks = torch.stack([plan_progress(model, list(plan.parts)) for plan in plans], dim=1)
-    tracks = [plan_tracks(model, list(plan.parts), 0, plan.choice) for plan in plans]
-    trajectory = torch.stack([track for track, _ in tracks], dim=1)
-    given = torch.stack([flag for _, flag in tracks], dim=1)
+    asked = [
+        plan_signals(model, plan.parts, last_poses(model, seen), 0, plan.choice)
+        for plan, seen in zip(plans, features, strict=True)
+    ]
+    names = ("trajectory", "given", "progress", "guide", "guided")
+    signals = [torch.stack([getattr(a, name) for a in asked], dim=1) for name in names]
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
-        return FrameControls(weights[frame], trajectory[frame], given[frame], clocks[frame])
+        return FrameControls(weights[frame], *(values[frame] for values in signals))
 
     with inner_threads(len(plans)):
         state = RolloutState(model, len(plans), noise, seed)

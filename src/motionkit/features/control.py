@@ -2,7 +2,8 @@
 
 Paper section 3, "Control Signal Representation". Beside the paper's four there are a flag that says
 whether a trajectory is given, so that one model serves both with and without a path, and the phase of
-types that turn the body over, which says when to begin.
+types that turn the body over, which says when to begin, and the guide (features/guide.py), which says what
+the body is to do next.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.normalize import Scaling
 from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, canonical_skeleton
@@ -26,7 +28,7 @@ SKELETON_UNIT = 10.0
 
 @dataclass(frozen=True)
 class ControlLayout:
-    """Where each signal stands in the control vector: skeleton, type, trajectory, flag, phase."""
+    """Where each signal stands in the control vector: skeleton, type, trajectory, flag, phase, guide, flag."""
 
     types: tuple[str, ...]
 
@@ -56,9 +58,19 @@ class ControlLayout:
         return slice(self.flag + 1, self.flag + 3)
 
     @property
+    def guide(self) -> slice:
+        """The 48 numbers of the guide, zero where none is given."""
+        return slice(self.phase.stop, self.phase.stop + GUIDE_COUNT)
+
+    @property
+    def guided(self) -> int:
+        """The column that is 1 where a guide is given."""
+        return self.guide.stop
+
+    @property
     def size(self) -> int:
         """Numbers in a control vector."""
-        return self.phase.stop
+        return self.guided + 1
 
 
 def future_trajectory(ground: Tensor, frames: Tensor) -> Tensor:
@@ -119,14 +131,17 @@ def control_vector(
     trajectory: Tensor,
     given: Tensor,
     progress: Tensor,
+    guide: Tensor,
+    guided: Tensor,
     trajectory_scaling: Scaling,
 ) -> Tensor:
-    """Control vectors (..., C): trajectory normalised, and zero where it is not given.
+    """Control vectors (..., C): trajectory normalised; it and the guide zero where they are not given.
 
-    progress (...) is that of phase_signal, negative for types without a phase.
+    progress (...) is that of phase_signal, negative for types without a phase; guide (..., 48) is as GuideMap shows it.
     """
     shown = trajectory_scaling.normalize(trajectory) * given[..., None]
     parts = [skeleton_B69, type_weights, shown, given[..., None], phase_signal(progress)]
+    parts += [guide * guided[..., None], guided[..., None]]
     out = torch.cat([p.expand(*type_weights.shape[:-1], p.shape[-1]) for p in parts], dim=-1)
     assert out.shape[-1] == layout.size
     return out

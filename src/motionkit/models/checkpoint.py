@@ -1,6 +1,6 @@
 """A trained model as one safetensors file that needs nothing else to run. No pickle anywhere.
 
-Tensors: the network's weights under "network.", scaling, references, bodies and seed frames. The
+Tensors: the network's weights under "network.", scaling, references, bodies, seed frames and outlines. The
 header's metadata holds one JSON document with config, types, rate, characters and the data card.
 """
 
@@ -19,13 +19,14 @@ from torch import Tensor
 from motionkit import __version__
 from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import ControlLayout
+from motionkit.features.guide import PoseOutline
 from motionkit.features.normalize import Scaling
 from motionkit.files import atomic_write
 from motionkit.models.config import ModelConfig
 from motionkit.models.network import PartTransformer
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
-FORMAT = "motionkit-model-1"
+FORMAT = "motionkit-model-2"
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,14 +49,39 @@ class Gait:
 
 
 @dataclass(frozen=True, eq=False)
+class Outline:
+    """Recorded motion of one type in outline, from which guides are played (features/guide.py).
+
+    Attributes:
+        poses: (L + 30, 16) outlines of its frames and of those that follow, which guides look ahead at.
+        ground: (L, 3) root x, z (cm) and heading (radians).
+        phases: (L,) progress through a performance, negative outside.
+    """
+
+    poses: Tensor
+    ground: Tensor
+    phases: Tensor
+
+    def __len__(self) -> int:
+        return len(self.ground)
+
+    @property
+    def performed(self) -> bool:
+        """Whether it is one performance from beginning to end."""
+        return bool((self.phases >= 0.0).all()) and bool((torch.diff(self.phases) > 0.0).all())
+
+
+@dataclass(frozen=True, eq=False)
 class MotionModel:
     """A network with everything needed to run it.
 
     Attributes:
         seeds: for each type name a few starts, real frames of the training data.
         characters: name to rest-pose offsets (23, 3) in cm; "default" is always there.
-        tracks: for types with a phase, trajectory numbers (L, 24) of whole recorded performances.
+        outline: what makes outlines of poses.
+        outlines: for each type name recordings in outline, the longest first where they are performances.
         gaits: how each type moves over the ground, for paths that do not say how fast.
+        guides: whether the network was trained with guides.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
@@ -65,10 +91,12 @@ class MotionModel:
     scaling: Scaling
     trajectory_scaling: Scaling
     references: Tensor
+    outline: PoseOutline
     characters: dict[str, Tensor]
     seeds: dict[str, list[Seed]]
     gaits: dict[str, Gait] = field(default_factory=dict)
-    tracks: dict[str, list[Tensor]] = field(default_factory=dict)
+    outlines: dict[str, list[Outline]] = field(default_factory=dict)
+    guides: bool = False
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -88,11 +116,16 @@ class MotionModel:
         raise ControlError(unknown_name("motion type", name, self.types))
 
     def phase_seconds(self, kind: str) -> float:
-        """How long a performance of a type takes, its first track if it has one; zero for types without a phase."""
-        if self.tracks.get(kind):
-            return len(self.tracks[kind][0]) / self.fps
+        """How long a performance of a type takes, the first recorded one if there is one; zero without a phase."""
+        if self.performed(kind):
+            return len(self.outlines[kind][0]) / self.fps
         gait = self.gaits.get(kind)
         return 0.0 if gait is None else gait.seconds
+
+    def performed(self, kind: str) -> bool:
+        """Whether a type is one performance from beginning to end, as a cartwheel is."""
+        outlines = self.outlines.get(kind, [])
+        return any(outline.performed for outline in outlines[:1])
 
     def character(self, name: str) -> Skeleton:
         """A character's skeleton; raises ControlError for an unknown name."""
@@ -129,9 +162,12 @@ def model_tensors(model: MotionModel, half: bool) -> dict[str, Tensor]:
             tensors[f"{key}:features"] = seed.features.half() if half else seed.features
             tensors[f"{key}:contacts"] = seed.contacts.to(torch.uint8)
             tensors[f"{key}:ground"] = seed.ground
-    for kind, tracks in model.tracks.items():
-        for i, track in enumerate(tracks):
-            tensors[f"track.{i}.{kind}"] = track
+    tensors["outline.matrix"], tensors["outline.offset"] = model.outline.matrix, model.outline.offset
+    for kind, outlines in model.outlines.items():
+        for i, each in enumerate(outlines):
+            key = f"outline.{i}.{kind}"
+            tensors[f"{key}:poses"] = each.poses.half()  # of unit size, and played to the network only
+            tensors[f"{key}:ground"], tensors[f"{key}:phases"] = each.ground, each.phases
     return {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
 
 
@@ -146,7 +182,8 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "characters": list(model.characters),
         "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
         "gaits": {kind: [gait.speed, gait.facing, gait.seconds] for kind, gait in model.gaits.items()},
-        "tracks": {kind: len(tracks) for kind, tracks in model.tracks.items()},
+        "guides": model.guides,
+        "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
         "card": model.card,
     }
     data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})
@@ -197,13 +234,15 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
             Scaling(tensors["scaling.mean"], tensors["scaling.std"]),
             Scaling(tensors["trajectory.mean"], tensors["trajectory.std"]),
             tensors["references"],
+            PoseOutline(tensors["outline.matrix"], tensors["outline.offset"]),
             {name: tensors[f"character.{name}"] for name in header["characters"]},
             seeds,
             {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
             {
-                kind: [tensors[f"track.{i}.{kind}"] for i in range(count)]
-                for kind, count in header.get("tracks", {}).items()
+                kind: [_read_outline(tensors, f"outline.{i}.{kind}") for i in range(count)]
+                for kind, count in header["outlines"].items()
             },
+            bool(header["guides"]),
             header.get("card", {}),
         )
     except ModelError as error:
@@ -219,3 +258,7 @@ def _read_seed(tensors: dict[str, Tensor], key: str) -> Seed:
         tensors[f"{key}:contacts"].float(),
         tensors[f"{key}:ground"].float(),
     )
+
+
+def _read_outline(tensors: dict[str, Tensor], key: str) -> Outline:
+    return Outline(*(tensors[f"{key}:{name}"].float() for name in ("poses", "ground", "phases")))

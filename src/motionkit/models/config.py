@@ -21,7 +21,10 @@ class ModelConfig:
     layers: int = 6  # attention layers in each auto-regressive module (paper: 6)
     window: int = 8  # frames a layer sees, its own included (paper: lm = 8)
     kernel: int = 3  # causal convolution of the shallow modules (paper: 3; deep: 1)
-    control_width: int = 32  # channels of the embedded controls, out of width
+    control_width: int = (
+        32  # the first channels of the embedded controls, which stand beside the motion in width
+    )
+    control_embedding: int = 32  # channels the controls are embedded in: all enter every layer
     shared_channels: int = 24  # first channels of the embedding, fed by the shared joints alone
     input_dropout: float = 0.4  # on the motion that goes in (paper: 0.5)
     deep_dropout: float = 0.1  # on the features that enter the deep modules (paper: 0.5)
@@ -42,6 +45,8 @@ class ModelConfig:
         motion_width = self.width - self.control_width
         if self.width % self.heads or motion_width <= self.shared_channels:
             raise ModelError("model width must be a multiple of heads and exceed control and shared channels")
+        if self.control_embedding < self.control_width:
+            raise ModelError("control_embedding must be at least control_width")
         for name, allowed in (
             ("position", ("bias", "sinusoidal")),
             ("norm", ("pre", "post")),

@@ -52,7 +52,7 @@ class AttentionLayer(nn.Module):
         self.ffn_norm = PartNorm(parts, D, affine=not self.pre)
         self.ffn = FeedForward(parts, D, config.ffn, D, bias=False)
         self.control = (
-            PartLinear(parts, config.control_width, D, bias=False) if config.layer_controls else None
+            PartLinear(parts, config.control_embedding, D, bias=False) if config.layer_controls else None
         )
 
     def forward(self, x_PBTD: Tensor, controls: Tensor) -> Tensor:
@@ -88,7 +88,7 @@ class AutoRegressiveModule(nn.Module):
         self.config, self.kernel = config, kernel
         motion_width = config.width - config.control_width
         self.embed = PartLinear(parts, kernel * inputs, motion_width)
-        self.embed_controls = PartLinear(parts, control_size, config.control_width)
+        self.embed_controls = PartLinear(parts, control_size, config.control_embedding)
         self.layers = nn.ModuleList(AttentionLayer(parts, config) for _ in range(config.layers))
         self.final_norm = PartNorm(parts, config.width, affine=False) if config.norm == "pre" else None
         self.embed_mask: Tensor
@@ -116,7 +116,7 @@ class AutoRegressiveModule(nn.Module):
         if self.config.position == "sinusoidal":
             motion = motion + sinusoidal_positions(motion.shape[2], motion.shape[3], motion.device)
         motion = spatial_dropout(motion, self.config.spatial_dropout, self.training)
-        x = torch.cat([motion, controls], dim=-1)
+        x = torch.cat([motion, controls[..., : self.config.control_width]], dim=-1)
         for layer in self.layers:
             x = layer(x, controls)
         return x if self.final_norm is None else self.final_norm(x)

@@ -11,7 +11,12 @@ from motionkit.models.config import ModelConfig
 def tptn() -> ModelConfig:
     """Two parts; leaky head with momentum and relative positions, so that it fits fast and streams."""
     return ModelConfig(
-        input_dropout=0.1, deep_dropout=0.0, spatial_dropout=0.0, head_leak=0.9, head_momentum=True
+        control_embedding=80,
+        input_dropout=0.1,
+        deep_dropout=0.0,
+        spatial_dropout=0.0,
+        head_leak=0.9,
+        head_momentum=True,
     )
 
 
@@ -46,12 +51,29 @@ def fptn_s() -> ModelConfig:
 
 def five_ptn() -> ModelConfig:
     """Five parts: two arms, two legs, the spine."""
-    return replace(tptn(), partition="five", width=80, ffn=160, control_width=24, shared_channels=16)
+    return replace(
+        tptn(),
+        partition="five",
+        width=80,
+        ffn=160,
+        control_width=24,
+        control_embedding=64,
+        shared_channels=16,
+    )
 
 
 def tiny() -> ModelConfig:
     """A small network for tests and first tries; it learns little."""
-    return replace(tptn(), width=48, heads=4, ffn=96, layers=2, control_width=16, shared_channels=12)
+    return replace(
+        tptn(),
+        width=48,
+        heads=4,
+        ffn=96,
+        layers=2,
+        control_width=16,
+        control_embedding=24,
+        shared_channels=12,
+    )
 
 
 PRESETS = {

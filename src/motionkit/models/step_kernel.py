@@ -106,7 +106,7 @@ class StepKernel:
         self._position = np.ascontiguousarray(np.moveaxis(position[..., distance], (3, 4, 5), (5, 0, 4)))
         sizes = (
             P, config.layers, config.width, config.ffn, config.heads, config.window, config.kernel, N,
-            weights.shallow.controls.shape[1], config.control_width,
+            weights.shallow.controls.shape[1], config.control_embedding,
             weights.shallow.layer_controls.shape[-1] // config.width, config.contact_hidden,
             FEATURE_COUNT, CONTACT_COUNT,
         )  # fmt: skip

@@ -147,16 +147,17 @@ def pack(network: PartTransformer) -> StepWeights:
 
 def _pack_module(module: AutoRegressiveModule, embed: Tensor) -> ModuleWeights:
     config = module.config
-    D, Dc, E = config.width, config.control_width, config.width // config.heads
+    D, Dc, E = config.width, config.control_embedding, config.width // config.heads
+    beside_count = config.control_width
     P, root = embed.shape[0], math.sqrt(D)
     layers = [layer for layer in module.layers if isinstance(layer, AttentionLayer)]
     assert module.embed.bias is not None and module.embed_controls.bias is not None
-    # The stream is motion beside embedded controls; then what the first layer adds.
+    # The stream is motion beside the first of the embedded controls; then what the first layer adds.
     beside = torch.zeros(P, Dc, D, dtype=torch.float64)
-    beside[:, :, D - Dc :] = torch.eye(Dc, dtype=torch.float64)
+    beside[:, :beside_count, D - beside_count :] = torch.eye(beside_count, dtype=torch.float64)
     added = [layer.control.weight.double() for layer in layers if layer.control is not None]
     controls = [beside + added[0], *added[1:]] if added else [beside]
-    wide = torch.nn.functional.pad(torch.cat([embed, module.embed.bias.double()], dim=1), (0, Dc))
+    wide = torch.nn.functional.pad(torch.cat([embed, module.embed.bias.double()], dim=1), (0, beside_count))
     wide = _centred(wide)
     query = torch.ones(3 * D, dtype=torch.float64)
     query[:D] /= math.sqrt(E)

@@ -9,13 +9,23 @@ import torch
 from torch import Tensor
 
 from motionkit.features.control import TRAJECTORY_COUNT
+from motionkit.features.guide import GUIDE_COUNT
 from motionkit.models.checkpoint import MotionModel
 from motionkit.synthesis.follow import PathFollower
+from motionkit.synthesis.outline_player import OutlinePlayer, Signals
 from motionkit.synthesis.path import SPACING, Path2D
 from motionkit.synthesis.rollout import FrameControls
-from motionkit.synthesis.steering import STANDS_BELOW, Steering, SteeringOptions, steered_type
+from motionkit.synthesis.steering import (
+    STANDS_BELOW,
+    STEERED_TYPES,
+    Steering,
+    SteeringOptions,
+    steered_type,
+)
 
 DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
+AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
+_NO_PROGRESS = torch.full((1,), -1.0)
 
 
 @dataclass(frozen=True)
@@ -52,20 +62,28 @@ class _Performance:
     """A type shown once; its first frame is due at frame begins."""
 
     type: str
-    frames: int
     begins: int
-    has_phase: bool
-    track: Tensor | None
+    signals: Signals
+
+    @property
+    def frames(self) -> int:
+        """How long it takes."""
+        return len(self.signals.progress)
 
 
 @dataclass(frozen=True)
 class _Asked:
-    """Controls on their way: a kind, or for a path its type weights; trajectory (1, 24) if one is given."""
+    """Controls on their way: a kind, or for a path its type weights; trajectory (1, 24) if one is given.
+
+    progress (1,); guide (1, 48) and guided (1,) if one is given.
+    """
 
     kind: str
     trajectory: Tensor | None = None
-    progress: float = -1.0
+    progress: Tensor = _NO_PROGRESS
     weights: Tensor | None = None
+    guide: Tensor | None = None
+    guided: Tensor | None = None
 
 
 class Driver:
@@ -83,6 +101,7 @@ class Driver:
         self.wish = Wish()
         self.type = kind or steered_type(model, (0.0, 0.0), None)
         self.steering = Steering(model.fps, self.options.steering)
+        self._player, self._played = OutlinePlayer(model), ""
         self._follower: PathFollower | None = None
         self._performance: _Performance | None = None
         self._waiting: tuple[str, float, int] | None = None
@@ -101,8 +120,8 @@ class Driver:
         """Show a type once, then go back to the wish. One performance waits until the present one is over.
 
         Args:
-            seconds: for types without a phase; the others take their own time.
-            choice: picks among the recorded tracks of the type.
+            seconds: for types that are no strike, jump or flip; those take their own time.
+            choice: picks among the recordings of the type.
 
         Raises:
             ControlError: for an unknown type.
@@ -135,7 +154,7 @@ class Driver:
         weights = self._blend(asked.kind, asked.weights)
         given = torch.tensor([0.0 if asked.trajectory is None else 1.0])
         trajectory = torch.zeros(1, TRAJECTORY_COUNT) if asked.trajectory is None else asked.trajectory
-        return FrameControls(weights[None], trajectory, given, torch.tensor([asked.progress]))
+        return FrameControls(weights[None], trajectory, given, asked.progress, asked.guide, asked.guided)
 
     def _take_turns(self, frame: int) -> None:
         """End a performance that is over, begin the one that waits, and repeat one the wish holds on to."""
@@ -150,31 +169,46 @@ class Driver:
             return
         kind, seconds, choice = self._waiting
         self._waiting = None
-        length = self.model.phase_seconds(kind)
-        tracks = self.model.tracks.get(kind)
+        length = round(self.model.phase_seconds(kind) * self.model.fps)
+        player = OutlinePlayer(self.model, choice)
+        player.begin(kind)
+        if not self.model.performed(kind):
+            event = player.event_frames()
+            length = event + AFTER_EVENT if event else 0
         # Weights cross the middle of their blend as the first frame is due, as they do in training.
         begins = frame if over is not None and over.type == kind else frame + self.options.blend_frames // 2
-        frames = max(1, round((length or seconds) * self.model.fps))
-        track = tracks[choice % len(tracks)] if tracks else None
-        self._performance = _Performance(kind, frames, begins, length > 0, track)
+        signals = player.play(max(1, length or round(seconds * self.model.fps)))
+        self._performance = _Performance(kind, begins, signals)
 
     def _steer(self) -> _Asked:
         wish = self.wish
         if wish.velocity is None:
-            return _Asked(wish.type or steered_type(self.model, (0.0, 0.0), None))
+            return self._guided(wish.type or steered_type(self.model, (0.0, 0.0), None), None)
         kind = wish.type or steered_type(self.model, wish.velocity, wish.facing)
         facing = wish.facing
         if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
             gait = self.model.gaits.get(kind)
             facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
-        return _Asked(kind, torch.tensor([self.steering.trajectory(wish.velocity, facing)]))
+        trajectory = torch.tensor([self.steering.trajectory(wish.velocity, facing)])
+        if kind in STEERED_TYPES:
+            self._played = ""
+            return _Asked(kind, trajectory)
+        return self._guided(kind, trajectory)
+
+    def _guided(self, kind: str, trajectory: Tensor | None) -> _Asked:
+        """A type as it is recorded, for as long as it is wished."""
+        if kind != self._played:
+            self._player.begin(kind)
+            self._played = kind
+        asked = self._player.play(1)
+        return _Asked(kind, trajectory, asked.progress, None, asked.guide, asked.guided)
 
     def _follow(self, follower: PathFollower, frame: int, ground: Tensor) -> _Asked:
         asked = follower(frame, ground)
         if follower.arc >= follower.path.length - SPACING:
             self._follower, self.wish = None, Wish()
         weights = asked.type_weights[0]
-        return _Asked("", asked.trajectory, float(asked.progress), weights)
+        return _Asked("", asked.trajectory, asked.progress, weights, asked.guide, asked.guided)
 
     def _show(self, shown: _Performance, frame: int, otherwise: _Asked) -> _Asked:
         """What a performance asks for; before its first frame is due and in its last ones, only in part."""
@@ -184,12 +218,13 @@ class Driver:
             return _Asked(shown.type, otherwise.trajectory)
         still = at < shown.frames - half
         kind, weights = (shown.type, None) if still else (otherwise.kind, otherwise.weights)
-        progress = at / shown.frames if shown.has_phase else -1.0
-        if shown.track is not None:
-            return _Asked(kind, shown.track[min(at, len(shown.track) - 1)][None], progress, weights)
+        now, asked = slice(at, at + 1), shown.signals
+        signals = (asked.progress[now], weights, asked.guide[now], asked.guided[now])
+        if bool(asked.given[at]):
+            return _Asked(kind, asked.trajectory[now], *signals)
         # Who stands and kicks is not to be held in place; who goes or follows a path goes on.
         goes = self._follower is not None or math.hypot(*(self.wish.velocity or (0.0, 0.0))) >= STANDS_BELOW
-        return _Asked(kind, otherwise.trajectory if goes else None, progress, weights)
+        return _Asked(kind, otherwise.trajectory if goes else None, *signals)
 
     def _blend(self, kind: str, weights: Tensor | None) -> Tensor:
         """Type weights (N,) that go over to those of a kind, or to the given ones, within blend_frames."""
@@ -210,9 +245,12 @@ class Driver:
 
 def together(asked: list[FrameControls]) -> FrameControls:
     """The controls of several characters as those of one batch."""
+    none, never = torch.zeros(1, GUIDE_COUNT), torch.zeros(1)
     return FrameControls(
         torch.cat([a.type_weights for a in asked]),
         torch.cat([a.trajectory for a in asked]),
         torch.cat([a.given for a in asked]),
         torch.cat([a.progress for a in asked]),
+        torch.cat([none if a.guide is None else a.guide for a in asked]),
+        torch.cat([never if a.guided is None else a.guided for a in asked]),
     )

@@ -15,9 +15,11 @@ from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import rotate_ground
+from motionkit.synthesis.outline_player import OutlinePlayer
 from motionkit.synthesis.path import SPACING, Path2D
-from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState, progress_at
+from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState
 from motionkit.synthesis.start import clip_start, seed_start
+from motionkit.synthesis.steering import STEERED_TYPES
 from motionkit.synthesis.synthesize import SynthesisOptions, finish_motion, inner_threads
 
 # The place on the path is sought from a little behind the last one to a little ahead, so that a path
@@ -52,10 +54,16 @@ class FollowResult:
 
 
 class PathFollower:
-    """Turns a path into the controls of every frame for one character; a Controller."""
+    """Turns a path into the controls of every frame for one character; a Controller.
 
-    def __init__(self, model: MotionModel, path: Path2D) -> None:
+    Who walks or runs takes the speed and the turns of the path; other types are guided by recordings, which
+    choice picks among.
+    """
+
+    def __init__(self, model: MotionModel, path: Path2D, choice: int = 0, behind: int = 0) -> None:
+        """behind: frames of the first part's performance that lie behind already."""
         self.path, self.fps = path, model.fps
+        self.player, self.behind = OutlinePlayer(model, choice), behind
         self.types = torch.tensor([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
         gaits = [model.gaits.get(part.type) for part in path.parts]
@@ -64,8 +72,7 @@ class PathFollower:
             [part.speed if part.speed is not None else s for part, s in zip(path.parts, typical, strict=True)]
         ).clamp(min=20.0)
         self.facings = torch.tensor([0.0 if gait is None else gait.facing for gait in gaits])
-        self.lengths = [model.phase_seconds(part.type) * model.fps for part in path.parts]
-        self.entered: dict[int, int] = {}  # the frame at which each part was reached
+        self.entered = -1  # the part the character is on
         self.arc = 0.0
         self.arcs: list[float] = []
 
@@ -84,13 +91,19 @@ class PathFollower:
         facing = self.facings[self.path.part_at(ahead)]
         directions = rotate_ground(-heading - facing, tangents)
         trajectory = torch.cat([positions.flatten(), directions.flatten()])
-        progress = torch.tensor([self._progress(frame)])
-        return FrameControls(self._type_weights()[None], trajectory[None], torch.ones(1), progress)
-
-    def _progress(self, frame: int) -> float:
-        """Progress through the performance of the part the character is on."""
+        weights = self._type_weights()[None]
         part = int(self.path.part_at(torch.tensor(self.arc)))
-        return progress_at(frame - self.entered.setdefault(part, frame), self.lengths[part])
+        kind = self.path.parts[part].type
+        if kind in STEERED_TYPES:
+            self.entered = part
+            return FrameControls(weights, trajectory[None], torch.ones(1), torch.full((1,), -1.0))
+        if part != self.entered:
+            self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
+            self.entered = part
+        asked = self.player.play(1)
+        return FrameControls(
+            weights, trajectory[None], torch.ones(1), asked.progress, asked.guide, asked.guided
+        )
 
     def _project(self, point: Tensor) -> float:
         first = max(0, int((self.arc - SEARCH_BACK) / SPACING))
@@ -138,20 +151,18 @@ def follow_path(
     skeleton = model.character(options.character)
     if options.count != 1:
         raise ControlError("a path is followed by one character at a time")
-    follower = PathFollower(model, path)
     first = path.parts[0].type
-    start = seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
     weights = torch.zeros(1, len(model.types))
     weights[0, model.type_id(first)] = 1.0
+    start = seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
+    # Seed frames are the beginning of a performance; what comes after them goes on from there.
+    length = model.phase_seconds(first) * model.fps if options.init is None else 0.0
+    follower = PathFollower(model, path, options.seed, start.features.shape[1] if length else 0)
     tangent = path.tangents[0]
     heading = torch.atan2(tangent[0], tangent[1]) - follower.facings[0]
     place = torch.cat([path.points[0], heading[None]])[None]
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
     made: list[tuple[Tensor, Tensor, Tensor]] = []
-    # Seed frames are the beginning of a performance; what comes after them goes on from there.
-    length = follower.lengths[0] if options.init is None else 0.0
-    if length:
-        follower.entered[0] = -start.features.shape[1]
     with inner_threads(1):
         state = RolloutState(model, 1, options.noise, options.seed)
         state.start(start.features, start.contacts, weights, place, length)

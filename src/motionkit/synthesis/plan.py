@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from motionkit.errors import ControlError
-from motionkit.features.control import TRAJECTORY_COUNT, blend_types
+from motionkit.features.control import blend_types
 from motionkit.models.checkpoint import MotionModel
-from motionkit.synthesis.rollout import Controller, FrameControls, progress_at
+from motionkit.synthesis.outline_player import OutlinePlayer, Signals
+from motionkit.synthesis.rollout import Controller, FrameControls
 
 DEFAULT_SECONDS = 4.0
 MAX_SECONDS = 3600.0
@@ -72,7 +73,7 @@ def _seconds(text: str, word: str) -> float:
     return value
 
 
-def type_track(model: MotionModel, parts: list[TypePart]) -> Tensor:
+def type_track(model: MotionModel, parts: Sequence[TypePart]) -> Tensor:
     """The type id (T,) of every frame of the parts; raises ControlError for an unknown type."""
     ids = [model.type_id(part.type) for part in parts]
     counts = [max(1, round(part.seconds * model.fps)) for part in parts]
@@ -80,70 +81,56 @@ def type_track(model: MotionModel, parts: list[TypePart]) -> Tensor:
 
 
 def crowd_controller(
-    model: MotionModel, plans: list[list[TypePart]], batch: int, behind: list[int], choice: int = 0
+    model: MotionModel,
+    plans: list[list[TypePart]],
+    near: list[Tensor],
+    behind: list[int],
+    choice: int = 0,
 ) -> Controller:
     """What is asked of a crowd: characters take the plans in turn, and go on with the last frame of theirs.
 
     Args:
+        near: for each character the last outlines of the frames it starts from (last_poses).
         behind: for each plan the frames of its first performance that lie behind already.
-        choice: picks among the recorded tracks of a type.
+        choice: picks among recordings; each character makes a choice of its own.
     """
-    longest = max(len(type_track(model, plan)) for plan in plans)
+    turn = [i % len(plans) for i in range(len(near))]
+    tracks = [plan_weights(model, plan) for plan in plans]
+    longest = max(len(track) for track in tracks)
 
     def whole(values: Tensor) -> Tensor:
         return torch.cat([values, values[-1:].expand(longest - len(values), *values.shape[1:])])
 
-    weights = torch.stack([whole(plan_weights(model, plan)) for plan in plans], 1)
-    pairs = list(zip(plans, behind, strict=True))
-    progress = torch.stack([whole(plan_progress(model, plan, first)) for plan, first in pairs], 1)
-    tracks = [plan_tracks(model, plan, first, choice) for plan, first in pairs]
-    trajectory, given = (torch.stack([whole(t[i]) for t in tracks], 1) for i in (0, 1))
-    turn = torch.arange(batch) % len(plans)
+    weights = torch.stack([whole(track) for track in tracks], 1)[:, turn]
+    asked = [plan_signals(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
+    names = ("trajectory", "given", "progress", "guide", "guided")
+    signals = [torch.stack([whole(getattr(a, name)) for a in asked], 1) for name in names]
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
         now = min(frame, longest - 1)
-        return FrameControls(weights[now, turn], trajectory[now, turn], given[now, turn], progress[now, turn])
+        return FrameControls(weights[now], *(values[now] for values in signals))
 
     return controls
 
 
-def plan_weights(model: MotionModel, parts: list[TypePart]) -> Tensor:
+def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Tensor:
     """Blended type weights (T, N) of the parts: 40 frames at each change."""
     return blend_types(type_track(model, parts), len(model.types))
 
 
-def plan_progress(model: MotionModel, parts: list[TypePart], first_frame: int = 0) -> Tensor:
-    """Progress (T,) through performances of the parts' types, negative for types without a phase.
+def plan_signals(
+    model: MotionModel, parts: Sequence[TypePart], near: Tensor, behind: int = 0, choice: int = 0
+) -> Signals:
+    """What recordings of the parts' types ask for, frame by frame.
 
     Args:
-        first_frame: frames of the first part's performance that lie behind already.
+        near: (2, 16) the last outlines of the frames before (last_poses).
+        behind: frames of the first part's performance that lie behind already.
+        choice: picks among the recordings of the types.
     """
-    out: list[float] = []
+    player = OutlinePlayer(model, choice)
+    asked = []
     for number, part in enumerate(parts):
-        frames = max(1, round(part.seconds * model.fps))
-        length = model.phase_seconds(part.type) * model.fps
-        skipped = first_frame if number == 0 else 0
-        out.extend(progress_at(frame + skipped, length) for frame in range(frames))
-    return torch.tensor(out)
-
-
-def plan_tracks(
-    model: MotionModel, parts: list[TypePart], first_frame: int = 0, choice: int = 0
-) -> tuple[Tensor, Tensor]:
-    """Trajectory numbers (T, 24) of recorded performances, and where they count (T,), for types that have them.
-
-    A cartwheel to the left is as good as one to the right, and a model that knows both does neither;
-    the trajectory of a recorded one decides. choice picks among the tracks of a type.
-    """
-    trajectory, given = [], []
-    for number, part in enumerate(parts):
-        frames = max(1, round(part.seconds * model.fps))
-        tracks = model.tracks.get(part.type)
-        given.append(torch.full((frames,), float(bool(tracks))))
-        if not tracks:
-            trajectory.append(torch.zeros(frames, TRAJECTORY_COUNT))
-            continue
-        track = tracks[choice % len(tracks)]
-        behind = first_frame if number == 0 else 0
-        trajectory.append(track[(torch.arange(frames) + behind) % len(track)])
-    return torch.cat(trajectory), torch.cat(given)
+        player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0)
+        asked.append(player.play(max(1, round(part.seconds * model.fps))))
+    return Signals.joined(asked)

@@ -12,6 +12,7 @@ from torch import Tensor
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
 from motionkit.features.decode import decode_motion
+from motionkit.features.guide import guide_map
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel, Seed
 from motionkit.models.step_weights import Floats
@@ -44,13 +45,16 @@ class FrameControls:
     """What is asked of B characters at one frame.
 
     type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
-    the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative.
+    the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative. guide:
+    (B, 48), and guided: (B,) 1 where it counts; None for no guide at all.
     """
 
     type_weights: Tensor
     trajectory: Tensor
     given: Tensor
     progress: Tensor
+    guide: Tensor | None = None
+    guided: Tensor | None = None
 
 
 # Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
@@ -91,6 +95,10 @@ class RolloutState:
         scaling = model.trajectory_scaling
         self._trajectory_mean, self._trajectory_std = scaling.mean.numpy(), scaling.std.numpy()
         self._layout = model.controls
+        guides = guide_map(model.outline, model.scaling)
+        self._guide_gains, self._guide_matrix, self._guide_constant = (
+            g.numpy() for g in vars(guides).values()
+        )
         self._controls = np.zeros((batch, self._layout.size), np.float32)
         self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._contacts = np.zeros((batch, CONTACT_COUNT), np.float32)
@@ -132,7 +140,7 @@ class RolloutState:
         lengths = [phase_frames] * self.batch if isinstance(phase_frames, (int, float)) else phase_frames
         for t in range(x.shape[1] - 1):
             progress = torch.tensor([progress_at(t, length) for length in lengths])
-            self._ask(FrameControls(type_weights, none, torch.zeros(self.batch), progress))
+            self._ask(FrameControls(type_weights, none, torch.zeros(self.batch), progress), x[:, t])
             self.network.step(x[:, t], contacts[:, t].numpy(), self._controls)
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1].numpy()
         self._ground[:] = 0.0 if ground is None else ground.numpy()
@@ -164,8 +172,8 @@ class RolloutState:
         ):
             mine[index] = its[0]
 
-    def _ask(self, asked: FrameControls) -> None:
-        """Write control vectors, as features.control.control_vector makes them."""
+    def _ask(self, asked: FrameControls, x: Floats) -> None:
+        """Write control vectors, as features.control.control_vector makes them, for normalised frames x."""
         layout, controls = self._layout, self._controls
         controls[:, layout.type] = asked.type_weights.numpy()
         given = asked.given.numpy()
@@ -178,10 +186,20 @@ class RolloutState:
         angle, has_phase = np.float32(2.0 * np.pi) * progress, progress >= 0
         controls[:, layout.phase.start] = np.sin(angle) * has_phase
         controls[:, layout.phase.start + 1] = np.cos(angle) * has_phase
+        if asked.guide is None or asked.guided is None:
+            controls[:, layout.guide.start :] = 0.0
+        else:
+            guided = asked.guided.numpy()
+            shown = controls[:, layout.guide]
+            np.matmul(x, self._guide_matrix, out=shown)
+            shown += self._guide_constant
+            np.subtract(self._guide_gains * asked.guide.numpy(), shown, out=shown)
+            shown *= guided[:, None]
+            controls[:, layout.guided] = guided
 
     def advance(self, asked: FrameControls) -> tuple[Floats, Floats, Floats]:
         """step() in numpy, without copies: what it answers is overwritten by the next call, features excepted."""
-        self._ask(asked)
+        self._ask(asked, self._x)
         network = self.network
         network.step(self._x, self._contacts, self._controls)
         if self.noise.kind == "mean":

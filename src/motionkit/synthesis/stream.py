@@ -66,7 +66,7 @@ class NetworkStream:
     ) -> Tensor:
         motion = module.embed_motion(x)
         controls = module.embed_controls(controls.expand(motion.shape[0], *controls.shape))
-        x = torch.cat([motion, controls], dim=-1)
+        x = torch.cat([motion, controls[..., : module.config.control_width]], dim=-1)
         slot = self.frame % module.config.window
         for i, layer in enumerate(module.layers):
             assert isinstance(layer, AttentionLayer)

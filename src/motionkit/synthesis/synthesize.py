@@ -16,6 +16,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
+from motionkit.synthesis.outline_player import last_poses
 from motionkit.synthesis.plan import TypePart, crowd_controller, plan_weights
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.synthesis.start import clip_start, seed_start
@@ -98,7 +99,8 @@ def synthesize(
         state = RolloutState(model, count, options.noise, options.seed)
         state.start(start.features, start.contacts, first[turn], start.ground, [lengths[i] for i in turn])
         behind = [start.features.shape[1] if length else 0 for length in lengths]
-        controller = crowd_controller(model, plans, count, behind, options.seed)
+        near = [last_poses(model, features) for features in start.features]
+        controller = crowd_controller(model, plans, near, behind, options.seed)
         frames = [len(plan_weights(model, plan)) for plan in plans]
         started = time.perf_counter()
         rollout = run(state, max(frames), controller, progress)

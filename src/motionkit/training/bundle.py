@@ -6,21 +6,24 @@ import math
 from typing import Any
 
 import torch
-from torch import Tensor
 
 from motionkit.data.dataset import Clip, Dataset
-from motionkit.features.control import future_trajectory
-from motionkit.models.checkpoint import Gait, MotionModel, Seed
+from motionkit.data.phases import type_stretches
+from motionkit.features.guide import GUIDE_OFFSETS
+from motionkit.models.checkpoint import Gait, MotionModel, Outline, Seed
 from motionkit.models.network import PartTransformer
 from motionkit.motion.skeleton import canonical_skeleton
 
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
-TRACKS_PER_TYPE = 2  # a performance and its mirror image
+# Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
+OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 40.0, 6.0, 1.0
 
 
-def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any]) -> MotionModel:
-    """The model file's content for a network trained on a dataset."""
+def bundle_model(
+    network: PartTransformer, dataset: Dataset, card: dict[str, Any], guides: bool = True
+) -> MotionModel:
+    """The model file's content for a network trained on a dataset, with guides or without."""
     characters = {"default": canonical_skeleton().offsets}
     characters |= dataset.characters
     return MotionModel(
@@ -30,14 +33,12 @@ def bundle_model(network: PartTransformer, dataset: Dataset, card: dict[str, Any
         dataset.scaling,
         dataset.trajectory_scaling,
         dataset.references,
+        dataset.outline,
         characters,
         {kind: seed_frames(dataset, kind) for kind in dataset.types},
         measure_gaits(dataset),
-        {
-            kind: performance_tracks(dataset, kind)
-            for kind, event in dataset.phase_events.items()
-            if not event
-        },
+        {kind: recorded_outlines(dataset, kind) for kind in dataset.types},
+        guides,
         card,
     )
 
@@ -82,19 +83,43 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
     return [seed for _, _, seed in ranked[:SEEDS_PER_TYPE]]
 
 
-def performance_tracks(dataset: Dataset, kind: str) -> list[Tensor]:
-    """Trajectory numbers (L, 24) of the longest recorded performance of a type, and of its mirror image.
+def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
+    """Training stretches of a type in outline: performances the longest first, others from many recordings.
 
-    Left or right is the same to a model that learns from mirrored twins; a track says which it is to be.
+    Recordings and their mirror images take turns, so that there are kicks of both sides.
     """
-    wanted = dataset.types.index(kind)
-    found: list[tuple[int, str, Tensor]] = []
+    wanted, fps = dataset.types.index(kind), dataset.fps
+    longest = round(LONGEST_OUTLINE * fps)
+    found: list[tuple[int, str, Outline]] = []
     for clip in dataset.select("train"):
-        mine = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
-        if len(mine):
-            found.append((-len(mine), clip.name, future_trajectory(dataset.read(clip).ground, mine)))
+        for start, end, type_id in type_stretches(dataset.clip_types(clip).numpy()):
+            if type_id != wanted:
+                continue
+            whole = dataset.read(clip, start, end + GUIDE_OFFSETS[-1])
+            poses = dataset.outline.of(whole.features)
+            beyond = end - start + GUIDE_OFFSETS[-1] - len(poses)
+            poses = torch.cat([poses, poses[-1:].expand(beyond, -1)])
+            performed = dataset.phase_events.get(kind) == ""
+            for first in range(0, end - start, end - start if performed else longest):
+                last = end - start if performed else min(first + longest, end - start)
+                outline = Outline(
+                    poses[first : last + GUIDE_OFFSETS[-1]],
+                    whole.ground[first:last],
+                    whole.phases[first:last],
+                )
+                # Parts of one stretch stand behind each other's, so that the time goes to many recordings.
+                order = -len(outline) if performed else first
+                found.append((order, clip.name, outline))
     found.sort(key=lambda entry: entry[:2])
-    return [track for _, _, track in found[:TRACKS_PER_TYPE]]
+    shortest = SHORTEST_OUTLINE * fps
+    long = [outline for _, _, outline in found if len(outline) >= shortest]
+    out: list[Outline] = []
+    frames = 0.0
+    for outline in long or [outline for _, _, outline in found]:
+        if frames < OUTLINE_SECONDS * fps:
+            out.append(outline)
+            frames += len(outline)
+    return out
 
 
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:

@@ -24,6 +24,7 @@ from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
 
 FOOT_UNIT = 20.0  # cm
+TYPICAL_SIGMA = 0.1  # of a trained network
 WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
 
 
@@ -58,9 +59,19 @@ def _mean(values: Tensor, mask: Tensor) -> Tensor:
 
 
 def gaussian_loss(
-    mean: Tensor, log_sigma: Tensor, target: Tensor, mask: Tensor, outlier: float = math.inf
+    mean: Tensor,
+    log_sigma: Tensor,
+    target: Tensor,
+    mask: Tensor,
+    outlier: float = math.inf,
+    evenness: float = 0.0,
 ) -> Tensor:
     """Negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory).
+
+    What is hard to predict gets a large sigma, and the likelihood's gradient on the mean then fades with its
+    square: easy frames are learned ever better, hard ones never. Each term counts by (sigma / TYPICAL_SIGMA) to the
+    power 2 x evenness, which is not differentiated (Seitzer et al. 2022, "On the Pitfalls of Heteroscedastic
+    Uncertainty Estimation"); 0 is the plain likelihood, 1 weighs all errors alike.
 
     Beyond outlier deviations the square goes on as a straight line (Huber 1964). Exponential maps jump where
     a joint turns past half a turn, once in some hundred frames; squared, that one frame outweighs its batch.
@@ -68,7 +79,10 @@ def gaussian_loss(
     scaled = ((target - mean) * torch.exp(-log_sigma)).abs()
     inner = scaled.clamp(max=outlier)
     penalty = inner * (scaled - 0.5 * inner)
-    return _mean((penalty + log_sigma + 0.9189385).sum(-1), mask)
+    terms = penalty + log_sigma + 0.9189385
+    if evenness:
+        terms = terms * torch.exp(2.0 * evenness * (log_sigma.detach() - math.log(TYPICAL_SIGMA)))
+    return _mean(terms.sum(-1), mask)
 
 
 def smoothness_loss(mean: Tensor, mask: Tensor) -> Tensor:
@@ -149,12 +163,15 @@ def training_losses(
     references: Tensor,
     fps: float,
     outlier: float = math.inf,
+    evenness: float = 0.0,
 ) -> dict[str, Tensor]:
-    """All six terms by name, unweighted; outlier as in gaussian_loss."""
+    """All six terms by name, unweighted; outlier and evenness as in gaussian_loss."""
     zero = torch.zeros((), device=prediction.mean.device)
     consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
     return {
-        "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask, outlier),
+        "gauss": gaussian_loss(
+            prediction.mean, prediction.log_sigma, batch.targets, batch.mask, outlier, evenness
+        ),
         "smooth": smoothness_loss(prediction.mean, batch.mask),
         "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
         "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps),

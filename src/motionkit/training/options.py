@@ -31,6 +31,7 @@ class TrainOptions:
     clip_norm: float = 1.0
     ema: float = 0.998
     outlier: float = 3.0  # deviations beyond which the Gaussian loss is linear (paper: never)
+    evenness: float = 0.5  # of the Gaussian loss between what is easy and what is hard to predict (paper: 0)
     seed: int = 0
     precision: str = "auto"  # "auto", "float32" or "bfloat16"
     checkpoint_seconds: float = 40.0

@@ -34,12 +34,13 @@ def train_options(
             balance=1.0,
             splices=0,
             trajectory_dropout=0.0,
+            guide_dropout=1.0,
             lead_share=0.0,
             phase_weight=1.0,
             noise=0.05,
         )
         options = replace(options, batch=56, rate=1e-4, sampler=paper, weights=dict(WEIGHTS))
-        options = replace(options, outlier=1e9, self_feed=SelfFeedOptions(share=0.0))
+        options = replace(options, outlier=1e9, evenness=0.0, self_feed=SelfFeedOptions(share=0.0))
     sampler = options.sampler
     if window is not None:
         sampler = replace(sampler, window=window)

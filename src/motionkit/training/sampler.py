@@ -23,6 +23,7 @@ from motionkit.features.control import (
     future_trajectory,
     skeleton_signal,
 )
+from motionkit.features.guide import guide_map
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
@@ -40,6 +41,9 @@ class SamplerOptions:
     splices: int = 2000  # spliced transitions made before training; 0 for none
     splice_share: float = 0.4  # of windows
     trajectory_dropout: float = 0.5  # windows without a trajectory
+    guide_dropout: float = (
+        0.35  # windows without a guide; where the type changes each side has its own chance
+    )
     lead_share: float = 0.5  # windows whose type is announced ahead of the motion
     lead_frames: int = 30  # by at most this many frames
     noise: float = 0.01  # deviation of the input noise, normalised (paper: 0.05)
@@ -69,6 +73,7 @@ class WindowSampler:
         if not self.clips:
             raise DatasetError(f"{dataset.folder}: no training clips")
         self.controls = ControlLayout(dataset.types)
+        self.guide_map = guide_map(dataset.outline, dataset.scaling)
         self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]
         self.spans = self._index([dataset.clip_types(clip) for clip in self.clips])
         self.splices: list[ClipData] = []
@@ -164,6 +169,9 @@ class WindowSampler:
             types = torch.cat([types[lead:], types[-1:].expand(lead)]) if lead < len(types) else types
         weights = blend_types(types, len(self.dataset.types))[:frames]
         given = torch.full((frames,), 0.0 if u < options.trajectory_dropout else 1.0)
+        guided = self._guided(data.types[:frames], generator)
+        inputs = x[:frames] + torch.randn(frames, FEATURE_COUNT, generator=generator) * options.noise
+        guide = self.guide_map.shown(data.guide[:frames], inputs)
         controls = control_vector(
             self.controls,
             self.skeletons[body],
@@ -171,13 +179,14 @@ class WindowSampler:
             trajectory[:frames],
             given,
             data.phases[:frames],
+            guide,
+            guided,
             self.dataset.trajectory_scaling,
         )
-        noise = torch.randn(frames, FEATURE_COUNT, generator=generator) * options.noise
         # A short window counts as much as a full one.
         mask = torch.full((frames,), T / frames)
         window = {
-            "inputs": x[:frames] + noise,
+            "inputs": inputs,
             "targets": x[1:],
             "contacts": data.contacts[:frames],
             "next_contacts": data.contacts[1 : frames + 1],
@@ -188,6 +197,11 @@ class WindowSampler:
         padded = {name: _pad(value, T) for name, value in window.items()}
         padded["offsets"] = self.dataset.bodies[body]
         return padded
+
+    def _guided(self, types: Tensor, generator: torch.Generator) -> Tensor:
+        """Where a guide is given (T,): before the first change of type, and after it."""
+        before, after = (torch.rand(2, generator=generator) >= self.options.guide_dropout).float()
+        return torch.where((types == types[0]).cumprod(dim=0).bool(), before, after)
 
 
 def _pad(values: Tensor, frames: int) -> Tensor:

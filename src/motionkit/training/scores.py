@@ -1,6 +1,6 @@
 """Roll-out scores: what a model does when left to itself, per type. Losses alone do not tell.
 
-Each type runs closed-loop from its own start without a trajectory; what it does is held against the
+Each type runs closed-loop from its own start, guided as in synthesis; what it does is held against the
 real motion of that type.
 """
 
@@ -13,22 +13,14 @@ import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
-from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FeatureLayout
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS
-from motionkit.synthesis.rollout import (
-    FrameControls,
-    Noise,
-    Rollout,
-    RolloutState,
-    progress_at,
-    rollout_motion,
-    run,
-    seed_batch,
-)
+from motionkit.synthesis.outline_player import last_poses
+from motionkit.synthesis.plan import TypePart, crowd_controller
+from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run, seed_batch
 from motionkit.synthesis.synthesize import inner_threads
 
 LOW_TOE = 5.0  # cm; the standing toe joint is at 4.1
@@ -78,21 +70,15 @@ def score_rollouts(
 
 
 def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise | None = None) -> Rollout:
-    """All types side by side, each from its own first seed frames, no trajectory."""
+    """All types side by side, each from its own first seed frames."""
     count = len(model.types)
     state = RolloutState(model, count, noise or Noise(), seed)
     weights = torch.eye(count)
     features, contacts = seed_batch([model.seeds[kind][0] for kind in model.types])
     state.start(features, contacts, weights)
-    lengths = [model.phase_seconds(kind) * model.fps for kind in model.types]
-    behind = features.shape[1]
-    none, never = torch.zeros(count, TRAJECTORY_COUNT), torch.zeros(count)
-
-    def controls(frame: int, ground: Tensor) -> FrameControls:
-        progress = torch.tensor([progress_at(frame + behind, length) for length in lengths])
-        return FrameControls(weights, none, never, progress)
-
-    return run(state, frames, controls)
+    plans = [[TypePart(kind, frames / model.fps)] for kind in model.types]
+    near = [last_poses(model, seen) for seen in features]
+    return run(state, frames, crowd_controller(model, plans, near, [features.shape[1]] * count, seed))
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Tensor:

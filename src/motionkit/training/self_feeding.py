@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from motionkit.features.guide import GUIDE_COUNT, GuideMap
 from motionkit.models.network import PartTransformer
 from motionkit.synthesis.stream import NetworkStream
 from motionkit.training.losses import Batch
@@ -27,15 +28,24 @@ class SelfFeedOptions:
     period: int = 16  # steps whose windows are run together, with the weights at their beginning
     back: float = 0.08  # probability per frame of going back to the real one
     limit: float = 0.5  # RMS of the normalised error beyond which the real frame takes over
+    # The same with a guide, which keeps the rhythm, so that the runs can be long.
+    guided_back: float = 0.02
+    guided_limit: float = 1.0
     temperature: float = 0.2  # of the noise on predictions, correlated in time as in synthesis
     rho: float = 0.95
 
 
 @torch.no_grad()
 def feed_back(
-    network: PartTransformer, batch: Batch, options: SelfFeedOptions, generators: list[torch.Generator]
+    network: PartTransformer,
+    batch: Batch,
+    options: SelfFeedOptions,
+    generators: list[torch.Generator],
+    guides: GuideMap,
 ) -> Batch:
     """A batch whose inputs and contacts are, in short runs, predictions of the network.
+
+    Guides are shown as seen from these predictions.
 
     Each window has its own generator, so that it does not matter which windows are run together. Frames at
     which the real frame takes over do not count in the losses: the step between them and the frame before
@@ -47,23 +57,30 @@ def feed_back(
     device = batch.inputs.device
     stream = NetworkStream(network, B)
     inputs, contacts, mask = batch.inputs.clone(), batch.contacts.clone(), batch.mask.clone()
+    controls = batch.controls.clone()
+    shown = slice(network.control_size - 1 - GUIDE_COUNT, network.control_size - 1)
     own = torch.zeros(B, dtype=torch.bool, device=device)
     fresh = torch.stack([torch.randn(T, F, generator=g) for g in generators]).to(device)
-    stays = torch.stack([torch.rand(T, generator=g) >= options.back for g in generators]).to(device)
+    guided = batch.controls[..., network.control_size - 1] > 0
+    back = torch.where(guided, options.guided_back, options.back)
+    limit = torch.where(guided, options.guided_limit, options.limit)
+    stays = torch.stack([torch.rand(T, generator=g) for g in generators]).to(device) >= back
     noise, rho = fresh[:, 0], options.rho
     for t in range(T - 1):
-        made = stream.step(inputs[:, t], contacts[:, t], batch.controls[:, t])
+        made = stream.step(inputs[:, t], contacts[:, t], controls[:, t])
         noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t]
         frame = made.mean + options.temperature * noise * torch.exp(made.log_sigma)
         error = (frame - batch.targets[:, t]).square().mean(dim=-1).sqrt()
-        now = stays[:, t] & (error < options.limit)
+        now = stays[:, t] & (error < limit[:, t])
         mask[:, t + 1] *= ~(own & ~now)
         chosen = now[:, None]
-        inputs[:, t + 1] = torch.where(chosen, frame, inputs[:, t + 1])
+        moved = torch.where(chosen, frame - inputs[:, t + 1], 0.0)
+        inputs[:, t + 1] += moved
+        controls[:, t + 1, shown] -= guided[:, t + 1, None] * (moved @ guides.matrix)
         contacts[:, t + 1] = torch.where(chosen, torch.sigmoid(made.contact_logits), contacts[:, t + 1])
         own = now
     network.train(was_training)
-    return replace(batch, inputs=inputs, contacts=contacts, mask=mask)
+    return replace(batch, inputs=inputs, contacts=contacts, controls=controls, mask=mask)
 
 
 def join_batches(batches: list[Batch]) -> Batch:

@@ -46,11 +46,17 @@ FREE_ON_RESUME = (
 class TrainingModule(nn.Module):
     """Network, consistency modules and losses as one module, for DistributedDataParallel."""
 
-    def __init__(self, network: PartTransformer, dataset: Dataset, outlier: float = math.inf) -> None:
+    def __init__(
+        self,
+        network: PartTransformer,
+        dataset: Dataset,
+        outlier: float = math.inf,
+        evenness: float = 0.0,
+    ) -> None:
         super().__init__()
         self.network = network
         self.consistency = ConsistencyModules(network) if network.config.consistency else None
-        self.fps, self.outlier = dataset.fps, outlier
+        self.fps, self.outlier, self.evenness = dataset.fps, outlier, evenness
         self.scaling = dataset.scaling
         self.references = dataset.references
 
@@ -78,6 +84,7 @@ class TrainingModule(nn.Module):
             self.references,
             self.fps,
             self.outlier,
+            self.evenness,
         )
 
 
@@ -189,7 +196,9 @@ class _Run:
         network = PartTransformer(config, ControlLayout(dataset.types).size)
         if options.init is not None:
             warm_start(network, dataset, open_model(options.init))
-        self.module = TrainingModule(network, dataset, options.outlier).to_device(self.device)
+        self.module = TrainingModule(network, dataset, options.outlier, options.evenness).to_device(
+            self.device
+        )
         self.trainable: nn.Module = self.module
         if self.world > 1:
             ids = [self.device.index] if self.device.type == "cuda" else None
@@ -205,6 +214,7 @@ class _Run:
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
+        self.guides = self.sampler.guide_map.to(self.device)
         self.coming: list[Batch] = []  # batches made beforehand
         self.asked_to_stop = self.stops = False
 
@@ -354,7 +364,7 @@ class _Run:
             return batches
         generators = [window_generator(options.seed, s, first + i, 1) for s in range_of_steps for i in fed]
         joined = join_batches([take_windows(batch, fed) for batch in batches])
-        joined = feed_back(self.module.network, joined, options.self_feed, generators)
+        joined = feed_back(self.module.network, joined, options.self_feed, generators, self.guides)
         others = [i for i in range(share) if i not in fed]
         return [
             join_batches(
@@ -394,7 +404,8 @@ class _Run:
             "losses": {n: round(v, 5) for n, v in self.losses.items()},
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
-        return bundle_model(network.eval(), self.dataset, card)
+        guides = self.options.sampler.guide_dropout < 1.0
+        return bundle_model(network.eval(), self.dataset, card, guides)
 
     def _score(self) -> None:
         threads, random_state = torch.get_num_threads(), torch.get_rng_state()

@@ -17,7 +17,7 @@ CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight"
 def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -> None:
     """Copy a model's weights into a network; types are matched by name, what is new stays as it was.
 
-    The dataset takes over the model's scaling, which its weights are used to.
+    The dataset takes over the model's scaling and outline, which its weights are used to.
 
     Raises:
         ModelError: if the networks differ in size, or the features in their reference rotations.
@@ -44,11 +44,12 @@ def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -
                     "expected the preset the model was trained with"
                 )
     dataset.scaling, dataset.trajectory_scaling = model.scaling, model.trajectory_scaling
+    dataset.outline = model.outline
 
 
 def _copy_controls(new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout) -> None:
     """Rows of control embeddings (P, C, D), signal by signal."""
-    for name in ("skeleton", "trajectory", "flag", "phase"):
+    for name in ("skeleton", "trajectory", "flag", "phase", "guide", "guided"):
         new[:, getattr(layout, name)] = old[:, getattr(before, name)]
     for i, kind in enumerate(layout.types):
         if kind in before.types:

@@ -1,0 +1,106 @@
+"""Recordings in outline, played as guides, and the ways of recorded performances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionkit.features.control import future_trajectory
+from motionkit.features.guide import GUIDE_COUNT, OUTLINE_COUNT, guide_signal
+from motionkit.models.checkpoint import MotionModel, Outline
+from motionkit.synthesis.outline_player import BEFORE_EVENT, OutlinePlayer, last_poses
+from motionkit.synthesis.plan import TypePart, plan_signals
+
+NEAR = torch.zeros(2, OUTLINE_COUNT)
+
+
+@pytest.fixture
+def flips(tiny_model: MotionModel) -> MotionModel:
+    assert tiny_model.performed("cartwheel"), "the tiny dataset has a type that turns over"
+    return tiny_model
+
+
+def recording(frames: int, phases: torch.Tensor | None = None, first: float = 0.0) -> Outline:
+    """An outline whose poses count frames."""
+    poses = torch.zeros(frames + 30, OUTLINE_COUNT)
+    poses[:, 0] = first + torch.arange(frames + 30)
+    return Outline(poses, torch.zeros(frames, 3), torch.full((frames,), -1.0) if phases is None else phases)
+
+
+def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel) -> None:
+    parts = [TypePart("walking", 1.0), TypePart("cartwheel", 0.5), TypePart("walking", 0.5)]
+    asked = plan_signals(flips, parts, NEAR)
+    assert asked.trajectory.shape == (120, 24) and asked.guide.shape == (120, GUIDE_COUNT)
+    assert asked.given.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
+    assert asked.guided.tolist() == [1.0] * 120
+    outline = flips.outlines["cartwheel"][0]
+    frames = torch.arange(30)
+    assert torch.equal(asked.trajectory[60:90], future_trajectory(outline.ground, frames))
+    assert torch.equal(asked.guide[60:90], guide_signal(outline.poses, frames))
+    assert torch.equal(asked.progress[60:90], outline.phases[:30])
+
+
+def test_a_second_performance_begins_where_the_first_ends(flips: MotionModel) -> None:
+    length = len(flips.outlines["cartwheel"][0])
+    asked = plan_signals(flips, [TypePart("cartwheel", 2 * length / flips.fps)], NEAR)
+    assert torch.equal(asked.guide[:length], asked.guide[length:])
+    assert flips.phase_seconds("cartwheel") == pytest.approx(length / flips.fps)
+
+
+def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: MotionModel) -> None:
+    outlines, parts = flips.outlines["cartwheel"], [TypePart("cartwheel", 10 / flips.fps)]
+    asked = plan_signals(flips, parts, NEAR, behind=5)
+    assert torch.equal(asked.progress, outlines[0].phases[5:15])
+    other = plan_signals(flips, parts, NEAR, choice=1)
+    assert torch.equal(other.guide, guide_signal(outlines[1].poses, torch.arange(10)))
+    again = plan_signals(flips, parts, NEAR, choice=len(outlines))
+    assert torch.equal(again.guide, guide_signal(outlines[0].poses, torch.arange(10)))
+
+
+def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
+    asked = plan_signals(replace(flips, guides=False), [TypePart("walking", 1.0)], NEAR)
+    assert not asked.guided.any()
+    unknown = replace(flips, outlines={})
+    asked = plan_signals(unknown, [TypePart("walking", 1.0)], NEAR)
+    assert not asked.guided.any() and not asked.guide.any() and float(asked.progress.max()) == -1.0
+
+
+def test_a_recording_is_entered_where_its_pose_is_most_alike(tiny_model: MotionModel) -> None:
+    model = replace(tiny_model, outlines={"walking": [recording(200), recording(200, first=1000.0)]})
+    player = OutlinePlayer(model, choice=3)
+    near = NEAR.clone()
+    near[:, 0] = torch.tensor([1050.0, 1045.0])
+    player.begin("walking", near)
+    assert player.outline is model.outlines["walking"][1]
+    assert abs(player.at - 50) < 20, "one of a few places drawn"
+    at = player.at
+    first = player.play(40)
+    assert first.guide[:, 0].tolist() == [1000.0 + at + 5 + i for i in range(40)]
+    rest = player.play(400)
+    assert len(rest.progress) == 400, "another recording follows"
+
+
+def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
+    phases = torch.full((300,), -1.0)
+    phases[100:140] = torch.arange(40) / 40.0
+    model = replace(tiny_model, outlines={"kicking": [recording(300, phases)]})
+    player = OutlinePlayer(model)
+    player.begin("kicking")
+    assert player.at == 100 - BEFORE_EVENT
+    assert player.event_frames() == BEFORE_EVENT + 40
+    asked = player.play(BEFORE_EVENT + 41)
+    assert float(asked.progress[BEFORE_EVENT]) == 0.0 and float(asked.progress[-1]) == -1.0
+    assert not asked.given.any(), "only whole performances bring their way along"
+
+
+def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
+    plays = [plan_signals(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).guide for c in (4, 4, 5)]
+    assert torch.equal(plays[0], plays[1]) and not torch.equal(plays[0], plays[2])
+
+
+def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> None:
+    features = tiny_model.seeds["walking"][0].features
+    assert torch.allclose(last_poses(tiny_model, features), tiny_model.outline.of(features[[-1, -6]]))
+    assert torch.allclose(last_poses(tiny_model, features[:2]), tiny_model.outline.of(features[[1, 0]]))
