@@ -23,7 +23,7 @@
 #define INLINE static inline __attribute__((always_inline))
 
 typedef float vec __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
-typedef int16_t shorts __attribute__((vector_size(2 * LANES), aligned(2), may_alias));
+typedef int32_t ints __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
 
 /* A linear map: tiles of (inputs, TILE), bias and scale padded to whole tiles. */
 typedef struct {
@@ -53,9 +53,17 @@ typedef struct {
     int64_t slot;          /* place in the rings of this frame */
 } Frame;
 
-INLINE vec weights_at(const void *tiles, const int small, int64_t place) {
-    if (small) return __builtin_convertvector(*(const shorts *)((const int16_t *)tiles + place), vec);
-    return *(const vec *)((const float *)tiles + place);
+/* The 32 weights of one input. In 16 bits, a lane of 32 holds one weight of either half: the low half comes
+   by a shift, the high half as it stands, with the low bits below its last place (see StepKernel). */
+INLINE void weights_at(const int small, const void *tiles, int64_t place, vec *low, vec *high) {
+    if (small) {
+        const ints both = *(const ints *)((const int16_t *)tiles + place);
+        *low = __builtin_convertvector(both << 16, vec);
+        *high = __builtin_convertvector(both, vec);
+    } else {
+        *low = *(const vec *)((const float *)tiles + place);
+        *high = *(const vec *)((const float *)tiles + place + LANES);
+    }
 }
 
 INLINE void store(const int small, const Map *map, int64_t first, vec low, vec high, float *y) {
@@ -74,7 +82,8 @@ INLINE void tile_block(const int small, const Map *map, int64_t first, const flo
     vec low[BLOCK] = {{0}}, high[BLOCK] = {{0}};
     int64_t place = first * map->inputs;
     for (int64_t k = 0; k < map->inputs; k++, place += TILE) {
-        const vec a = weights_at(map->tiles, small, place), b = weights_at(map->tiles, small, place + LANES);
+        vec a, b;
+        weights_at(small, map->tiles, place, &a, &b);
 #pragma GCC unroll 8
         for (int r = 0; r < BLOCK; r++) {
             low[r] += x[r * ldx + k] * a;
@@ -87,18 +96,21 @@ INLINE void tile_block(const int small, const Map *map, int64_t first, const flo
 
 /* One row; two inputs at a time, so that sums do not wait for each other. */
 INLINE void tile_row(const int small, const Map *map, int64_t first, const float *x, float *y) {
-    vec low = {0}, high = {0}, low2 = {0}, high2 = {0};
+    vec low = {0}, high = {0}, low2 = {0}, high2 = {0}, a, b;
     const int64_t inputs = map->inputs;
     int64_t place = first * inputs, k = 0;
     for (; k + 1 < inputs; k += 2, place += 2 * TILE) {
-        low += x[k] * weights_at(map->tiles, small, place);
-        high += x[k] * weights_at(map->tiles, small, place + LANES);
-        low2 += x[k + 1] * weights_at(map->tiles, small, place + TILE);
-        high2 += x[k + 1] * weights_at(map->tiles, small, place + TILE + LANES);
+        weights_at(small, map->tiles, place, &a, &b);
+        low += x[k] * a;
+        high += x[k] * b;
+        weights_at(small, map->tiles, place + TILE, &a, &b);
+        low2 += x[k + 1] * a;
+        high2 += x[k + 1] * b;
     }
     if (k < inputs) {
-        low += x[k] * weights_at(map->tiles, small, place);
-        high += x[k] * weights_at(map->tiles, small, place + LANES);
+        weights_at(small, map->tiles, place, &a, &b);
+        low += x[k] * a;
+        high += x[k] * b;
     }
     store(small, map, first, low + low2, high + high2, y + first);
 }

@@ -172,11 +172,10 @@ class StepKernel:
         weight = np.pad(weight, ((0, 0), (0, -outputs % TILE)))
         bias = None if bias is None else np.pad(bias, (0, -outputs % TILE))
         scale = None
-        if self._small:
-            largest = np.maximum(np.abs(weight).max(axis=0), 1e-12)
-            scale = (largest / 32767.0).astype(np.float32)
-            weight = np.rint(weight / scale).astype(np.int16)
         tiles = weight.reshape(inputs, -1, TILE).swapaxes(0, 1)
+        if self._small:
+            largest = np.maximum(np.abs(weight).max(axis=0), 1e-12).reshape(-1, 1, TILE)
+            tiles, scale = _in_pairs(tiles * (32767.0 / largest)), (largest / (32767.0 * 65536.0)).astype(np.float32)
         return _Map(self._keep(tiles), self._keep(scale), self._keep(bias), inputs, outputs)
 
     def _keep(self, array: NDArray | None) -> int | None:
@@ -186,3 +185,14 @@ class StepKernel:
         array = np.ascontiguousarray(array)
         self._kept.append(array)
         return array.ctypes.data
+
+
+def _in_pairs(tiles: Floats) -> NDArray[np.int32]:
+    """Tiles (..., 32) of numbers up to 32767 as (..., 16) pairs in 32 bits.
+
+    The first of a pair takes the low 16 bits. The second is read as the whole 32 bits are, so it is rounded
+    to what lies nearest with those low bits after it, and nothing is lost by not masking them away.
+    """
+    low = np.rint(tiles[..., : TILE // 2]).astype(np.int64) & 0xFFFF
+    high = np.rint(tiles[..., TILE // 2 :] - low / 65536.0).astype(np.int64)
+    return (high * 65536 + low).astype(np.int32)
