@@ -11,6 +11,8 @@
 
 #define LANES 16
 #define TILE (2 * LANES)
+#define HEADS 8
+#define MOST_PLACES 32 /* in a ring */
 #define BLOCK 8 /* characters that share one pass over a tile */
 #define PADDED(n) (((n) + TILE - 1) / TILE * TILE)
 
@@ -23,6 +25,8 @@
 #define INLINE static inline __attribute__((always_inline))
 
 typedef float vec __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
+typedef float heads_vec __attribute__((vector_size(4 * HEADS), aligned(4), may_alias));
+typedef int32_t heads_ints __attribute__((vector_size(4 * HEADS)));
 typedef int32_t ints __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
 
 /* A linear map: tiles of (inputs, TILE), bias and scale padded to whole tiles. */
@@ -142,56 +146,67 @@ static void norm(const float *restrict x, float *restrict y, int64_t width, floa
     for (int64_t d = 0; d < width; d++) y[d] = scale * x[d];
 }
 
-/* exp of x <= 0, within a few units of the last place; nothing to speak of below -80. */
-INLINE float exp_negative(float x) {
-    const float y = (x < -80.0f ? -80.0f : x) * 1.44269504f;
-    const int32_t whole = (int32_t)(y - 0.5f);
-    const float f = (y - (float)whole) * 0.693147181f;
-    const float series = 1.0f + f * (1.0f + f * (0.5f + f * (0.166666667f + f * (0.0416666667f +
-                         f * (0.00833333333f + f * 0.00138888889f)))));
-    const int32_t bits = (whole + 127) << 23;
-    float power;
-    memcpy(&power, &bits, 4);
-    return series * power;
+INLINE heads_vec larger(heads_vec a, heads_vec b) {
+    const heads_ints first = a > b;
+    return (heads_vec)(((heads_ints)a & first) | ((heads_ints)b & ~first));
 }
 
-/* Attention of one character, part and layer over its ring. Channels run (E, H): all sums go down, heads side by side. */
-INLINE void attend_of(const int64_t H, int64_t E, int64_t W, const float *restrict q, const float *restrict keys,
-                      const float *restrict values, const float *restrict position, const int64_t *allowed,
-                      float *restrict mixed) {
-    float shares[32 * H], top[H], total[H];
-    for (int64_t h = 0; h < H; h++) top[h] = -1e30f, total[h] = 0;
+/* exp of x <= 0 in every lane, within a few units of the last place; nothing to speak of below -80. */
+INLINE heads_vec exp_negative(heads_vec x) {
+    const heads_vec y = larger(x, (heads_vec){0} - 80.0f) * 1.44269504f;
+    const heads_ints whole = __builtin_convertvector(y - 0.5f, heads_ints);
+    const heads_vec f = (y - __builtin_convertvector(whole, heads_vec)) * 0.693147181f;
+    const heads_vec series = 1.0f + f * (1.0f + f * (0.5f + f * (0.166666667f + f * (0.0416666667f +
+                             f * (0.00833333333f + f * 0.00138888889f)))));
+    return series * (heads_vec)((whole + 127) << 23);
+}
+
+/* The numbers of up to HEADS heads side by side. */
+INLINE heads_vec heads_at(const float *from, const int64_t count) {
+    if (count == HEADS) return *(const heads_vec *)from;
+    heads_vec out = {0};
+    for (int64_t h = 0; h < count; h++) out[h] = from[h];
+    return out;
+}
+
+/* Attention of one character, part and layer over its ring, for a few of H heads. Channels run (E, H): all sums
+   go down, heads side by side. Places before the first frame are not allowed. */
+INLINE void attend_heads(const int64_t count, int64_t H, int64_t E, int64_t W, const float *q, const float *keys,
+                         const float *values, const float *position, const int64_t *allowed, float *mixed) {
+    heads_vec shares[MOST_PLACES], top = (heads_vec){0} - 1e30f, total = {0};
     for (int64_t w = 0; w < W; w++) {
-        float *score = shares + w * H;
-        for (int64_t h = 0; h < H; h++) score[h] = position[w * H + h];
-        for (int64_t e = 0; e < E; e++)
-            for (int64_t h = 0; h < H; h++) score[h] += q[e * H + h] * keys[(w * E + e) * H + h];
-        if (!allowed[w])
-            for (int64_t h = 0; h < H; h++) score[h] = -1e30f;
-        for (int64_t h = 0; h < H; h++) top[h] = score[h] > top[h] ? score[h] : top[h];
-    }
-    for (int64_t w = 0; w < W; w++)
-        for (int64_t h = 0; h < H; h++) {
-            shares[w * H + h] = exp_negative(shares[w * H + h] - top[h]);
-            total[h] += shares[w * H + h];
+        if (!allowed[w]) continue;
+        /* Two sums, so that they do not wait for each other. */
+        heads_vec even = heads_at(position + w * H, count), odd = {0};
+        const float *key = keys + w * E * H;
+        int64_t e = 0;
+        for (; e + 1 < E; e += 2) {
+            even += heads_at(q + e * H, count) * heads_at(key + e * H, count);
+            odd += heads_at(q + (e + 1) * H, count) * heads_at(key + (e + 1) * H, count);
         }
-    for (int64_t h = 0; h < H; h++) total[h] = 1.0f / total[h];
+        if (e < E) even += heads_at(q + e * H, count) * heads_at(key + e * H, count);
+        shares[w] = even + odd;
+        top = larger(top, shares[w]);
+    }
+    for (int64_t w = 0; w < W; w++) {
+        shares[w] = allowed[w] ? exp_negative(shares[w] - top) : (heads_vec){0};
+        total += shares[w];
+    }
+    for (int64_t w = 0; w < W; w++) shares[w] /= total;
     for (int64_t e = 0; e < E; e++) {
-        float sum[H];
-        for (int64_t h = 0; h < H; h++) sum[h] = 0;
-        for (int64_t w = 0; w < W; w++)
-            for (int64_t h = 0; h < H; h++) sum[h] += shares[w * H + h] * values[(w * E + e) * H + h];
-        for (int64_t h = 0; h < H; h++) mixed[e * H + h] = sum[h] * total[h];
+        heads_vec sum = {0};
+        for (int64_t w = 0; w < W; w++) sum += shares[w] * heads_at(values + (w * E + e) * H, count);
+        for (int64_t h = 0; h < count; h++) mixed[e * H + h] = sum[h];
     }
 }
 
 FASTEST
 static void attend(int64_t H, int64_t E, int64_t W, const float *q, const float *keys, const float *values,
                    const float *position, const int64_t *allowed, float *mixed) {
-    if (H == 8)
-        attend_of(8, E, W, q, keys, values, position, allowed, mixed);
-    else
-        attend_of(H, E, W, q, keys, values, position, allowed, mixed);
+    int64_t h = 0;
+    for (; h + HEADS <= H; h += HEADS)
+        attend_heads(HEADS, H, E, W, q + h, keys + h, values + h, position + h, allowed, mixed + h);
+    if (h < H) attend_heads(H - h, H, E, W, q + h, keys + h, values + h, position + h, allowed, mixed + h);
 }
 
 /* Floats of scratch that step() needs for so many rows. */
@@ -237,7 +252,7 @@ void step(const Program *p, const Frame *f, int64_t first, int64_t rows, float *
                 for (int64_t r = 0; r < rows; r++) {
                     float *keys = f->keys + (first + r) * ring + index * W * D;
                     float *values = f->values + (first + r) * ring + index * W * D;
-                    int64_t allowed[32];
+                    int64_t allowed[MOST_PLACES];
                     memcpy(keys + f->slot * D, qkv + r * eq + D, D * sizeof(float));
                     memcpy(values + f->slot * D, qkv + r * eq + 2 * D, D * sizeof(float));
                     for (int64_t w = 0; w < W; w++) allowed[w] = (f->slot - w + W) % W < f->filled[first + r];
