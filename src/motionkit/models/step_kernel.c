@@ -13,6 +13,7 @@
 #define TILE (2 * LANES)
 #define HEADS 8
 #define MOST_PLACES 32 /* in a ring */
+#define AHEAD 2048 /* bytes of weights that are asked for before they are needed */
 #define BLOCK 8 /* characters that share one pass over a tile */
 #define PADDED(n) (((n) + TILE - 1) / TILE * TILE)
 
@@ -28,6 +29,9 @@ typedef float vec __attribute__((vector_size(4 * LANES), aligned(4), may_alias))
 typedef float heads_vec __attribute__((vector_size(4 * HEADS), aligned(4), may_alias));
 typedef int32_t heads_ints __attribute__((vector_size(4 * HEADS)));
 typedef int32_t ints __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
+
+/* Raised with every change of a struct or of the order of the weights; step_kernel.py refuses other libraries. */
+int64_t step_kernel_version(void) { return 2; }
 
 /* A linear map: tiles of (inputs, TILE), bias and scale padded to whole tiles. */
 typedef struct {
@@ -60,6 +64,7 @@ typedef struct {
 /* The 32 weights of one input. In 16 bits, a lane of 32 holds one weight of either half: the low half comes
    by a shift, the high half as it stands, with the low bits below its last place (see StepKernel). */
 INLINE void weights_at(const int small, const void *tiles, int64_t place, vec *low, vec *high) {
+    __builtin_prefetch((const char *)tiles + place * (small ? 2 : 4) + AHEAD);
     if (small) {
         const ints both = *(const ints *)((const int16_t *)tiles + place);
         *low = __builtin_convertvector(both << 16, vec);

@@ -21,7 +21,9 @@ from motionkit.models.step_weights import NORM_EPS, Floats, ModuleWeights, StepW
 if TYPE_CHECKING:
     from motionkit.models.step import NetworkStep
 
+VERSION = 2  # of step_kernel.c
 TILE = 32
+LINE = 64  # bytes of a line of the cache
 ROWS = 16  # characters that go through the network together, so that their activations stay near
 
 
@@ -60,16 +62,27 @@ class _Frame(Structure):
 
 @cache
 def kernel_library() -> ctypes.CDLL | None:
-    """The shared library, None where the installation has none (no C compiler, or not run by an installer)."""
-    here = Path(__file__).resolve().parent
-    for path in (here / f"_step_kernel{suffix}" for suffix in EXTENSION_SUFFIXES):
-        if path.is_file():
-            library = ctypes.CDLL(str(path))
-            library.scratch_size.argtypes = [POINTER(_Program), c_int64]
-            library.scratch_size.restype = c_int64
-            library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
-            library.step.restype = None
-            return library
+    """The shared library, None where the installation has none that fits."""
+    library = load_library(Path(__file__).resolve().parent / "_step_kernel", "step_kernel_version", VERSION)
+    if library is not None:
+        library.scratch_size.argtypes = [POINTER(_Program), c_int64]
+        library.scratch_size.restype = c_int64
+        library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
+        library.step.restype = None
+    return library
+
+
+def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | None:
+    """A library built by setup.py, None where there is none of this version.
+
+    There is none without a C compiler or an installer, and another one where the source has changed since.
+    """
+    for suffix in EXTENSION_SUFFIXES:
+        built = path.with_name(path.name + suffix)
+        if built.is_file():
+            library = ctypes.CDLL(str(built))
+            found = getattr(library, version_name, None)
+            return library if found is not None and found() == version else None
     return None
 
 
@@ -99,7 +112,8 @@ class StepKernel:
             self._map(weights.contact_shallow, None),
             self._map(weights.contact, weights.contact_bias),
         ]
-        self._maps = (_Map * len(maps))(*maps)
+        self._maps = (_Map * len(maps))(*(words for _, words in maps))
+        self._line_up([tiles for tiles, _ in maps])
         distance = (np.arange(config.window)[:, None] - np.arange(config.window)) % config.window
         position = np.stack([m.position.swapaxes(0, 1) for m in (weights.shallow, weights.deep)])
         # For every slot the bias (2, P, L, W, H) of the places in the rings.
@@ -148,7 +162,7 @@ class StepKernel:
         step.keeps = (shares, controls)  # type: ignore[attr-defined]
         return step
 
-    def _module_maps(self, weights: ModuleWeights, layers: int) -> list[_Map]:
+    def _module_maps(self, weights: ModuleWeights, layers: int) -> list[tuple[NDArray, _Map]]:
         """Maps in the order of the kernel: part by part, layer by layer."""
         maps = []
         heads, D = weights.position.shape[2], weights.out.shape[-1]
@@ -167,16 +181,31 @@ class StepKernel:
                 maps.append(self._map(weights.outer[layer, part], None))
         return maps
 
-    def _map(self, weight: Floats, bias: Floats | None) -> _Map:
+    def _map(self, weight: Floats, bias: Floats | None) -> tuple[NDArray, _Map]:
+        """A map's tiles, and its description, which lacks their place."""
         inputs, outputs = weight.shape
         weight = np.pad(weight, ((0, 0), (0, -outputs % TILE)))
         bias = None if bias is None else np.pad(bias, (0, -outputs % TILE))
         scale = None
-        tiles = weight.reshape(inputs, -1, TILE).swapaxes(0, 1)
+        tiles: NDArray = weight.reshape(inputs, -1, TILE).swapaxes(0, 1)
         if self._small:
             largest = np.maximum(np.abs(weight).max(axis=0), 1e-12).reshape(-1, 1, TILE)
-            tiles, scale = _in_pairs(tiles * (32767.0 / largest)), (largest / (32767.0 * 65536.0)).astype(np.float32)
-        return _Map(self._keep(tiles), self._keep(scale), self._keep(bias), inputs, outputs)
+            tiles, scale = (
+                _in_pairs(tiles * (32767.0 / largest)),
+                (largest / (32767.0 * 65536.0)).astype(np.float32),
+            )
+        return np.ascontiguousarray(tiles), _Map(None, self._keep(scale), self._keep(bias), inputs, outputs)
+
+    def _line_up(self, tiles: list[NDArray]) -> None:
+        """Give the maps their tiles: one after another as the kernel reads them, each row in a line of the cache."""
+        sizes = [array.nbytes for array in tiles]
+        memory = np.empty(sum(sizes) + LINE, np.uint8)
+        self._kept.append(memory)
+        place = -memory.ctypes.data % LINE
+        for index, array in enumerate(tiles):
+            memory[place : place + array.nbytes] = array.reshape(-1).view(np.uint8)
+            self._maps[index].tiles = memory.ctypes.data + place
+            place += array.nbytes
 
     def _keep(self, array: NDArray | None) -> int | None:
         """The address of a contiguous copy that lives as long as this object."""

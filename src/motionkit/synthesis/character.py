@@ -12,8 +12,10 @@ from torch import Tensor
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.models.checkpoint import MotionModel
+from motionkit.models.step_weights import Floats
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
 from motionkit.synthesis.foot_lock import FootLock
+from motionkit.synthesis.frame_kernel import PoseKernel, frame_library
 from motionkit.synthesis.pose import BodyKinematics, PoseDecoder
 from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState
 from motionkit.synthesis.start import seed_start
@@ -56,20 +58,27 @@ class CharacterStream:
         seed: int = 0,
         ik: bool = True,
         characters: Sequence[str] = ("default",),
+        compiled: bool = True,
     ) -> None:
         """count characters, taking the named skeletons in turn, at the origin in the model's first type.
+
+        compiled=False poses them in numpy even where there is a compiled kernel.
 
         Raises:
             ControlError: for an unknown character or a count below one.
         """
         if count < 1:
             raise ControlError(f"expected a count of at least 1, found {count}")
-        self.model, self.count, self.ik = model, count, ik
-        self.state = RolloutState(model, count, noise or Noise(), seed)
+        self.model, self.count = model, count
+        self.state = RolloutState(model, count, noise or Noise(), seed, compiled)
         self.scale = np.ones(count, np.float32)
         self.decoder = PoseDecoder(model.config.layout, model.references.numpy())
-        self.body = BodyKinematics(np.zeros((count, JOINT_COUNT, 3), np.float32))
-        self.feet = FootLock(count)
+        self.offsets = np.zeros((count, JOINT_COUNT, 3), np.float32)
+        self.body = BodyKinematics(self.offsets)
+        self.feet = FootLock(count) if ik else None
+        library = frame_library() if compiled else None
+        kernel = library and PoseKernel(library, self.decoder, self.offsets, self.scale, self.feet)
+        self._pose = kernel.pose if kernel else self._pose_in_numpy
         for index in range(count):
             self._take_body(index, characters[index % len(characters)])
         kind = model_first_type(model)
@@ -81,8 +90,10 @@ class CharacterStream:
         skeleton = self.model.character(character)
         self.scale[index] = leg_length(skeleton) / leg_length(self.model.character("default"))
         self._scaled = bool((self.scale != 1.0).any())
-        self.body.set_offsets(index, skeleton.offsets.numpy())
-        self.feet.reset(index)
+        self.offsets[index] = skeleton.offsets.numpy()
+        self.body.set_offsets(index, self.offsets[index])
+        if self.feet is not None:
+            self.feet.reset(index)
 
     def _weights(self, kind: str) -> Tensor:
         """Type weights (1, N) of one type alone."""
@@ -120,19 +131,12 @@ class CharacterStream:
 
     def step(self, controls: FrameControls) -> CharacterFrame:
         """Move every character on by one frame (1 / model.fps seconds)."""
-        scale = self.scale[:, None]
         if self._scaled:
             trajectory = controls.trajectory.clone()
-            trajectory[:, :_POSITIONS] /= torch.from_numpy(scale)
+            trajectory[:, :_POSITIONS] /= torch.from_numpy(self.scale)[:, None]
             controls = replace(controls, trajectory=trajectory)
         features, contacts, ground = self.state.advance(controls)
-        rotations, root = self.decoder.decode(features, ground)
-        root *= scale
-        world = self.body.forward(rotations, root)
-        if self.ik:
-            positions = self.feet.apply(rotations, root, world, contacts, self.scale)
-        else:
-            positions = np.ascontiguousarray(world[..., :3, 3])
+        rotations, root, positions = self._pose(features, contacts, ground)
         return CharacterFrame(
             torch.from_numpy(positions),
             torch.from_numpy(rotations),
@@ -140,6 +144,18 @@ class CharacterStream:
             torch.from_numpy(contacts.copy()),
             self.ground,
         )
+
+    def _pose_in_numpy(
+        self, features: Floats, contacts: Floats, ground: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        rotations, root = self.decoder.decode(features, ground)
+        root *= self.scale[:, None]
+        world = self.body.forward(rotations, root)
+        if self.feet is not None:
+            positions = self.feet.apply(rotations, root, world, contacts, self.scale)
+        else:
+            positions = np.ascontiguousarray(world[..., :3, 3])
+        return rotations, root, positions
 
 
 def model_first_type(model: MotionModel) -> str:

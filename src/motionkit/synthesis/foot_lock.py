@@ -23,6 +23,7 @@ from motionkit.synthesis.pose import Floats, cross, quat_product
 BRAKE_FRAMES = 4  # until a foot that has touched stands still
 HIP_RETURN = 0.85  # share of a lowering of the hips that is left a frame later
 MAX_DROP = 12.0  # cm the hips come down at most
+LEAST_DROP = 1e-4  # cm; what is lowered less is where it was
 
 _HIPS, _KNEES, _ANKLES, _TOES = (
     np.array([getattr(leg, joint) for leg in LEGS]) for joint in ("hip", "knee", "ankle", "toe")
@@ -65,8 +66,9 @@ class FootLock:
         positions = world[..., :3, 3].copy()
         toes = positions[:, _TOES]
         shift = self._shifts(toes, contacts, scale)
-        if not shift.any() and not (self.drop > 1e-3).any():
-            self.drop[:] = 0.0
+        still = ~shift.any(axis=(1, 2)) & (self.drop <= LEAST_DROP)
+        self.drop[still] = 0.0
+        if still.all():
             return positions
         hips, knees, ankles = positions[:, _HIPS], positions[:, _KNEES], positions[:, _ANKLES]
         targets = ankles + shift

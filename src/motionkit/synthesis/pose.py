@@ -194,8 +194,9 @@ class BodyKinematics:
         """World transforms (N, 23, 4, 4) of local rotations (N, 23, 4) and root positions (N, 3)."""
         local = self._local
         local[:, :JOINT_COUNT, :3, :3] = quat_to_matrix(rotations)
-        local[:, 0, :3, 3] = root_positions
         whole = local
         for ancestors in self.ROUNDS:
             whole = np.matmul(whole.take(ancestors, axis=1), whole)
+        # The root comes last, which keeps digits far from the origin.
+        whole[..., :3, 3] += root_positions[:, None]
         return whole[:, :JOINT_COUNT]

@@ -15,10 +15,12 @@ from motionkit.features.decode import decode_motion
 from motionkit.features.guide import guide_map
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel, Seed
+from motionkit.models.step import NetworkStep
 from motionkit.models.step_weights import Floats
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
-from motionkit.synthesis.stepping import stepper
+from motionkit.synthesis.frame_kernel import DrawArrays, bind_draw, frame_library
+from motionkit.synthesis.stepping import TorchStep, stepper
 
 NOISE_KINDS = ("mean", "sample", "correlated")
 
@@ -85,8 +87,11 @@ class RolloutState:
     Between steps all is kept in numpy arrays of fixed size; tensors are for those who call.
     """
 
-    def __init__(self, model: MotionModel, batch: int, noise: Noise, seed: int = 0) -> None:
-        self.model, self.batch, self.noise = model, batch, noise
+    def __init__(
+        self, model: MotionModel, batch: int, noise: Noise, seed: int = 0, compiled: bool = True
+    ) -> None:
+        """compiled=False keeps to numpy around the network even where there is a compiled kernel."""
+        self.model, self.batch, self.noise, self.compiled = model, batch, noise, compiled
         self.network = stepper(model.network, batch)
         self.random = np.random.default_rng(seed)
         blocks = feature_layout(model.config.layout).blocks
@@ -103,8 +108,10 @@ class RolloutState:
         self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._contacts = np.zeros((batch, CONTACT_COUNT), np.float32)
         self._ground = np.zeros((batch, 3), np.float32)
+        self._features = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._noise_state = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._prime: RolloutState | None = None
+        self._drawn_from: NetworkStep | TorchStep | None = None
         self.set_skeletons([canonical_skeleton()] * batch)
 
     @property
@@ -198,35 +205,68 @@ class RolloutState:
             controls[:, layout.guided] = guided
 
     def advance(self, asked: FrameControls) -> tuple[Floats, Floats, Floats]:
-        """step() in numpy, without copies: what it answers is overwritten by the next call, features excepted."""
+        """step() without copies: what it answers is overwritten by the next call."""
         self._ask(asked, self._x)
         network = self.network
         network.step(self._x, self._contacts, self._controls)
+        if self._drawn_from is not network:
+            self._bind(network)
+        self._draw()
+        return self._features, self._contacts, self._ground
+
+    def _bind(self, network: NetworkStep | TorchStep) -> None:
+        """Choose how frames are drawn: by the compiled kernel where there is one, else by numpy."""
+        self._drawn_from = network
+        library = frame_library() if self.compiled else None
+        if library is None:
+            self._draw = self._draw_in_numpy
+            return
+        kind, rho = self.noise.kind, self.noise.rho if self.noise.kind == "correlated" else 0.0
+        fresh = None if kind == "mean" else np.zeros_like(self._x)
+        arrays = DrawArrays(
+            network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
+            self._noise_state, self._x, self._contacts, self._features, self._ground,
+        )  # fmt: skip
+        noise = rho, (1.0 - rho**2) ** 0.5, self.noise.temperature
+        call = bind_draw(library, arrays, (self._yaw, self._xz.start), noise, self.model.fps)
+
+        def draw() -> None:
+            if fresh is not None:
+                self.random.standard_normal(dtype=np.float32, out=fresh)
+            call()
+
+        self._draw = draw
+
+    def _draw_in_numpy(self) -> None:
+        """Functions in double precision, so that they give to the last digit what frame_kernel.c gives."""
+        network = self._drawn_from
+        assert network is not None
         if self.noise.kind == "mean":
             self._x[:] = network.mean
         else:
-            np.exp(network.log_sigma, out=self._x)
-            self._x *= self._draw()
+            self._x[:] = np.exp(network.log_sigma, dtype=np.float64)
+            self._x *= self._next_noise()
             self._x += network.mean
-        np.exp(-network.contact_logits, out=self._contacts)
-        self._contacts += 1.0
-        np.divide(1.0, self._contacts, out=self._contacts)
-        features = self._x * self._std
+        self._contacts[:] = 1.0 / (1.0 + np.exp(-network.contact_logits, dtype=np.float64))
+        features = np.multiply(self._x, self._std, out=self._features)
         features += self._mean
         ground, fps = self._ground, np.float32(self.model.fps)
         ground[:, 2] += features[:, self._yaw] / fps
-        sine, cosine = np.sin(ground[:, 2]), np.cos(ground[:, 2])
+        sine, cosine = (f(ground[:, 2], dtype=np.float64).astype(np.float32) for f in (np.sin, np.cos))
         velocity = features[:, self._xz] / fps
         ground[:, 0] += cosine * velocity[:, 0] + sine * velocity[:, 1]
         ground[:, 1] += cosine * velocity[:, 1] - sine * velocity[:, 0]
-        return features, self._contacts, ground
 
     def step(self, asked: FrameControls) -> tuple[Tensor, Tensor, Tensor]:
         """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3)."""
         features, contacts, ground = self.advance(asked)
-        return torch.from_numpy(features), torch.from_numpy(contacts.copy()), torch.from_numpy(ground.copy())
+        return (
+            torch.from_numpy(features.copy()),
+            torch.from_numpy(contacts.copy()),
+            torch.from_numpy(ground.copy()),
+        )
 
-    def _draw(self) -> Floats:
+    def _next_noise(self) -> Floats:
         fresh = self.random.standard_normal(self._x.shape, np.float32)
         if self.noise.kind == "correlated":
             fresh *= np.float32((1.0 - self.noise.rho**2) ** 0.5)
