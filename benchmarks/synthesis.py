@@ -50,8 +50,8 @@ class WindowStep(TorchStep):
         new = (torch.tensor(v)[:, None] for v in (x, contacts, controls))
         self.past = [torch.cat([past[:, 1:], now], dim=1) for past, now in zip(self.past, new, strict=True)]
         made = self.network(*self.past)
-        self.mean, self.log_sigma = made.mean[:, -1].numpy(), made.log_sigma[:, -1].numpy()
-        self.contact_logits = made.contact_logits[:, -1].numpy()
+        self.mean[:], self.log_sigma[:] = made.mean[:, -1].numpy(), made.log_sigma[:, -1].numpy()
+        self.contact_logits[:] = made.contact_logits[:, -1].numpy()
 
 
 def asked_of(model: MotionModel, count: int) -> FrameControls:
@@ -60,9 +60,15 @@ def asked_of(model: MotionModel, count: int) -> FrameControls:
     return FrameControls(weights, torch.zeros(count, 24), torch.zeros(count), torch.full((count,), -1.0))
 
 
-def characters(model: MotionModel, count: int, make: Callable[[], NetworkStep | TorchStep], ik: bool) -> Step:
+def characters(
+    model: MotionModel,
+    count: int,
+    make: Callable[[], NetworkStep | TorchStep],
+    ik: bool,
+    compiled: bool = True,
+) -> Step:
     """All of a frame for count characters, on a network step of one's choice."""
-    stream = CharacterStream(model, count, ik=ik)
+    stream = CharacterStream(model, count, ik=ik, compiled=compiled)
     stream.state.network = make()
     asked = asked_of(model, count)
     return lambda: stream.step(asked)
@@ -115,7 +121,8 @@ def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
     }
     if count == 1:
         out["stream, torch"] = characters(model, count, lambda: TorchStep(network, count), False)
-    out["stream, numpy"] = characters(model, count, lambda: NetworkStep(weights, count), False)
+    for name, ik in (("stream, numpy", False), ("stream, numpy, foot locking", True)):
+        out[name] = characters(model, count, lambda: NetworkStep(weights, count), ik, compiled=False)
     if kernel_library() is not None:
         kernels = {"C, float32": StepKernel(weights), "C, 16 bits": StepKernel(weights, small=True)}
         for name, kernel in kernels.items():
@@ -124,9 +131,7 @@ def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
             out[f"stream, {name}, foot locking"] = characters(model, count, make, True)
             out[f"network alone, {name}"] = network_alone(make())
     else:
-        make = lambda: NetworkStep(weights, count)  # noqa: E731
-        out["stream, numpy, foot locking"] = characters(model, count, make, True)
-        out["network alone, numpy"] = network_alone(make())
+        out["network alone, numpy"] = network_alone(NetworkStep(weights, count))
     if count == 1:
         with suppress(ImportError):
             import onnxruntime  # noqa: F401
