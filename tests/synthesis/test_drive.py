@@ -164,7 +164,7 @@ def test_a_performance_without_a_way_leaves_one_who_stands_free(
     driver.perform("walking", seconds=1.0)
     asked = play(driver, 50)[0][5:]
     assert [float(a.given) for a in asked] == [given] * 45
-    assert all(a.guided is not None and float(a.guided) == 1.0 for a in asked)
+    assert all(a.guided is not None and float(a.guided) > 0.0 for a in asked)
     assert all(float(a.progress) == -1.0 for a in asked)
 
 

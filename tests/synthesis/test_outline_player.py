@@ -34,7 +34,7 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
     asked = plan_signals(flips, parts, NEAR)
     assert asked.trajectory.shape == (120, 24) and asked.guide.shape == (120, GUIDE_COUNT)
     assert asked.given.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
-    assert asked.guided.tolist() == [1.0] * 120
+    assert asked.guided.tolist() == [1.0] * 60 + [flips.guidance] * 30 + [1.0] * 30
     outline = flips.outlines["cartwheel"][0]
     frames = torch.arange(30)
     assert torch.equal(asked.trajectory[60:90], future_trajectory(outline.ground, frames))

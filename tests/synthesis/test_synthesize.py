@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import copy
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import torch
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.features.decode import decode_motion
 from motionkit.models.checkpoint import MotionModel
+from motionkit.models.step import NetworkStep
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -244,3 +246,31 @@ def test_a_crowd_larger_than_a_block_is_every_one_alone(tiny_model: MotionModel)
         alone = synthesize(tiny_model, few[0], options)
         expected = alone.motions[-1].motion.root_positions
         assert torch.allclose(crowd[index].motion.root_positions, expected, atol=1e-2)
+
+
+def test_weights_that_change_are_packed_anew(tiny_model: MotionModel) -> None:
+    network = copy.deepcopy(tiny_model.network)
+    model = replace(tiny_model, network=network)
+    first, again = (RolloutState(model, 1, Noise("mean")) for _ in range(2))
+    assert isinstance(first.network, NetworkStep) and isinstance(again.network, NetworkStep)
+    assert first.network.weights is again.network.weights, "one copy for all characters"
+    with torch.no_grad():
+        network.aggregate.bias.add_(1.0)
+    other = RolloutState(model, 1, Noise("mean"))
+    assert isinstance(other.network, NetworkStep)
+    assert (other.network.weights.head_bias[:276] - first.network.weights.head_bias[:276]).min() > 0.9
+
+
+def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
+    """With no share the draw is the mean, with twice the share it is twice as far from it."""
+    seed = tiny_model.seeds["walking"][0]
+    weights = torch.eye(len(tiny_model.types))[[tiny_model.type_id("walking")]]
+    asked = FrameControls(weights, torch.zeros(1, 24), torch.zeros(1), torch.full((1,), -1.0))
+    made = []
+    for share in (0.0, 1.0, 2.0):
+        state = RolloutState(replace(tiny_model, noise={"walking": share}), 1, Noise("sample"), seed=5)
+        state.start(seed.features[None], seed.contacts[None], weights)
+        state.step(asked)
+        made.append(state.normalised.copy())
+    apart = [abs(each - made[0]).max() for each in made[1:]]
+    assert apart[0] > 0.01 and apart[1] == pytest.approx(2.0 * apart[0], rel=1e-2)

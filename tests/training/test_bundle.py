@@ -9,11 +9,22 @@ import torch
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.features.control import ControlLayout
+from motionkit.features.guide import GUIDE_OFFSETS
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
-from motionkit.training.bundle import SEED_FRAMES, SEEDS_PER_TYPE, bundle_model, measure_gaits, seed_frames
+from motionkit.training.bundle import (
+    LONGEST_OUTLINE,
+    OUTLINE_SECONDS,
+    SEED_FRAMES,
+    SEEDS_PER_TYPE,
+    bundle_model,
+    measure_gaits,
+    noise_shares,
+    recorded_outlines,
+    seed_frames,
+)
 from synthetic_motions import make_walk
 
 
@@ -84,3 +95,23 @@ def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
     assert set(model.seeds) == set(model.gaits) == set(dataset.types)
     assert model.card == {"note": "for a test"}
     assert torch.equal(model.references, dataset.references)
+
+
+def test_quiet_types_take_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    shares = noise_shares(dataset)
+    assert set(shares) == set(dataset.types)
+    assert shares["idle"] > 1.0 > shares["running"]
+    monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
+    assert max(noise_shares(dataset).values()) < 1.0
+
+
+def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
+    (first, *_) = recorded_outlines(dataset, "cartwheel")
+    assert first.performed and float(first.phases[0]) == 0.0
+    assert len(first.poses) == len(first) + GUIDE_OFFSETS[-1]
+    clip = next(c for c in dataset.select("train") if "wheel" in c.name)
+    poses = dataset.outline.of(dataset.read(clip).features)
+    assert float(torch.cdist(first.poses[:1], poses).min()) < 1e-3
+    walks = recorded_outlines(dataset, "walking")
+    assert not any(walk.performed for walk in walks)
+    assert sum(map(len, walks)) <= (OUTLINE_SECONDS + LONGEST_OUTLINE) * dataset.fps

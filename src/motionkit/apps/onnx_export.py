@@ -20,7 +20,7 @@ from torch import Tensor
 from motionkit import __version__
 from motionkit.errors import MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS, skeleton_signal
-from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS, guide_map
+from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, column_names, feature_layout
 from motionkit.files import atomic_write
 from motionkit.models.checkpoint import MotionModel
@@ -50,7 +50,7 @@ CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     "given": ((1, 1), "1 where the trajectory counts, else 0"),
     "progress": ((1, 1), "0 to 1 through a performance of a type with a phase, -1 for other types"),
     "guide": ((1, GUIDE_COUNT), "outlines of a recording 5, 15 and 30 frames ahead, one after another"),
-    "guided": ((1, 1), "1 where the guide counts, else 0"),
+    "guided": ((1, 1), "how many times larger than it is the guide is shown, 0 where it does not count"),
     "noise": ((1, FEATURE_COUNT), "standard normal numbers times a temperature; zeros give the mean"),
 }
 OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
@@ -185,6 +185,8 @@ def metadata(model: MotionModel, character: str = "default", starts: bool = True
         "trajectory_frames": list(TRAJECTORY_OFFSETS),
         "guide_frames": list(GUIDE_OFFSETS),
         "guides": model.guides,
+        "guidance": model.guidance,
+        "noise": model.noise,
         "controls": {
             "type_weights": {
                 "shape": [1, len(model.types)],
@@ -288,12 +290,11 @@ def _control_vector(g: _Graph, model: MotionModel) -> str:
     has_phase = g.add("Cast", g.add("GreaterOrEqual", "progress", np.zeros((1, 1))), to=1)
     turns = [g.add("Mul", g.add(kind, angle), has_phase) for kind in ("Sin", "Cos")]
     skeleton = skeleton_signal(canonical_skeleton()).numpy()[None]
-    guides = guide_map(model.outline, scaling=model.scaling)
+    guides = model.guide_map
     present = g.add("Add", g.add("MatMul", "pose", guides.matrix.numpy()), guides.constant.numpy())
     guide = g.add("Mul", g.add("Sub", g.add("Mul", "guide", guides.gains.numpy()), present), "guided")
-    return g.add(
-        "Concat", g.constant(skeleton), "type_weights", shown, "given", *turns, guide, "guided", axis=1
-    )
+    flag = g.add("Cast", g.add("Greater", "guided", np.zeros((1, 1))), to=1)
+    return g.add("Concat", g.constant(skeleton), "type_weights", shown, "given", *turns, guide, flag, axis=1)
 
 
 def _recent_frames(g: _Graph, kernel: int) -> str:

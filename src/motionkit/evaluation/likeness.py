@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.data.phases import type_stretches
 from motionkit.evaluation.body import Body, body_of
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
@@ -20,8 +21,10 @@ from motionkit.metrics.report import evaluate_motion, placed_like
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion
+from motionkit.synthesis.outline_player import OutlinePlayer, Signals, last_poses
 from motionkit.synthesis.rollout import FrameControls, RolloutState, run
 from motionkit.synthesis.start import INIT_FRAMES
+from motionkit.synthesis.steering import STEERED_TYPES
 from motionkit.synthesis.synthesize import inner_threads
 
 SHORTEST_REST = 30  # frames after the first INIT_FRAMES that a clip needs to be compared
@@ -80,10 +83,14 @@ def roll_like(
     settings: EvaluationSettings,
     progress: Progress,
 ) -> list[Performance]:
-    """Roll out every clip from its first INIT_FRAMES with its own types, trajectory and phase."""
+    """Roll out every clip from its first INIT_FRAMES with its own types, trajectory and phase.
+
+    Guided as along a path: gaits not at all, other types by recordings of the training clips.
+    """
     frames = max(clip.frames for clip in clips)
     places = torch.tensor([model.type_id(k) if k in model.types else 0 for k in dataset.types])
     weights, trajectories, clocks = [], [], []
+    guides = [clip_guides(model, dataset, clip, frames) for clip in clips]
     for clip in clips:
         wanted = (torch.arange(frames) + INIT_FRAMES).clamp(max=len(clip.data.types) - 1)
         weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
@@ -92,9 +99,15 @@ def roll_like(
     first = torch.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
     weight, trajectory, clock = (torch.stack(v, dim=1) for v in (weights, trajectories, clocks))
     given = torch.ones(len(clips))
+    guide, guided, phase = (
+        torch.stack([getattr(g, name) for g in guides], dim=1) for name in ("guide", "guided", "progress")
+    )
+    clock = torch.where(guided > 0.0, phase, clock)
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
-        return FrameControls(weight[frame], trajectory[frame], given, clock[frame])
+        return FrameControls(
+            weight[frame], trajectory[frame], given, clock[frame], guide[frame], guided[frame]
+        )
 
     with inner_threads(len(clips)):
         state = RolloutState(model, len(clips), settings.noise, settings.seed)
@@ -106,6 +119,22 @@ def roll_like(
         )
         rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     return performances(model, rollout)
+
+
+def clip_guides(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Signals:
+    """Guides for the types a clip shows after its first INIT_FRAMES, the last type to the end."""
+    types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
+    player = OutlinePlayer(model)
+    near: Tensor | None = last_poses(model, clip.data.features[:INIT_FRAMES])
+    parts = []
+    for start, end, kind in type_stretches(types.numpy()):
+        name = dataset.types[kind]
+        player.begin(name, near)
+        near = None
+        asked = player.play((frames if end == len(types) else end) - start)
+        steered = name in STEERED_TYPES or name not in model.types
+        parts.append(replace(asked, guided=torch.zeros_like(asked.guided)) if steered else asked)
+    return Signals.joined(parts)
 
 
 class NearestClip:

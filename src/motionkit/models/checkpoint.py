@@ -19,7 +19,7 @@ from torch import Tensor
 from motionkit import __version__
 from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import ControlLayout
-from motionkit.features.guide import PoseOutline
+from motionkit.features.guide import GuideMap, PoseOutline, guide_map
 from motionkit.features.normalize import Scaling
 from motionkit.files import atomic_write
 from motionkit.models.config import ModelConfig
@@ -82,6 +82,8 @@ class MotionModel:
         outlines: for each type name recordings in outline, the longest first where they are performances.
         gaits: how each type moves over the ground, for paths that do not say how fast.
         guides: whether the network was trained with guides.
+        guidance: how many times larger than it is a guide is shown, but for gaits (docs/synthesis.md).
+        noise: for type names the share they take of the temperature, 1 by default.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
@@ -97,6 +99,8 @@ class MotionModel:
     gaits: dict[str, Gait] = field(default_factory=dict)
     outlines: dict[str, list[Outline]] = field(default_factory=dict)
     guides: bool = False
+    guidance: float = 1.0
+    noise: dict[str, float] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -108,6 +112,11 @@ class MotionModel:
     def controls(self) -> ControlLayout:
         """Where each signal stands in a control vector."""
         return ControlLayout(self.types)
+
+    @property
+    def guide_map(self) -> GuideMap:
+        """What turns guides into what the network is shown of them."""
+        return guide_map(self.outline, self.scaling)
 
     def type_id(self, name: str) -> int:
         """The index of a motion type; raises ControlError that lists the known ones and the nearest."""
@@ -183,6 +192,8 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
         "gaits": {kind: [gait.speed, gait.facing, gait.seconds] for kind, gait in model.gaits.items()},
         "guides": model.guides,
+        "guidance": model.guidance,
+        "noise": model.noise,
         "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
         "card": model.card,
     }
@@ -243,6 +254,8 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
                 for kind, count in header["outlines"].items()
             },
             bool(header["guides"]),
+            float(header["guidance"]),
+            {kind: float(share) for kind, share in header["noise"].items()},
             header.get("card", {}),
         )
     except ModelError as error:

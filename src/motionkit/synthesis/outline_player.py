@@ -11,9 +11,12 @@ from torch import Tensor
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
+from motionkit.synthesis.steering import STEERED_TYPES
 
-# Places a recording may be entered at, of which the one most like the present pose is taken.
-CANDIDATES = 24
+# Places a recording may be entered at, of which the one most like the present pose is taken. Few at a change of
+# type, for of many the most alike to one who stands is one where nothing happens; many to go on within a type.
+CANDIDATES, CANDIDATES_WITHIN = 24, 200
+BLEND = 15  # frames over which one recording goes over to the next of its type
 EVENT_CANDIDATES = 4
 # A recording is entered where so many seconds of it are left; a strike so many frames before it begins.
 LEAST_SECONDS = 1.5
@@ -27,7 +30,7 @@ class Signals:
     """What a player asks of one character for T frames.
 
     Attributes:
-        guide, guided: (T, 48), and (T,) 1 where it counts.
+        guide, guided: (T, 48), and (T,) how many times larger than it is it is shown, 0 for not.
         trajectory, given: (T, 24) of a recorded performance, and (T,) 1 where it counts.
         progress: (T,) through a performance, negative for none.
     """
@@ -58,6 +61,7 @@ class OutlinePlayer:
         self.kind = ""
         self.outline: Outline | None = None
         self.at = 0
+        self.left: tuple[Outline, int] | None = None  # the recording before, and where this one was entered
 
     def begin(self, kind: str, near: Tensor | None = None, behind: int = 0) -> None:
         """Go over to a type.
@@ -69,16 +73,20 @@ class OutlinePlayer:
         if near is None:
             near = self._present()
         outlines = self.model.outlines.get(kind, [])
-        self.kind, self.outline, self.at = kind, None, 0
+        count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
+        self.kind, self.outline, self.at, self.left = kind, None, 0, None
         if not outlines:
             return
         if self.model.performed(kind):
             self.outline = outlines[self.choice % len(outlines)]
             self.at = behind % len(self.outline)
             return
-        places = self._events(outlines) or self._anywhere(outlines)
-        costs = [0.0 if near is None else float((_poses(o, at) - near).norm()) for o, at in places]
-        self.outline, self.at = places[costs.index(min(costs))]
+        places = self._events(outlines) or self._anywhere(outlines, count)
+        if near is None:
+            self.outline, self.at = places[0]
+            return
+        costs = (torch.stack([_poses(outline, at) for outline, at in places]) - near).flatten(1).norm(dim=1)
+        self.outline, self.at = places[int(costs.argmin())]
 
     def event_frames(self) -> int:
         """Frames from here to the end of the strike or jump that comes first, zero if none comes."""
@@ -95,7 +103,9 @@ class OutlinePlayer:
         parts: list[Signals] = []
         while frames > 0:
             if self.outline is not None and self.at >= len(self.outline):
+                left = self.outline
                 self.begin(self.kind)
+                self.left = None if left.performed else (left, self.at)
             count = frames if self.outline is None else min(frames, len(self.outline) - self.at)
             parts.append(self._stretch(count))
             self.at += count
@@ -120,13 +130,26 @@ class OutlinePlayer:
             if outline.performed
             else torch.zeros(count, TRAJECTORY_COUNT)
         )
+        guide = guide_signal(outline.poses, frames)
+        if self.left is not None:
+            # The poses that follow the recording that was left go over into those of this one.
+            left, entered = self.left
+            since = frames - entered
+            before = guide_signal(left.poses, len(left) + since)
+            guide = torch.lerp(before, guide, (since / BLEND).clamp(max=1.0)[:, None])
         return Signals(
-            guide_signal(outline.poses, frames),
-            torch.full((count,), float(self.model.guides)),
+            guide,
+            torch.full((count,), self._strength()),
             way,
             torch.full((count,), float(outline.performed)),
             outline.phases[frames],
         )
+
+    def _strength(self) -> float:
+        """How much larger than it is the guide is shown."""
+        if not self.model.guides:
+            return 0.0
+        return 1.0 if self.kind in STEERED_TYPES else self.model.guidance
 
     def _present(self) -> Tensor | None:
         return None if self.outline is None else _poses(self.outline, min(self.at, len(self.outline) - 1))
@@ -139,10 +162,10 @@ class OutlinePlayer:
             found += [(outline, max(0, int(at) - BEFORE_EVENT)) for at in begins]
         return self.random.sample(found, min(EVENT_CANDIDATES, len(found)))
 
-    def _anywhere(self, outlines: list[Outline]) -> list[tuple[Outline, int]]:
+    def _anywhere(self, outlines: list[Outline], count: int) -> list[tuple[Outline, int]]:
         least = round(LEAST_SECONDS * self.model.fps)
         rooms = [max(1, len(outline) - least) for outline in outlines]
-        chosen = self.random.choices(range(len(outlines)), rooms, k=CANDIDATES)
+        chosen = self.random.choices(range(len(outlines)), rooms, k=count)
         return [(outlines[i], self.random.randrange(rooms[i])) for i in chosen]
 
 

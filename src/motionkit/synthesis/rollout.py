@@ -12,7 +12,6 @@ from torch import Tensor
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
 from motionkit.features.decode import decode_motion
-from motionkit.features.guide import guide_map
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel, Seed
 from motionkit.models.step import NetworkStep
@@ -48,7 +47,8 @@ class FrameControls:
 
     type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
     the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative. guide:
-    (B, 48), and guided: (B,) 1 where it counts; None for no guide at all.
+    (B, 48), and guided: (B,) how many times larger than it is it is shown, 0 where it does not count; None for no guide
+    at all.
     """
 
     type_weights: Tensor
@@ -100,7 +100,8 @@ class RolloutState:
         scaling = model.trajectory_scaling
         self._trajectory_mean, self._trajectory_std = scaling.mean.numpy(), scaling.std.numpy()
         self._layout = model.controls
-        guides = guide_map(model.outline, model.scaling)
+        self._noise_shares = np.array([model.noise.get(kind, 1.0) for kind in model.types], np.float32)
+        guides = model.guide_map
         self._guide_gains, self._guide_matrix, self._guide_constant = (
             g.numpy() for g in vars(guides).values()
         )
@@ -182,7 +183,9 @@ class RolloutState:
     def _ask(self, asked: FrameControls, x: Floats) -> None:
         """Write control vectors, as features.control.control_vector makes them, for normalised frames x."""
         layout, controls = self._layout, self._controls
-        controls[:, layout.type] = asked.type_weights.numpy()
+        weights = asked.type_weights.numpy()
+        controls[:, layout.type] = weights
+        self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
         given = asked.given.numpy()
         shown = controls[:, layout.trajectory]
         np.subtract(asked.trajectory.numpy(), self._trajectory_mean, out=shown)
@@ -202,13 +205,14 @@ class RolloutState:
             shown += self._guide_constant
             np.subtract(self._guide_gains * asked.guide.numpy(), shown, out=shown)
             shown *= guided[:, None]
-            controls[:, layout.guided] = guided
+            controls[:, layout.guided] = guided > 0.0
 
     def advance(self, asked: FrameControls) -> tuple[Floats, Floats, Floats]:
         """step() without copies: what it answers is overwritten by the next call."""
         self._ask(asked, self._x)
         network = self.network
         network.step(self._x, self._contacts, self._controls)
+        network.log_sigma += self._log_share
         if self._drawn_from is not network:
             self._bind(network)
         self._draw()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from weakref import WeakKeyDictionary
+
 import numpy as np
 import torch
 
@@ -9,7 +11,7 @@ from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.network import PartTransformer
 from motionkit.models.step import NetworkStep
 from motionkit.models.step_kernel import StepKernel, kernel_library
-from motionkit.models.step_weights import Floats, pack, why_not_packable
+from motionkit.models.step_weights import Floats, StepWeights, pack, why_not_packable
 from motionkit.synthesis.stream import NetworkStream
 
 
@@ -48,5 +50,20 @@ def stepper(network: PartTransformer, batch: int) -> NetworkStep | TorchStep:
     """The fastest way to run a network frame by frame on this machine."""
     if why_not_packable(network.config) is not None:
         return TorchStep(network, batch)
-    weights = pack(network)
-    return NetworkStep(weights, batch, StepKernel(weights, small=True) if kernel_library() else None)
+    return NetworkStep(*_packed(network, batch))
+
+
+# What networks were packed into, for as long as they live, and the versions their weights had.
+_PACKED: WeakKeyDictionary[PartTransformer, tuple[list[int], StepWeights, StepKernel | None]]
+_PACKED = WeakKeyDictionary()
+
+
+def _packed(network: PartTransformer, batch: int) -> tuple[StepWeights, int, StepKernel | None]:
+    """A network's packed weights, made once for all characters and anew after its weights have changed."""
+    versions = [tensor._version for tensor in network.state_dict().values()]
+    known = _PACKED.get(network)
+    if known is None or known[0] != versions:
+        weights = pack(network)
+        known = (versions, weights, StepKernel(weights, small=True) if kernel_library() else None)
+        _PACKED[network] = known
+    return known[1], batch, known[2]

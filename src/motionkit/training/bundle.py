@@ -16,6 +16,11 @@ from motionkit.motion.skeleton import canonical_skeleton
 
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
+GUIDANCE = (
+    2.0  # a network keeps on the safe side of what it is asked for; docs/results-log.md has the figures
+)
+# Noise shakes a body that a guide keeps moving; who stands nearly still sways. Quiet types turn slower (rad/s).
+NOISE, NOISE_OF_QUIET, QUIET = 0.4, 1.2, 0.3
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
 OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 40.0, 6.0, 1.0
 
@@ -39,6 +44,8 @@ def bundle_model(
         measure_gaits(dataset),
         {kind: recorded_outlines(dataset, kind) for kind in dataset.types},
         guides,
+        GUIDANCE,
+        noise_shares(dataset),
         card,
     )
 
@@ -86,7 +93,7 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
 def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
     """Training stretches of a type in outline: performances the longest first, others from many recordings.
 
-    Recordings and their mirror images take turns, so that there are kicks of both sides.
+    Of types made of strikes or jumps those parts come first that show most of them.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
     longest = round(LONGEST_OUTLINE * fps)
@@ -107,8 +114,9 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
                     whole.ground[first:last],
                     whole.phases[first:last],
                 )
+                shown = int((outline.phases >= 0.0).sum())
                 # Parts of one stretch stand behind each other's, so that the time goes to many recordings.
-                order = -len(outline) if performed else first
+                order = -len(outline) if performed else -shown or first
                 found.append((order, clip.name, outline))
     found.sort(key=lambda entry: entry[:2])
     shortest = SHORTEST_OUTLINE * fps
@@ -120,6 +128,19 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
             out.append(outline)
             frames += len(outline)
     return out
+
+
+def noise_shares(dataset: Dataset) -> dict[str, float]:
+    """How much noise each type takes."""
+    turns, frames = (torch.zeros(len(dataset.types), dtype=torch.float64) for _ in range(2))
+    block = dataset.layout.blocks["joint_angular_velocities"]
+    for clip in dataset.select("train"):
+        data = dataset.read(clip)
+        speeds = data.features[:, block].reshape(len(data.features), -1, 3).norm(dim=-1).mean(dim=-1)
+        turns.index_add_(0, data.types, speeds.double())
+        frames += torch.bincount(data.types, minlength=len(frames))
+    quiet = (turns / frames < QUIET).tolist()
+    return {k: NOISE_OF_QUIET if still else NOISE for k, still in zip(dataset.types, quiet, strict=True)}
 
 
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
