@@ -26,6 +26,7 @@ from motionkit.features.normalize import Scaling
 OUTLINE_COUNT = 16
 GUIDE_OFFSETS: tuple[int, ...] = (5, 15, 30)  # frames ahead, at 60 fps
 GUIDE_COUNT = OUTLINE_COUNT * len(GUIDE_OFFSETS)
+LEAST_SHARE = 1e-6  # of the largest variance, for a direction to count
 # Near poses differ less from the present one; in these units all three are of about the same size.
 GUIDE_GAINS: tuple[float, ...] = (4.0, 2.0, 1.0)
 
@@ -70,9 +71,13 @@ def fit_outline(features: Tensor, weights: Tensor, layout: FeatureLayout) -> Pos
     values, vectors = torch.linalg.eigh(spread)
     best = values.argsort(descending=True)[:OUTLINE_COUNT]
     directions = vectors[:, best]
-    # A direction and its negative are one: the largest number of each is positive.
-    largest = directions.abs().argmax(dim=0)
+    # A direction and its negative are one: the largest number of each is positive, the first of those that left and
+    # right have in common.
+    sizes = directions.abs()
+    largest = (sizes > 0.999 * sizes.amax(dim=0)).int().argmax(dim=0)
     directions = directions * directions[largest, torch.arange(len(best))].sign()
+    # Where poses differ along fewer directions the others would be any, and other ones on another machine.
+    directions = directions * (values[best] > LEAST_SHARE * values[best[0]])
     # Small directions stay small beside large ones, but are not lost.
     scale = values[best].clamp(min=0.0).sqrt()
     scale = torch.maximum(scale, 0.3 * scale.max()).clamp(min=1e-6)
