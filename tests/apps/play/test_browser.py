@@ -294,7 +294,7 @@ def test_a_hidden_page_lets_go_of_the_keys(page: Page) -> None:
     )
     assert page.evaluate("motionkit.sent.velocity") == [0, 0]
     page.keyboard.up("w")
-    page.wait_for_function("window.next", polling=50, timeout=PATIENCE)
+    page.wait_for_function("!!window.next", polling=50, timeout=PATIENCE)
     page.evaluate("requestAnimationFrame = window.usual; requestAnimationFrame(window.next)")
 
 
