@@ -18,7 +18,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 from motionkit.synthesis.drive import together
-from motionkit.synthesis.outline_player import last_poses
+from motionkit.synthesis.outline_player import Signals, last_poses
 from motionkit.synthesis.plan import TypePart, plan_signals, plan_weights
 from motionkit.synthesis.rollout import (
     Controller,
@@ -103,11 +103,10 @@ def _roll_batch(
         plan_signals(model, plan.parts, last_poses(model, seen), 0, plan.choice)
         for plan, seen in zip(plans, features, strict=True)
     ]
-    names = ("trajectory", "given", "progress", "guide", "guided")
-    signals = [torch.stack([getattr(a, name) for a in asked], dim=1) for name in names]
+    signals = Signals.side_by_side(asked)
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
-        return FrameControls(weights[frame], *(values[frame] for values in signals))
+        return signals.controls(frame, weights[frame])
 
     with inner_threads(len(plans)):
         state = RolloutState(model, len(plans), noise, seed)

@@ -11,6 +11,7 @@ from torch import Tensor
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
+from motionkit.synthesis.rollout import FrameControls
 from motionkit.synthesis.steering import STEERED_TYPES
 
 # Places a recording may be entered at, of which the one most like the present pose is taken. Few at a change of
@@ -45,6 +46,21 @@ class Signals:
     def joined(parts: list[Signals]) -> Signals:
         """One after another."""
         return Signals(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
+
+    @staticmethod
+    def side_by_side(characters: list[Signals]) -> Signals:
+        """Those of B characters as one: (T, B, ...), the shorter ones going on with their last frame."""
+        frames = max(len(c.progress) for c in characters)
+        rows = [torch.arange(frames).clamp(max=len(c.progress) - 1) for c in characters]
+        pairs = list(zip(characters, rows, strict=True))
+        return Signals(
+            **{name: torch.stack([getattr(c, name)[r] for c, r in pairs], 1) for name in vars(characters[0])}
+        )
+
+    def controls(self, frame: int, type_weights: Tensor) -> FrameControls:
+        """What they ask of B characters at a frame, with type weights (B, N)."""
+        signals = (self.trajectory, self.given, self.progress, self.guide, self.guided)
+        return FrameControls(type_weights, *(values[frame] for values in signals))
 
 
 class OutlinePlayer:

@@ -103,12 +103,11 @@ def crowd_controller(
 
     weights = torch.stack([whole(track) for track in tracks], 1)[:, turn]
     asked = [plan_signals(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
-    names = ("trajectory", "given", "progress", "guide", "guided")
-    signals = [torch.stack([whole(getattr(a, name)) for a in asked], 1) for name in names]
+    signals = Signals.side_by_side(asked)
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
         now = min(frame, longest - 1)
-        return FrameControls(weights[now], *(values[now] for values in signals))
+        return signals.controls(now, weights[now])
 
     return controls
 
