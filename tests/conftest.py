@@ -22,7 +22,7 @@ from motionkit.training.trainer import train
 from synthetic_motions import write_clips
 
 HERE = Path(__file__).parent
-SECONDS_PER_TEST = 60
+SECONDS_PER_TEST = 180
 SECONDS_PER_SLOW_TEST = 900
 
 

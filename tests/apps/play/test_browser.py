@@ -28,9 +28,12 @@ def address() -> Iterator[str]:
     words = [sys.executable, "-m", "motionkit", "play", "--port", "0", "--no-open", "--json"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None and server.stderr is not None
-        yield json.loads(server.stdout.readline())["url"]
-        server.terminate()
-        assert server.stderr.read().strip().endswith("stopped")
+        try:
+            yield json.loads(server.stdout.readline())["url"]
+            server.terminate()
+            assert server.communicate(timeout=PATIENCE / 1000)[1].strip().endswith("stopped")
+        finally:
+            server.kill()
     assert server.returncode == 0
 
 

@@ -86,6 +86,7 @@ class Crowd:
         self.told, self.chance = told, random.Random(seed)
         self.seen: Counter[str] = Counter()
         self.newest: list[dict[str, Any]] = []  # the characters, as the one who stays was told last
+        self.over = False  # cancelling is not enough: before Python 3.12, wait_for may swallow it
 
     async def stay(self) -> None:
         """A client that looks on from beginning to end: frames must go on, whole and in order."""
@@ -112,7 +113,7 @@ class Crowd:
 
     async def visit(self) -> None:
         """One client after another."""
-        while True:
+        while not self.over:
             await asyncio.sleep(self.chance.uniform(0.0, 0.2))
             with suppress(ConnectionClosed, OSError, EOFError, asyncio.TimeoutError):
                 await self.chance.choice([self._web, self._web, self._tcp, self._stranger])()
@@ -207,18 +208,22 @@ async def soak(told: dict[str, Any], process: int, seconds: float) -> tuple[Crow
     visitors = [asyncio.create_task(crowd.visit()) for _ in range(VISITORS)]
     memory, ends = [], time.monotonic() + seconds
     # A busy machine is given longer, so that something is seen at all.
-    while time.monotonic() < ends or min(crowd.seen["frames"], crowd.seen["web clients"]) < 3:
+    while time.monotonic() < ends or (
+        min(crowd.seen["frames"], crowd.seen["web clients"]) < 3 and time.monotonic() < ends + 6 * PATIENCE
+    ):
         await asyncio.sleep(min(1.0, seconds / 40))
         memory.append(resident_mb(process))
         for task in (stays, *visitors):
             if task.done():
                 task.result()
+    crowd.over = True
     for task in visitors:
         task.cancel()
-    await asyncio.wait(visitors)
+    _, late = await asyncio.wait(visitors, timeout=4 * PATIENCE)
+    assert not late
     await asyncio.wait_for(crowd.alone(), PATIENCE)
     stays.cancel()
-    await asyncio.wait([stays])
+    await asyncio.wait([stays], timeout=PATIENCE)
     return crowd, memory
 
 
@@ -234,7 +239,10 @@ def server(request: pytest.FixtureRequest) -> Iterator[tuple[dict[str, Any], int
             yield json.loads(process.stdout.readline()), process.pid
         finally:
             process.terminate()
-            _, said = process.communicate(timeout=PATIENCE)
+            try:
+                _, said = process.communicate(timeout=2 * PATIENCE)
+            finally:
+                process.kill()  # one that does not end must not hold up all other tests
     assert said == "stopped\n" and process.returncode == 0
 
 

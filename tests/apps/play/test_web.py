@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import http.client
 import json
 import logging
@@ -150,6 +151,24 @@ def test_requests_that_cost_much_count_for_more() -> None:
     client.charge_work(reset, now=1.0)
     with pytest.raises(TooManyMessages):
         client.charge(65536, now=1.0)
+
+
+def test_a_client_that_leaves_while_something_is_sent_is_let_go() -> None:
+    """Before Python 3.12, wait_for swallows a cancellation that comes at the moment the sending is done."""
+
+    async def leaves() -> None:
+        client = Client(1, False, Limits(), now=0.0)
+
+        async def send(_: str | bytes) -> None:
+            client.leave()
+            pump.cancel()
+
+        pump = asyncio.get_running_loop().create_task(client.pump(send))
+        client.show(b"frame")
+        await asyncio.wait([pump], timeout=PATIENCE)
+        assert pump.done()
+
+    asyncio.run(leaves())
 
 
 def test_broken_websocket_frames_close(serve: Callable, web: Callable) -> None:

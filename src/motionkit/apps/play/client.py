@@ -31,7 +31,7 @@ class Client:
         self._events: deque[str] = deque()
         self._frame: str | bytes | None = None
         self._wake = asyncio.Event()
-        self._ending = False
+        self._ending = self._gone = False
         self.stalled = False
 
     def charge(self, size: int, now: float) -> None:
@@ -64,18 +64,27 @@ class Client:
         self.tell(event)
         self._ending = True
 
+    def leave(self) -> None:
+        """Send nothing any more, and let pump return."""
+        self._gone = True
+        self._wake.set()
+
     async def pump(self, send: Callable[[str | bytes], Awaitable[None]]) -> None:
-        """Send what is to be sent; returns after the last event, or when the client takes nothing in."""
-        while not self.stalled:
+        """Send what is to be sent; returns after the last event, when the client takes nothing in, or after leave.
+
+        Cancelling alone would not end it for sure: before Python 3.12, wait_for answers as if nothing had
+        happened when what it waits for is done at the same moment.
+        """
+        while not self.stalled and not self._gone:
             await self._wake.wait()
             self._wake.clear()
             try:
-                while self._events:
+                while self._events and not self._gone:
                     await asyncio.wait_for(send(self._events.popleft()), STALL_SECONDS)
                 if self._ending:
                     return
                 frame, self._frame = self._frame, None
-                if frame is not None:
+                if frame is not None and not self._gone:
                     await asyncio.wait_for(send(frame), STALL_SECONDS)
             except (asyncio.TimeoutError, OSError):
                 self.stalled = True

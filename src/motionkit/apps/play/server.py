@@ -13,7 +13,7 @@ from contextlib import AsyncExitStack, suppress
 from dataclasses import dataclass
 from http import HTTPStatus
 
-from websockets.asyncio.server import ServerConnection, serve
+from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request as HttpRequest
@@ -110,21 +110,20 @@ class PlayServer:
         if options.vmc is not None:
             open_.callback((await self._open_vmc(*options.vmc)).close)
         try:
-            web = await open_.enter_async_context(
-                serve(
-                    self._web_client,
-                    host,
-                    options.port,
-                    process_request=self._answer,
-                    compression=None,
-                    max_size=self.live.session.limits.message_bytes,
-                    close_timeout=CLOSE_SECONDS,
-                    server_header=None,
-                    logger=_quiet_logger(),
-                )
+            web = await serve(
+                self._web_client,
+                host,
+                options.port,
+                process_request=self._answer,
+                compression=None,
+                max_size=self.live.session.limits.message_bytes,
+                close_timeout=CLOSE_SECONDS,
+                server_header=None,
+                logger=_quiet_logger(),
             )
         except OSError as error:
             raise _serve_error(host, options.port, "--port", error) from None
+        open_.push_async_callback(self._close_web, web)
         port = web.sockets[0].getsockname()[1]
         tcp = None
         if options.tcp is not None:
@@ -210,6 +209,15 @@ class PlayServer:
             writer.close()
             del self._connections[task]
 
+    async def _close_web(self, server: Server) -> None:
+        """Close port and connections; who has not ended by then, such as one who says nothing, is not waited for."""
+        for client in self.live.clients.values():
+            client.leave()
+        server.close()
+        ended = asyncio.ensure_future(server.wait_closed())
+        await asyncio.wait([ended], timeout=2.0 * CLOSE_SECONDS)
+        await _cancelled(ended)
+
     async def _close_tcp(self, server: asyncio.Server) -> None:
         """Close port and connections; the tasks of the latter end by themselves, as if the clients had gone."""
         server.close()
@@ -242,6 +250,7 @@ class PlayServer:
             return error
         finally:
             self.live.leave(client)
+            client.leave()
             await _cancelled(pump)
         return None
 
