@@ -82,6 +82,15 @@ def test_a_recording_is_entered_where_its_pose_is_most_alike(tiny_model: MotionM
     assert len(rest.progress) == 400, "another recording follows"
 
 
+def test_what_stands_is_not_entered(tiny_model: MotionModel) -> None:
+    """Whoever asks for a dance and stands would find a dancer who stands most alike."""
+    dance = recording(400)
+    dance.poses[:200, 0] = 0.0
+    player = OutlinePlayer(replace(tiny_model, outlines={"walking": [dance]}), choice=1)
+    player.begin("walking", NEAR)
+    assert player.at > 100
+
+
 def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
     phases = torch.full((300,), -1.0)
     phases[100:140] = torch.arange(40) / 40.0

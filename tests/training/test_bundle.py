@@ -9,7 +9,8 @@ import torch
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.features.control import ControlLayout
-from motionkit.features.guide import GUIDE_OFFSETS
+from motionkit.features.guide import GUIDE_OFFSETS, OUTLINE_COUNT
+from motionkit.models.checkpoint import MOVEMENT_FRAMES, Outline
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
@@ -24,6 +25,7 @@ from motionkit.training.bundle import (
     noise_shares,
     recorded_outlines,
     seed_frames,
+    typical_first,
 )
 from synthetic_motions import make_walk
 
@@ -115,3 +117,24 @@ def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
     walks = recorded_outlines(dataset, "walking")
     assert not any(walk.performed for walk in walks)
     assert sum(map(len, walks)) <= (OUTLINE_SECONDS + LONGEST_OUTLINE) * dataset.fps
+
+
+def moving(speed: float, frames: int = 60) -> Outline:
+    """An outline that changes by so much a frame."""
+    poses = torch.zeros(frames + GUIDE_OFFSETS[-1], OUTLINE_COUNT)
+    poses[:, 0] = speed * torch.arange(len(poses))
+    return Outline(poses, torch.zeros(frames, 3), torch.full((frames,), -1.0))
+
+
+def test_parts_that_move_as_the_type_does_come_first_and_from_all_recordings() -> None:
+    found = [("a", moving(s)) for s in (0.1, 4.0, 5.0)] + [("b", moving(s)) for s in (0.1, 9.0)]
+    ordered = typical_first(found)
+    assert [float(outline.movement[0]) for outline in ordered] == pytest.approx([4.0, 9.0, 5.0, 0.1, 0.1])
+
+
+def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
+    outline = moving(1.0, 300)
+    outline.poses[:, 0] = outline.poses[:, 0].clamp(max=100.0)
+    assert outline.movement[0] == pytest.approx(100 / MOVEMENT_FRAMES)
+    assert outline.movement[40] == pytest.approx(60 / MOVEMENT_FRAMES)
+    assert outline.movement[-1] == 0.0 and len(outline.movement) == 300

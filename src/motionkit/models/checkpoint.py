@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from motionkit.models.network import PartTransformer
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = "motionkit-model-2"
+MOVEMENT_FRAMES = 120
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +71,15 @@ class Outline:
     def performed(self) -> bool:
         """Whether it is one performance from beginning to end."""
         return bool((self.phases >= 0.0).all()) and bool((torch.diff(self.phases) > 0.0).all())
+
+    @cached_property
+    def movement(self) -> Tensor:
+        """How much the pose changes in a frame (L,), the mean over the coming MOVEMENT_FRAMES, fewer at the end."""
+        steps = (self.poses[1 : len(self) + 1] - self.poses[: len(self)]).norm(dim=1)
+        sums = torch.cat([steps.new_zeros(1), steps.cumsum(0)])
+        frames = torch.arange(len(self))
+        ends = (frames + MOVEMENT_FRAMES).clamp(max=len(self))
+        return (sums[ends] - sums[frames]) / (ends - frames)
 
 
 @dataclass(frozen=True, eq=False)

@@ -179,10 +179,19 @@ class OutlinePlayer:
         return self.random.sample(found, min(EVENT_CANDIDATES, len(found)))
 
     def _anywhere(self, outlines: list[Outline], count: int) -> list[tuple[Outline, int]]:
+        """Some places that are followed by at least the usual movement.
+
+        Who stands is most like those who stand, in any type: he would be guided to go on standing.
+        """
         least = round(LEAST_SECONDS * self.model.fps)
-        rooms = [max(1, len(outline) - least) for outline in outlines]
-        chosen = self.random.choices(range(len(outlines)), rooms, k=count)
-        return [(outlines[i], self.random.randrange(rooms[i])) for i in chosen]
+        movements = [outline.movement[: max(1, len(outline) - least)] for outline in outlines]
+        usual = torch.cat(movements).median()
+        found = [
+            (outline, at)
+            for outline, movement in zip(outlines, movements, strict=True)
+            for at in torch.nonzero(movement >= usual).flatten().tolist()
+        ]
+        return self.random.sample(found, min(count, len(found)))
 
 
 def _poses(outline: Outline, at: int) -> Tensor:

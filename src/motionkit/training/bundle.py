@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import Any
 
 import torch
@@ -93,11 +94,13 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
 def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
     """Training stretches of a type in outline: performances the longest first, others from many recordings.
 
-    Of types made of strikes or jumps those parts come first that show most of them.
+    Of types made of strikes or jumps those parts come first that show most of them, of others those that move
+    about as much as the type does in the mean: recordings begin and end with standing.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
     longest = round(LONGEST_OUTLINE * fps)
-    found: list[tuple[int, str, Outline]] = []
+    performed = dataset.phase_events.get(kind) == ""
+    found: list[tuple[str, Outline]] = []
     for clip in dataset.select("train"):
         for start, end, type_id in type_stretches(dataset.clip_types(clip).numpy()):
             if type_id != wanted:
@@ -106,28 +109,45 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
             poses = dataset.outline.of(whole.features)
             beyond = end - start + GUIDE_OFFSETS[-1] - len(poses)
             poses = torch.cat([poses, poses[-1:].expand(beyond, -1)])
-            performed = dataset.phase_events.get(kind) == ""
-            for first in range(0, end - start, end - start if performed else longest):
-                last = end - start if performed else min(first + longest, end - start)
+            step = end - start if performed else longest
+            for first in range(0, end - start, step):
+                last = min(first + step, end - start)
                 outline = Outline(
                     poses[first : last + GUIDE_OFFSETS[-1]],
                     whole.ground[first:last],
                     whole.phases[first:last],
                 )
-                shown = int((outline.phases >= 0.0).sum())
-                # Parts of one stretch stand behind each other's, so that the time goes to many recordings.
-                order = -len(outline) if performed else -shown or first
-                found.append((order, clip.name, outline))
-    found.sort(key=lambda entry: entry[:2])
-    shortest = SHORTEST_OUTLINE * fps
-    long = [outline for _, _, outline in found if len(outline) >= shortest]
+                found.append((clip.name, outline))
+    found = [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
+    if performed:
+        ordered = [outline for _, outline in sorted(found, key=lambda entry: (-len(entry[1]), entry[0]))]
+    elif kind in dataset.phase_events:
+        shown = [int((outline.phases >= 0.0).sum()) for _, outline in found]
+        ordered = [found[i][1] for i in sorted(range(len(found)), key=lambda i: (-shown[i], found[i][0]))]
+    else:
+        ordered = typical_first(found)
     out: list[Outline] = []
     frames = 0.0
-    for outline in long or [outline for _, _, outline in found]:
+    for outline in ordered:
         if frames < OUTLINE_SECONDS * fps:
             out.append(outline)
             frames += len(outline)
     return out
+
+
+def typical_first(found: list[tuple[str, Outline]]) -> list[Outline]:
+    """Outlines by names of recordings, reordered: the most typical part of each recording, then the second of each."""
+    movements = [float(outline.movement.mean()) for _, outline in found]
+    frames = [len(outline) for _, outline in found]
+    mean = sum(m * n for m, n in zip(movements, frames, strict=True)) / max(1, sum(frames))
+    far = [abs(math.log((movement + 1e-6) / (mean + 1e-6))) for movement in movements]
+    ranked: list[tuple[int, float, str, int]] = []
+    before = Counter[str]()
+    for i in sorted(range(len(found)), key=far.__getitem__):
+        name = found[i][0]
+        ranked.append((before[name], far[i], name, i))
+        before[name] += 1
+    return [found[i][1] for *_, i in sorted(ranked)]
 
 
 def noise_shares(dataset: Dataset) -> dict[str, float]:
