@@ -191,3 +191,17 @@ def test_locked_spans(level: list[float], spans: list[tuple[int, int]]) -> None:
 def test_a_single_frame_comes_back() -> None:
     motion = make_idle(5).cut(0, 1)
     assert lock_feet(motion, torch.ones(1, 4)) is motion
+
+
+def test_a_foot_that_has_slid_too_far_steps_over() -> None:
+    """It would be seen to skate from its old place to the new one."""
+    motion = sliding(120, 60.0)
+    low = motion.root_positions.clone()
+    low[:, 1] -= float(toe_track(motion, LEFT_TOE)[:, 1].max()) - 2.0
+    track = toe_track(
+        lock_feet(replace(motion, root_positions=low), feet_down(120, [(0, 120)], [])), LEFT_TOE
+    )
+    fast = torch.diff(track[:, [0, 2]], dim=0).norm(dim=-1) > 2.0
+    assert int(fast.sum()) > 10
+    assert float(track[1:, 1][fast].max()) > 4.5
+    assert float(track[1:, 1][~fast].median()) < 2.5

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from motionkit.motion.foot_ik import EASE_FRAMES, LEGS, MAX_SLIDE
+from motionkit.motion.foot_ik import EASE_FRAMES, LEGS
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.skeleton import PARENTS, canonical_skeleton
-from motionkit.synthesis.foot_lock import BRAKE_FRAMES, FootLock
+from motionkit.synthesis.foot_lock import BRAKE_FRAMES, MAX_SLIDE, FootLock
 from motionkit.synthesis.pose import BodyKinematics, Floats, expmap_to_quat
 
 TOES = [leg.toe for leg in LEGS]

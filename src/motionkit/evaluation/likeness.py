@@ -126,12 +126,15 @@ def clip_guides(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int
     types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
     player = OutlinePlayer(model)
     near: Tensor | None = last_poses(model, clip.data.features[:INIT_FRAMES])
+    last = len(clip.data.types) - 1
     parts = []
     for start, end, kind in type_stretches(types.numpy()):
         name = dataset.types[kind]
-        player.begin(name, near)
+        ahead = (torch.arange(start, frames if end == len(types) else end) + INIT_FRAMES).clamp(max=last)
+        ways = future_trajectory(clip.data.ground, ahead)
+        player.begin(name, near, way=ways[0])
         near = None
-        asked = player.play((frames if end == len(types) else end) - start)
+        asked = player.play(len(ways), ways)
         steered = name in STEERED_TYPES or name not in model.types
         parts.append(replace(asked, guided=torch.zeros_like(asked.guided)) if steered else asked)
     return Signals.joined(parts)

@@ -21,9 +21,11 @@ EASE_FRAMES = 8
 MIN_LOCK_FRAMES = 4
 # Contacts switch on above the first and off below the second probability, so that they do not flicker.
 CONTACT_ON, CONTACT_OFF = 0.6, 0.4
-MAX_SLIDE = 12.0  # cm; a foot that slides further while "in contact" is not held back any more
+MAX_SLIDE = 16.0  # cm; a foot that slides further while "in contact" is not held back any more
 MAX_REACH = 0.999  # of the length of the straight leg
 LIFT_FLOOR = 0.5  # cm; no toe goes below this height
+# A foot that goes over to another place steps over: so high, if it goes at least so far.
+STEP_HEIGHT, STEP_LENGTH = 5.0, 6.0  # cm; a standing toe is about 3 cm high
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
     """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
     frames = len(toe)
     pulls, strength = torch.zeros(frames, 3, dtype=torch.float64), torch.zeros(frames, 1, dtype=torch.float64)
-    weights = torch.zeros(frames, 1, dtype=torch.float64)
+    weights, lengths = torch.zeros(2, frames, 1, dtype=torch.float64)
     for start, end in _still_spans(toe, locked_spans(contacts)):
         lock = toe[start:end].median(dim=0).values
         shift = torch.zeros_like(pulls)
@@ -111,11 +113,18 @@ def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
         # Frames between two near locks are shared by them; within a lock it alone counts.
         weight = share / (1.0 - share + 1e-9)
         pulls, weights = pulls + weight * shift, weights + weight
+        lengths = lengths + weight * shift[:, [0, 2]].norm(dim=-1, keepdim=True)
         strength = torch.maximum(strength, share)
-    total = (strength * pulls / weights.clamp(min=1e-12)).to(toe.dtype)
-    lifted = (toe + total)[:, 1]
-    total[:, 1] += (LIFT_FLOOR - lifted).clamp(min=0.0)
+    weights = weights.clamp(min=1e-12)
+    total = (strength * pulls / weights).to(toe.dtype)
+    least = LIFT_FLOOR + step_height(strength, lengths / weights)[:, 0]
+    total[:, 1] += (least - (toe + total)[:, 1]).clamp(min=0.0)
     return total
+
+
+def step_height(strength: Tensor, length: Tensor) -> Tensor:
+    """How high in cm a toe is at least, while its lock is that strong and it has that far (cm) to go."""
+    return STEP_HEIGHT * 4.0 * strength * (1.0 - strength) * (length / STEP_LENGTH).clamp(max=1.0)
 
 
 def _lower_hips(motion: Motion, positions: Tensor, targets: list[Tensor]) -> Motion:

@@ -200,7 +200,7 @@ class Driver:
         if kind != self._played:
             self._player.begin(kind)
             self._played = kind
-        asked = self._player.play(1)
+        asked = self._player.play(1, trajectory)
         return _Asked(kind, trajectory, asked.progress, None, asked.guide, asked.guided)
 
     def _follow(self, follower: PathFollower, frame: int, ground: Tensor) -> _Asked:

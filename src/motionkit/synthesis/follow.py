@@ -100,7 +100,7 @@ class PathFollower:
         if part != self.entered:
             self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
             self.entered = part
-        asked = self.player.play(1)
+        asked = self.player.play(1, trajectory[None])
         return FrameControls(
             weights, trajectory[None], torch.ones(1), asked.progress, asked.guide, asked.guided
         )

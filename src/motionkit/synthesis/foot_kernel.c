@@ -28,7 +28,11 @@ static Vec3 foot_shift(const Feet *f, int64_t foot, Vec3 toe, float level, float
         shift[i] = f->locked[foot] ? anchor[i] - place[i] : released[i] * (rest * rest * (3.0f - 2.0f * rest));
         before[i] = place[i];
     }
-    const float lift = f->lift_floor - toe.y;
+    /* A foot that was let go steps over to where it is to be. */
+    const float share = rest * rest * (3.0f - 2.0f * rest);
+    const float way = clip(sqrtf(released[0] * released[0] + released[1] * released[1]) / f->step_length, 0.0f, 1.0f);
+    const float step = f->locked[foot] ? 0.0f : f->step_height * 4.0f * share * (1.0f - share) * way;
+    const float lift = f->lift_floor + step - toe.y;
     return (Vec3){shift[0], lift > 0.0f ? lift : 0.0f, shift[1]};
 }
 

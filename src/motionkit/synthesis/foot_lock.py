@@ -16,10 +16,13 @@ from motionkit.motion.foot_ik import (
     LEGS,
     LIFT_FLOOR,
     MAX_REACH,
-    MAX_SLIDE,
+    STEP_HEIGHT,
+    STEP_LENGTH,
 )
 from motionkit.synthesis.pose import Floats, cross, quat_product
 
+# cm; less than in a finished motion, whose locks lie in the middle of the slide.
+MAX_SLIDE = 12.0
 BRAKE_FRAMES = 4  # until a foot that has touched stands still
 HIP_RETURN = 0.85  # share of a lowering of the hips that is left a frame later
 MAX_DROP = 12.0  # cm the hips come down at most
@@ -97,12 +100,15 @@ class FootLock:
         self.anchor = np.where(caught[..., None], shown, self.anchor + speed * (place - self.toes))
         self.released = np.where(let_go[..., None], self.shift, self.released)
         rest = np.clip(1.0 - (self.age + 1.0) / EASE_FRAMES, 0.0, 1.0)[..., None]
-        faded = self.released * (rest * rest * (3.0 - 2.0 * rest))
-        self.shift = np.where(self.locked[..., None], self.anchor - place, faded)
+        share = rest * rest * (3.0 - 2.0 * rest)
+        self.shift = np.where(self.locked[..., None], self.anchor - place, self.released * share)
+        # A foot that was let go steps over to where it is to be.
+        way = np.clip(_length(self.released) / STEP_LENGTH, 0.0, 1.0)
+        step = np.where(self.locked, 0.0, STEP_HEIGHT * 4.0 * (share * (1.0 - share))[..., 0] * way)
         self.toes = place
         out = np.empty_like(toes)
         out[..., ::2] = self.shift
-        out[..., 1] = np.maximum(LIFT_FLOOR - toes[..., 1], 0.0)
+        out[..., 1] = np.maximum(LIFT_FLOOR + step - toes[..., 1], 0.0)
         return out
 
     def _lower(self, hips: Floats, ankles: Floats, targets: Floats, leg: Floats, scale: Floats) -> None:

@@ -25,6 +25,7 @@ typedef struct {
 typedef struct {
     int64_t hip[2], knee[2], ankle[2], toe[2];
     float contact_on, contact_off, ease, brake, max_slide, max_reach, lift_floor, hip_return, max_drop, least_drop;
+    float step_height, step_length;
     uint8_t *locked;                           /* (B, 2) */
     float *age;                                /* (B, 2) */
     float *anchor, *shift, *released, *before; /* (B, 2, 2) x, z */

@@ -26,7 +26,7 @@ from motionkit.synthesis import foot_lock
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 1  # of frame_kernel.c
+VERSION = 2  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -39,7 +39,8 @@ class _Draw(Structure):
 
 
 _FEET_NUMBERS = (
-    "contact_on contact_off ease brake max_slide max_reach lift_floor hip_return max_drop least_drop"
+    "contact_on contact_off ease brake max_slide max_reach lift_floor hip_return max_drop least_drop "
+    "step_height step_length"
 )
 
 
@@ -169,7 +170,7 @@ def _feet(feet: foot_lock.FootLock) -> _Feet:
     f = foot_lock
     numbers = (
         f.CONTACT_ON, f.CONTACT_OFF, f.EASE_FRAMES, f.BRAKE_FRAMES, f.MAX_SLIDE, f.MAX_REACH, f.LIFT_FLOOR,
-        f.HIP_RETURN, f.MAX_DROP, f.LEAST_DROP,
+        f.HIP_RETURN, f.MAX_DROP, f.LEAST_DROP, f.STEP_HEIGHT, f.STEP_LENGTH,
     )  # fmt: skip
     joints = [[getattr(leg, joint) for leg in f.LEGS] for joint in ("hip", "knee", "ankle", "toe")]
     state = (feet.locked, feet.age, feet.anchor, feet.shift, feet.released, feet.toes, feet.drop)

@@ -11,6 +11,7 @@ from torch import Tensor
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
+from motionkit.synthesis.places import STEP, Places, pose_state
 from motionkit.synthesis.rollout import FrameControls
 from motionkit.synthesis.steering import STEERED_TYPES
 
@@ -22,8 +23,8 @@ EVENT_CANDIDATES = 4
 # A recording is entered where so many seconds of it are left; a strike so many frames before it begins.
 LEAST_SECONDS = 1.5
 BEFORE_EVENT = 15
-# Poses are compared now and so many frames before.
-STEP = 5
+# Where the way is given, every so many frames another place is gone over to that suits it clearly better.
+RECONSIDERED, CLEARLY = 20, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +69,8 @@ class OutlinePlayer:
 
     A type that is one performance is played from its beginning and repeated. Of others a recording is
     entered in the middle: a few places are drawn, types of strikes and jumps shortly before one of these,
-    and the one most like the present pose is taken.
+    and the one most like the present pose is taken. Where a character is to go some way while it dances, places
+    are sought that go such a way.
     """
 
     def __init__(self, model: MotionModel, choice: int = 0) -> None:
@@ -77,31 +79,43 @@ class OutlinePlayer:
         self.kind = ""
         self.outline: Outline | None = None
         self.at = 0
-        self.left: tuple[Outline, int] | None = None  # the recording before, and where this one was entered
+        self.left: tuple[Outline, int, int] | None = (
+            None  # the recording before, its place, and that of this one
+        )
+        self._places: dict[str, Places] = {}
+        self._since = 0  # frames since a place was sought
 
-    def begin(self, kind: str, near: Tensor | None = None, behind: int = 0) -> None:
+    def begin(
+        self, kind: str, near: Tensor | None = None, behind: int = 0, way: Tensor | None = None
+    ) -> None:
         """Go over to a type.
 
         Args:
             near: (2, 16) outlines of the pose now and STEP frames before; that of what was played by default.
             behind: frames of a performance that lie behind already.
+            way: (24,) the trajectory that is asked for, if the place is to suit it.
         """
         if near is None:
             near = self._present()
         outlines = self.model.outlines.get(kind, [])
         count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
-        self.kind, self.outline, self.at, self.left = kind, None, 0, None
+        self.kind, self.outline, self.at, self.left, self._since = kind, None, 0, None, 0
         if not outlines:
             return
         if self.model.performed(kind):
             self.outline = outlines[self.choice % len(outlines)]
             self.at = behind % len(self.outline)
             return
+        if way is not None and near is not None:
+            number, self.at = self._sought().nearest(near, way, RECONSIDERED)
+            self.outline = outlines[number]
+            return
         places = self._events(outlines) or self._anywhere(outlines, count)
         if near is None:
             self.outline, self.at = places[0]
             return
-        costs = (torch.stack([_poses(outline, at) for outline, at in places]) - near).flatten(1).norm(dim=1)
+        states = torch.stack([pose_state(outline, at) for outline, at in places])
+        costs = (states - near).flatten(1).norm(dim=1)
         self.outline, self.at = places[int(costs.argmin())]
 
     def event_frames(self) -> int:
@@ -114,19 +128,49 @@ class OutlinePlayer:
         first = ahead.index(True)
         return ahead.index(False, first) if False in ahead[first:] else len(ahead)
 
-    def play(self, frames: int) -> Signals:
-        """Signals of the coming frames; at the end of a recording another one is entered."""
+    def play(self, frames: int, ways: Tensor | None = None) -> Signals:
+        """Signals of the coming frames; at the end of a recording another one is entered.
+
+        ways: (frames, 24) the trajectories that are asked for, if what is played is to suit them.
+        """
         parts: list[Signals] = []
-        while frames > 0:
+        played = 0
+        while played < frames:
+            way = None if ways is None else ways[played]
             if self.outline is not None and self.at >= len(self.outline):
                 left = self.outline
-                self.begin(self.kind)
-                self.left = None if left.performed else (left, self.at)
-            count = frames if self.outline is None else min(frames, len(self.outline) - self.at)
+                self.begin(self.kind, way=way)
+                self.left = None if left.performed else (left, len(left), self.at)
+            elif way is not None and self._since >= RECONSIDERED:
+                self._reconsider(way)
+            count = frames - played
+            if self.outline is not None:
+                count = min(count, len(self.outline) - self.at)
+            if ways is not None:
+                count = min(count, max(1, RECONSIDERED - self._since))
             parts.append(self._stretch(count))
             self.at += count
-            frames -= count
+            self._since += count
+            played += count
         return Signals.joined(parts)
+
+    def _reconsider(self, way: Tensor) -> None:
+        """Go over to a place that suits the way clearly better; a strike, jump or performance is played to its end."""
+        self._since = 0
+        outline = self.outline
+        if outline is None or outline.performed or float(outline.phases[self.at]) >= 0.0:
+            return
+        places = self._sought()
+        stay = places.first[places.outlines.index(outline)] + self.at
+        number, at = places.nearest(pose_state(outline, self.at), way, RECONSIDERED, stay, CLEARLY)
+        if (places.outlines[number], at) != (outline, self.at):
+            self.left = (outline, self.at, at)
+            self.outline, self.at = places.outlines[number], at
+
+    def _sought(self) -> Places:
+        if self.kind not in self._places:
+            self._places[self.kind] = Places(self.model.outlines[self.kind])
+        return self._places[self.kind]
 
     def _stretch(self, count: int) -> Signals:
         outline = self.outline
@@ -149,9 +193,9 @@ class OutlinePlayer:
         guide = guide_signal(outline.poses, frames)
         if self.left is not None:
             # The poses that follow the recording that was left go over into those of this one.
-            left, entered = self.left
+            left, place, entered = self.left
             since = frames - entered
-            before = guide_signal(left.poses, len(left) + since)
+            before = guide_signal(left.poses, place + since)
             guide = torch.lerp(before, guide, (since / BLEND).clamp(max=1.0)[:, None])
         return Signals(
             guide,
@@ -168,7 +212,7 @@ class OutlinePlayer:
         return 1.0 if self.kind in STEERED_TYPES else self.model.guidance
 
     def _present(self) -> Tensor | None:
-        return None if self.outline is None else _poses(self.outline, min(self.at, len(self.outline) - 1))
+        return None if self.outline is None else pose_state(self.outline, min(self.at, len(self.outline) - 1))
 
     def _events(self, outlines: list[Outline]) -> list[tuple[Outline, int]]:
         """Some places shortly before a strike or jump; none for types without."""
@@ -192,10 +236,6 @@ class OutlinePlayer:
             for at in torch.nonzero(movement >= usual).flatten().tolist()
         ]
         return self.random.sample(found, min(count, len(found)))
-
-
-def _poses(outline: Outline, at: int) -> Tensor:
-    return outline.poses[[at, max(0, at - STEP)]]
 
 
 def last_poses(model: MotionModel, features: Tensor) -> Tensor:

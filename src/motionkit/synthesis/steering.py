@@ -36,7 +36,7 @@ class SteeringOptions:
             1 starts every frame from the present velocity, which a sluggish body then keeps.
     """
 
-    halflife: float = 0.15
+    halflife: float = 0.1
     turn_halflife: float = 0.15
     anchor_halflife: float = 0.5
     own_share: float = 0.02

@@ -1,0 +1,63 @@
+"""Where a type's recordings may be gone over to: the places most like a pose and a way over the ground.
+
+What motion matching seeks among recorded frames (Clavet 2016, "Motion Matching and The Road to Next-Gen
+Animation"), here only to choose what a guide shows: the body itself is the network's.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
+from motionkit.models.checkpoint import Outline
+
+STEP = 5  # frames between the two poses of a state
+# A place that is so far off (cm), or a direction so far (of its length), counts as a pose one deviation off.
+PLACE_UNIT, DIRECTION_UNIT = 20.0, 0.5
+
+
+class Places:
+    """All frames of some recordings in outline.
+
+    Attributes:
+        first: the number of each recording's first frame among all frames.
+        left: (P,) frames to the end of the recording, the frame itself included.
+    """
+
+    def __init__(self, outlines: list[Outline]) -> None:
+        self.outlines = outlines
+        lengths = [len(outline) for outline in outlines]
+        self.first = [sum(lengths[:i]) for i in range(len(lengths))]
+        self.left = torch.cat([torch.arange(length, 0, -1) for length in lengths])
+        states = [torch.stack([pose_state(o, at) for at in range(len(o))]) for o in outlines]
+        ways = [future_trajectory(o.ground, torch.arange(len(o))) for o in outlines]
+        self._features = torch.cat([torch.cat(states).flatten(1), _scaled(torch.cat(ways))], dim=1)
+
+    def nearest(
+        self, state: Tensor, way: Tensor, least: int, stay: int | None = None, gain: float = 1.0
+    ) -> tuple[int, int]:
+        """The recording and frame most like a state (2, 24) and a trajectory (24,) to go.
+
+        Args:
+            least: frames that have to be left.
+            stay: a place to stay at, unless another costs less than gain times as much.
+        """
+        wanted = torch.cat([state.flatten(), _scaled(way)])
+        costs = (self._features - wanted).square().sum(dim=1)
+        costs = torch.where(self.left >= least, costs, torch.inf)
+        best = int(costs.argmin())
+        if stay is not None and float(costs[best]) >= gain * float(costs[stay]):
+            best = stay
+        number = max(i for i, first in enumerate(self.first) if first <= best)
+        return number, best - self.first[number]
+
+
+def pose_state(outline: Outline, at: int) -> Tensor:
+    """The poses (2, 24) in outline at a frame and STEP frames before it."""
+    return outline.poses[[at, max(0, at - STEP)]]
+
+
+def _scaled(ways: Tensor) -> Tensor:
+    half = TRAJECTORY_COUNT // 2
+    return torch.cat([ways[..., :half] / PLACE_UNIT, ways[..., half:] / DIRECTION_UNIT], dim=-1)
