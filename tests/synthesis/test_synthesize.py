@@ -75,12 +75,13 @@ def test_temperature_zero_is_the_mean(tiny_model: MotionModel) -> None:
 
 
 def test_correlated_noise_follows_itself_and_keeps_its_size(tiny_model: MotionModel) -> None:
-    state = RolloutState(tiny_model, 1, Noise("correlated", 0.5, 0.95), 0)
+    state = RolloutState(tiny_model, 1, Noise("correlated", 0.5, 0.95, 0.8), 0)
     state._noise_state[:] = state.random.standard_normal((1, 276))
+    state._smooth_noise[:] = state._noise_state
     draws = torch.from_numpy(np.concatenate([state._next_noise() for _ in range(400)]))
     assert float(draws.std()) == pytest.approx(0.5, rel=0.1)
     neighbours = (draws[1:] * draws[:-1]).mean() / draws.square().mean()
-    assert float(neighbours) == pytest.approx(0.95, abs=0.02)
+    assert float(neighbours) == pytest.approx((0.95 + 0.8) / (1.0 + 0.95 * 0.8), abs=0.003)
     white = RolloutState(tiny_model, 1, Noise("sample", 0.5), 0)
     draws = torch.from_numpy(np.concatenate([white._next_noise() for _ in range(400)]))
     assert abs(float((draws[1:] * draws[:-1]).mean() / draws.square().mean())) < 0.02

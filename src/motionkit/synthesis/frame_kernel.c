@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 2; }
+int64_t frame_kernel_version(void) { return 3; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -17,9 +17,10 @@ static void draw_pose(const Draw *d, int64_t row) {
     float *x = d->x + row * d->features, *out = d->denormalised + row * d->features;
     if (d->fresh) {
         const float *fresh = d->fresh + row * d->features;
-        float *noise = d->noise + row * d->features;
+        float *noise = d->noise + row * d->features, *smooth = d->smooth + row * d->features;
         for (int64_t n = 0; n < d->features; n++) noise[n] = noise[n] * d->rho + fresh[n] * d->fresh_share;
-        for (int64_t n = 0; n < d->features; n++) x[n] = (float)exp(sigma[n]) * (noise[n] * d->temperature) + mean[n];
+        for (int64_t n = 0; n < d->features; n++) smooth[n] = smooth[n] * d->smoothing + noise[n] * d->noise_share;
+        for (int64_t n = 0; n < d->features; n++) x[n] = (float)exp(sigma[n]) * (smooth[n] * d->temperature) + mean[n];
     } else {
         for (int64_t n = 0; n < d->features; n++) x[n] = mean[n];
     }

@@ -13,8 +13,8 @@ typedef struct {
     const float *mean, *log_sigma, *logits;
     const float *scaling_mean, *scaling_std; /* (features,) */
     const float *fresh;                      /* (B, features) standard normal; NULL takes the mean */
-    float *noise;                            /* (B, features), follows itself */
-    float rho, fresh_share, temperature, fps;
+    float *noise, *smooth;                   /* (B, features), follow themselves and each other */
+    float rho, fresh_share, smoothing, noise_share, temperature, fps;
     float *x;            /* (B, features) the frame, normalised */
     float *seen;         /* (B, contacts) probabilities */
     float *denormalised; /* (B, features) */

@@ -26,14 +26,14 @@ from motionkit.synthesis import foot_lock
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 2  # of frame_kernel.c
+VERSION = 3  # of frame_kernel.c
 
 
 class _Draw(Structure):
     _fields_ = (
         *((n, c_int64) for n in "features contacts yaw xz gaussian_stride logit_stride".split()),
-        *((n, c_void_p) for n in "mean log_sigma logits scaling_mean scaling_std fresh noise".split()),
-        *((n, c_float) for n in "rho fresh_share temperature fps".split()),
+        *((n, c_void_p) for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth".split()),
+        *((n, c_float) for n in "rho fresh_share smoothing noise_share temperature fps".split()),
         *((n, c_void_p) for n in "x seen denormalised ground".split()),
     )
 
@@ -84,6 +84,7 @@ class DrawArrays:
     scaling_std: Floats
     fresh: Floats | None
     noise: Floats
+    smooth: Floats
     x: Floats
     contacts: Floats
     features: Floats
@@ -94,23 +95,24 @@ def bind_draw(
     library: ctypes.CDLL,
     arrays: DrawArrays,
     columns: tuple[int, int],
-    noise: tuple[float, float, float],
+    noise: tuple[float, float, float, float, float],
     fps: float,
 ) -> Callable[[], None]:
     """What draws the next frame of all characters.
 
     Args:
         columns: of the root's yaw velocity and of the first of its ground velocities.
-        noise: share of the last noise, share of fresh noise, temperature.
+        noise: Noise.filters and the temperature.
     """
     a = arrays
     strides = [array.strides[0] // 4 for array in (a.mean, a.logits)]
-    whole = (a.scaling_mean, a.scaling_std, a.noise, a.x, a.contacts, a.features, a.ground)
+    whole = (a.scaling_mean, a.scaling_std, a.noise, a.smooth, a.x, a.contacts, a.features, a.ground)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
     assert a.log_sigma.strides == a.mean.strides
     draw = _Draw(
         FEATURE_COUNT, CONTACT_COUNT, *columns, *strides,
-        *(_address(v) for v in (a.mean, a.log_sigma, a.logits, a.scaling_mean, a.scaling_std, a.fresh, a.noise)),
+        *(_address(v) for v in (a.mean, a.log_sigma, a.logits, a.scaling_mean, a.scaling_std)),
+        *(_address(v) for v in (a.fresh, a.noise, a.smooth)),
         *noise, fps,
         *(_address(v) for v in (a.x, a.contacts, a.features, a.ground)),
     )  # fmt: skip

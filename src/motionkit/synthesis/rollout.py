@@ -29,16 +29,28 @@ class Noise:
     """How frames are drawn from the predicted Gaussians.
 
     kind "mean" takes the mean, "sample" draws each frame anew (the paper's default), "correlated" draws
-    noise that follows itself over time (first-order auto-regressive with coefficient rho).
+    noise of the same size that follows itself over time: white noise through two first-order filters, with
+    coefficients rho and smoothing. After one filter alone its steps would still be white, and shake the body.
     """
 
     kind: str = "correlated"
     temperature: float = 0.05
     rho: float = 0.95
+    smoothing: float = 0.8
 
     def __post_init__(self) -> None:
         if self.kind not in NOISE_KINDS:
             raise ControlError(f"noise {self.kind!r} is unknown, expected one of {', '.join(NOISE_KINDS)}")
+
+    @property
+    def filters(self) -> tuple[float, float, float, float]:
+        """What both filters keep of themselves and take of what comes in: rho, share, smoothing, share."""
+        if self.kind != "correlated":
+            return 0.0, 1.0, 0.0, 1.0
+        a, b = self.rho, self.smoothing
+        # What comes out has the variance of what goes in.
+        variance = (1.0 - b) / (1.0 + b) * (1.0 + a * b) / (1.0 - a * b)
+        return a, (1.0 - a * a) ** 0.5, b, (1.0 - b) / variance**0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,6 +123,7 @@ class RolloutState:
         self._ground = np.zeros((batch, 3), np.float32)
         self._features = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._noise_state = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._smooth_noise = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._prime: RolloutState | None = None
         self._drawn_from: NetworkStep | TorchStep | None = None
         self.set_skeletons([canonical_skeleton()] * batch)
@@ -153,6 +166,7 @@ class RolloutState:
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1].numpy()
         self._ground[:] = 0.0 if ground is None else ground.numpy()
         self._noise_state[:] = self.random.standard_normal(self._x.shape, np.float32)
+        self._smooth_noise[:] = self._noise_state
 
     def start_one(
         self,
@@ -177,6 +191,7 @@ class RolloutState:
             (self._contacts, one._contacts),
             (self._ground, one._ground),
             (self._noise_state, one._noise_state),
+            (self._smooth_noise, one._smooth_noise),
         ):
             mine[index] = its[0]
 
@@ -225,13 +240,12 @@ class RolloutState:
         if library is None:
             self._draw = self._draw_in_numpy
             return
-        kind, rho = self.noise.kind, self.noise.rho if self.noise.kind == "correlated" else 0.0
-        fresh = None if kind == "mean" else np.zeros_like(self._x)
+        fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
         arrays = DrawArrays(
             network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
-            self._noise_state, self._x, self._contacts, self._features, self._ground,
+            self._noise_state, self._smooth_noise, self._x, self._contacts, self._features, self._ground,
         )  # fmt: skip
-        noise = rho, (1.0 - rho**2) ** 0.5, self.noise.temperature
+        noise = (*self.noise.filters, self.noise.temperature)
         call = bind_draw(library, arrays, (self._yaw, self._xz.start), noise, self.model.fps)
 
         def draw() -> None:
@@ -272,11 +286,15 @@ class RolloutState:
 
     def _next_noise(self) -> Floats:
         fresh = self.random.standard_normal(self._x.shape, np.float32)
-        if self.noise.kind == "correlated":
-            fresh *= np.float32((1.0 - self.noise.rho**2) ** 0.5)
-            self._noise_state *= np.float32(self.noise.rho)
-            self._noise_state += fresh
-            fresh = self._noise_state
+        for state, keeps, takes in zip(
+            (self._noise_state, self._smooth_noise),
+            self.noise.filters[::2],
+            self.noise.filters[1::2],
+            strict=True,
+        ):
+            state *= np.float32(keeps)
+            state += fresh * np.float32(takes)
+            fresh = state
         return fresh * np.float32(self.noise.temperature)
 
 
