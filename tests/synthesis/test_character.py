@@ -98,3 +98,17 @@ def test_what_nobody_knows(tiny_model: MotionModel) -> None:
         stream.reset(0, type="walkin")
     with pytest.raises(ControlError, match="count of at least 1"):
         CharacterStream(tiny_model, 0)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_noise_may_be_changed_between_two_frames(tiny_model: MotionModel, compiled: bool) -> None:
+    streams = [CharacterStream(tiny_model, noise=Noise("mean"), seed=s, compiled=compiled) for s in (1, 2)]
+
+    def step() -> list[torch.Tensor]:
+        return [stream.step(asked(tiny_model, ["walking"])).positions for stream in streams]
+
+    assert torch.equal(*step()), "the mean is the mean"
+    for stream in streams:
+        stream.state.noise = Noise("sample", 1.0)
+    step()
+    assert not torch.equal(*step())

@@ -103,7 +103,8 @@ class RolloutState:
         self, model: MotionModel, batch: int, noise: Noise, seed: int = 0, compiled: bool = True
     ) -> None:
         """compiled=False keeps to numpy around the network even where there is a compiled kernel."""
-        self.model, self.batch, self.noise, self.compiled = model, batch, noise, compiled
+        self.model, self.batch, self.compiled = model, batch, compiled
+        self._noise = noise
         self.network = stepper(model.network, batch)
         self.random = np.random.default_rng(seed)
         blocks = feature_layout(model.config.layout).blocks
@@ -127,6 +128,16 @@ class RolloutState:
         self._prime: RolloutState | None = None
         self._drawn_from: NetworkStep | TorchStep | None = None
         self.set_skeletons([canonical_skeleton()] * batch)
+
+    @property
+    def noise(self) -> Noise:
+        """How frames are drawn; may be changed between any two."""
+        return self._noise
+
+    @noise.setter
+    def noise(self, noise: Noise) -> None:
+        self._noise = noise
+        self._drawn_from = None
 
     @property
     def ground(self) -> Tensor:
