@@ -1,0 +1,94 @@
+"""Writing ONNX graphs: nodes and constants in the order in which they are made."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from motionkit.errors import MotionkitError
+
+if TYPE_CHECKING:
+    from onnx import ModelProto, NodeProto, TensorProto
+
+OPSET = 17
+
+
+def _onnx() -> Any:
+    try:
+        import onnx
+    except ImportError:
+        raise MotionkitError("ONNX export needs the onnx package: pip install 'motionkit[onnx]'") from None
+    return onnx
+
+
+class Graph:
+    """Nodes of the standard operators, on float32 where nothing else is said."""
+
+    def __init__(self) -> None:
+        self.onnx = _onnx()
+        self.nodes: list[NodeProto] = []
+        self.constants: dict[str, TensorProto] = {}
+
+    def constant(self, values: Any, dtype: Any = np.float32) -> str:
+        """The name of a constant; equal ones are kept once."""
+        array = np.array(values, dtype, order="C")
+        for known, tensor in self.constants.items():
+            if array.size < 64 and tensor.raw_data == array.tobytes() and tuple(tensor.dims) == array.shape:
+                if tensor.data_type == self.onnx.helper.np_dtype_to_tensor_dtype(array.dtype):
+                    return known
+        name = f"c{len(self.constants)}"
+        self.constants[name] = self.onnx.numpy_helper.from_array(array, name)
+        return name
+
+    def add(self, kind: str, *inputs: Any, out: str | None = None, **attributes: Any) -> str:
+        """A node with one output, whose name it answers; arrays and numbers become constants."""
+        return self._node(kind, inputs, [out or f"n{len(self.nodes)}"], attributes)[0]
+
+    def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
+        """Pieces of these sizes along an axis."""
+        outs = [f"n{len(self.nodes)}_{i}" for i in range(len(sizes))]
+        return self._node("Split", (value, self.constant(sizes, np.int64)), outs, {"axis": axis})
+
+    def quantized(self, value: str) -> list[str]:
+        """A value in 8 bits, its scale and its zero point."""
+        outs = [f"n{len(self.nodes)}_{i}" for i in range(3)]
+        return self._node("DynamicQuantizeLinear", (value,), outs, {})
+
+    def reshape(self, value: str, *shape: int, out: str | None = None) -> str:
+        """The same numbers in another shape."""
+        return self.add("Reshape", value, self.constant(shape, np.int64), out=out)
+
+    def gather(self, value: Any, indices: Any, axis: int) -> str:
+        """The places of these indices along an axis, in the shape of the indices."""
+        at = indices if isinstance(indices, str) else self.constant(indices, np.int64)
+        return self.add("Gather", value, at, axis=axis)
+
+    def slice(self, value: str, starts: list[int], ends: list[int], axes: list[int], out: str | None = None) -> str:
+        """A block of a value."""
+        bounds = (self.constant(numbers, np.int64) for numbers in (starts, ends, axes))
+        return self.add("Slice", value, *bounds, out=out)
+
+    def _node(self, kind: str, inputs: Any, outs: list[str], attributes: dict[str, Any]) -> list[str]:
+        names = [i if isinstance(i, str) else self.constant(i) for i in inputs]
+        self.nodes.append(self.onnx.helper.make_node(kind, names, outs, **attributes))
+        return outs
+
+    def model(
+        self, inputs: dict[str, tuple[int, ...]], outputs: dict[str, tuple[int, ...]], producer: str
+    ) -> ModelProto:
+        """The whole of it, checked, with names and shapes of what goes in and comes out."""
+        helper, kinds = self.onnx.helper, self.onnx.TensorProto
+
+        def described(shapes: dict[str, tuple[int, ...]]) -> list:
+            return [helper.make_tensor_value_info(name, kinds.FLOAT, shape) for name, shape in shapes.items()]
+
+        graph = helper.make_graph(
+            self.nodes, "motionkit", described(inputs), described(outputs), list(self.constants.values())
+        )
+        proto = helper.make_model(
+            graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="motionkit", ir_version=8
+        )
+        proto.producer_version = producer
+        self.onnx.checker.check_model(proto)
+        return proto
