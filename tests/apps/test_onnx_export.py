@@ -18,7 +18,9 @@ from motionkit.models.presets import preset
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
 
-from motionkit.apps.onnx_export import OPSET, OnnxStep, check_export, export_onnx, present_name
+from motionkit.apps.onnx_export import OnnxStep, build_graph, check_export, export_onnx
+from motionkit.apps.onnx_graph import OPSET
+from motionkit.apps.onnx_network import present_name
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
 
@@ -37,13 +39,24 @@ def test_both_make_the_same_motion_in_closed_loop(tiny_model: MotionModel, expor
     assert check.positions < 0.05 and check.features < 5e-3
 
 
-@pytest.mark.parametrize("change", [{"fusion": "none"}, {"kernel": 1}, {"layer_controls": False}])
+VARIANTS: list[dict] = [
+    {"fusion": "none"},
+    {"kernel": 1},
+    {"layer_controls": False},
+    {"partition": "one"},
+    {"partition": "five"},
+    {"layout": "expmap-root-1"},
+]
+
+
+@pytest.mark.parametrize("change", VARIANTS)
 def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None:
     network = PartTransformer(replace(preset("tiny"), **change), tiny_model.controls.size).eval()
     assert network.momentum is not None
     torch.nn.init.uniform_(network.momentum, -0.2, 0.2)  # zero at the start
-    check = export_onnx(replace(tiny_model, network=network), tmp_path / "model.onnx")
-    assert check is not None and check.positions < 0.05
+    model, path = replace(tiny_model, network=network), tmp_path / "model.onnx"
+    path.write_bytes(build_graph(model).SerializeToString())
+    assert check_export(model, path, "default", frames=60).positions < 0.05
 
 
 def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
@@ -52,6 +65,40 @@ def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
     assert check is not None and check.positions < 0.05
     offsets = json.loads((tmp_path / "tall.json").read_text())["offsets"]
     assert np.allclose(offsets, tall["tall"].numpy(), atol=1e-3)
+
+
+def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Path) -> None:
+    import onnx
+
+    check = export_onnx(tiny_model, tmp_path / "small.onnx", weights="int8")
+    assert check is not None and 1e-3 < check.positions < 5.0
+    assert (tmp_path / "small.onnx").stat().st_size < 0.7 * exported.stat().st_size
+    assert json.loads((tmp_path / "small.json").read_text())["weights"] == "int8"
+    proto = onnx.load(str(tmp_path / "small.onnx"))
+    onnx.checker.check_model(proto, full_check=True)
+    assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
+    # Four products a layer, the controls, and what the deep module takes of the shallow one.
+    products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
+    assert len(products) == 4 * 2 * tiny_model.config.layers + 2
+
+
+def test_steps_take_turns_between_two_places_of_state(exported: Path) -> None:
+    graph = OnnxStep(exported)
+    graph.values["progress"][:] = -1.0
+    before = [graph.values["pose"]]
+    for _ in range(4):
+        made = graph.step()
+        assert graph.values["pose"] is made["present_pose"] and graph.values["progress"][0, 0] == -1.0
+        before.append(graph.values["pose"])
+    assert before[0] is before[2] is before[4] and before[1] is before[3] is not before[0]
+
+
+def test_frames_are_counted_round(tiny_model: MotionModel, exported: Path) -> None:
+    graph, window = OnnxStep(exported), tiny_model.config.window
+    counted = [float(graph.step()["present_frames_seen"][0, 0]) for _ in range(4 * window)]
+    assert counted[: 2 * window - 2] == list(range(1, 2 * window - 1))
+    assert set(counted[2 * window :]) == set(range(window - 1, 2 * window - 1))
+    assert [n % window for n in counted] == [(i + 1) % window for i in range(4 * window)]
 
 
 @pytest.mark.parametrize("name", ["trajectory", "progress", "noise", "type_weights"])

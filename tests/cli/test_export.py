@@ -26,11 +26,18 @@ def test_a_graph_and_what_it_means(motionkit: Callable, tiny_model_file: Path, t
     assert (tmp_path / said["file"]).is_file() and (tmp_path / said["metadata"]).is_file()
 
 
+def test_weights_in_8_bits(motionkit: Callable, tiny_model_file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    done = motionkit("export", "--onnx", "out.onnx", "--model", tiny_model_file, "--weights", "int8")
+    assert done.code == 0 and "600 frames in closed loop" in done.out
+    assert json.loads((tmp_path / "out.json").read_text())["weights"] == "int8"
+
+
 def test_bad_input(motionkit: Callable, tiny_model_file: Path) -> None:
     words = ("export", "--model", tiny_model_file, "--onnx")
     assert motionkit(*words, "no/where.onnx").failed_with("no/where.onnx: cannot be written")
     assert motionkit(*words, "x.onnx", "--character", "giant").failed_with("unknown character 'giant'")
-    assert motionkit("export").code == 2
+    assert motionkit("export").code == motionkit(*words, "x.onnx", "--weights", "int4").code == 2
 
 
 def test_a_network_that_recomputes(motionkit: Callable, tiny_model: MotionModel, tmp_path: Path) -> None:

@@ -27,19 +27,21 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     continuous = layout.version.startswith("sixd")
     skeleton = model.character(character)
     share = np.float32(leg_length(skeleton) / leg_length(model.character("default")))
-    # The blocks that count, in their order, and what lies between.
     height = blocks["joint_positions"].start + (0 if continuous else 1)
-    names = ["root_yaw_velocity", "root_xz_velocity", "root_rotation", "joint_rotations"]
-    ends = [blocks[name].stop for name in names] + [height, height + 1, FEATURE_COUNT]
+    # The columns that count, in their order, and what lies between.
+    joints, root = blocks["joint_rotations"], blocks["root_rotation"]
+    ends = [blocks["root_yaw_velocity"].stop, root.start, root.start + 3, joints.start, joints.stop]
+    ends += [height, height + 1, FEATURE_COUNT]
     pieces = g.split(features, np.diff([0, *ends]).tolist(), axis=1)
-    yaw_velocity, velocity, facing, joints, _, at, _ = pieces
-    heading = _write_ground(g, model.fps, yaw_velocity, velocity)
-    facing = _sixd_to_quat(g, facing) if continuous else _expmap_to_quat(g, facing, 1)
-    left = g.reshape(g.add("MatMul", heading, LEFT), 4, 4)
-    root_turn = g.reshape(g.add("MatMul", facing, left), 1, 1, 4)
+    yaw_velocity, first, expmaps, at = pieces[0], pieces[2], pieces[4], pieces[6]
+    sines = _write_ground(g, model.fps, features, blocks["root_xz_velocity"].start, yaw_velocity)
+    facing = _sixd_to_quat(g, features, root.start, first) if continuous else _expmap_to_quat(g, first, 1)
+    # Turned by the heading, and each joint by its reference.
+    quats = g.add("Concat", facing, _expmap_to_quat(g, expmaps, JOINT_COUNT - 1), axis=0)
+    heading = g.reshape(g.add("MatMul", sines, np.concatenate([np.zeros((4, 16)), LEFT])), 1, 4, 4)
     references = (model.references.numpy()[1:] @ LEFT).reshape(-1, 4, 4)
-    joints = g.reshape(_expmap_to_quat(g, joints, JOINT_COUNT - 1), JOINT_COUNT - 1, 1, 4)
-    rotations = g.add("Concat", root_turn, g.add("MatMul", joints, references), axis=0)
+    turns = g.add("Concat", heading, g.constant(references), axis=0)
+    rotations = g.add("MatMul", g.reshape(quats, JOINT_COUNT, 1, 4), turns)
     g.reshape(rotations, 1, JOINT_COUNT, 4, out="rotations")
     up, across = np.zeros((1, 3)), np.zeros((3, 3))
     up[0, 1] = across[0, 0] = across[1, 2] = share
@@ -61,20 +63,19 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), root, out="positions")
 
 
-def _write_ground(g: Graph, fps: float, yaw_velocity: str, velocity: str) -> str:
-    """Writes present_ground (1, 3) and answers the heading as a quaternion (1, 4)."""
+def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_velocity: str) -> str:
+    """Writes present_ground (1, 3); answers sines (1, 8), of which the last four are the heading's quaternion."""
     turned = g.add("Add", "ground", g.add("Mul", yaw_velocity, [[0.0, 0.0, 1.0 / fps]]))
     # Sines of the heading h plus something: cos h, cos h, sin h, -sin h, then cos h/2, 0, sin h/2, 0.
     of_yaw = np.zeros((3, 8))
     of_yaw[2] = [1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.5, 0.0]
     plus = [QUARTER, QUARTER, 0.0, np.pi, QUARTER, 0.0, 0.0, 0.0]
     sines = g.add("Sin", g.add("Gemm", turned, of_yaw, plus))
-    turn, heading = g.split(sines, [4, 4], axis=1)
-    # Velocity x, z, z, x: what goes into x, z, x, z.
-    moved = g.add("Mul", turn, g.gather(velocity, [0, 1, 1, 0], axis=1))
-    onto = np.eye(3)[[0, 1, 0, 1]] / fps
+    # The first four times velocity x, z, z, x go into x, z, x, z.
+    moved = g.add("Mul", sines, g.gather(features, velocity + np.array([0, 1, 1, 0, 0, 0, 0, 0]), axis=1))
+    onto = np.concatenate([np.eye(3)[[0, 1, 0, 1]] / fps, np.zeros((4, 3))])
     g.add("Gemm", moved, onto, turned, out="present_ground")
-    return heading
+    return sines
 
 
 def _expmap_to_quat(g: Graph, expmaps: str, count: int) -> str:
@@ -87,22 +88,23 @@ def _expmap_to_quat(g: Graph, expmaps: str, count: int) -> str:
     return g.add("Mul", sines, g.add("Div", g.add("Concat", angle, expmaps, axis=1), angle))
 
 
-def _sixd_to_quat(g: Graph, sixd: str) -> str:
-    """The quaternion (1, 4) of a rotation matrix given by its first two columns (1, 6), not orthonormal yet."""
-    first, _ = g.split(sixd, [3, 3], axis=1)
-    ahead = g.gather(sixd, FORWARD, axis=1)
-    behind = g.gather(sixd, [3 + column for column in BACKWARD], axis=1)
-    third = g.add("MatMul", g.add("Mul", ahead, behind), MINUS)
-    # Unit vectors: the first and the third column; the second is third x first.
-    pair = g.reshape(g.add("Concat", third, first, axis=1), 2, 3)
+def _sixd_to_quat(g: Graph, features: str, start: int, first: str) -> str:
+    """The quaternion (1, 4) of a matrix whose first two columns, not orthonormal yet, begin at a column."""
+    third = g.add("MatMul", _products(g, features, start, start + 3), MINUS)
+    # Unit vectors: the third and the first column; the second is third x first.
+    pair = g.add("Concat", third, first, axis=0)
     pair = g.reshape(g.add("Div", pair, g.add("ReduceL2", pair, axes=[1], keepdims=1)), 1, 6)
-    ahead = g.gather(pair, FORWARD, axis=1)
-    behind = g.gather(pair, [3 + column for column in BACKWARD], axis=1)
     # Four times the products of the quaternion's components are linear in the matrix.
     of_column = FROM_MATRIX.reshape(3, 3, 16)
     outer = g.add("Gemm", pair, np.concatenate([of_column[:, 2], of_column[:, 0]]), FROM_CONSTANT)
-    outer = g.add("Gemm", g.add("Mul", ahead, behind), MINUS @ of_column[:, 1], outer)
+    outer = g.add("Gemm", _products(g, pair, 0, 3), MINUS @ of_column[:, 1], outer)
     # Four rows, each the quaternion times one of its components; the largest is well-conditioned.
     largest = g.add("ArgMax", g.gather(outer, [0, 5, 10, 15], axis=1), axis=1, keepdims=0)
     quat = g.gather(g.reshape(outer, 4, 4), largest, axis=0)
     return g.add("Div", quat, g.add("ReduceL2", quat, axes=[1], keepdims=1))
+
+
+def _products(g: Graph, columns: str, first: int, second: int) -> str:
+    """The six products (1, 6) in the cross product of two vectors that begin at these columns."""
+    ahead = g.gather(columns, first + np.array(FORWARD), axis=1)
+    return g.add("Mul", ahead, g.gather(columns, second + np.array(BACKWARD), axis=1))

@@ -40,17 +40,27 @@ if TYPE_CHECKING:
     from onnx import ModelProto
 
 FORMAT = "motionkit-onnx-3"
+WEIGHTS = ("float32", "int8")
 OUTLINE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
+
+
+def _listed(numbers: tuple[int, ...]) -> str:
+    return f"{', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
+
+
 # What comes in beside the state, with shape and meaning.
 CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     "trajectory": (
         (1, TRAJECTORY_COUNT),
-        "where the root is to be after 10, 20, ... 60 frames, in the heading frame: "
-        "six x, z in cm, then six directions x, z",
+        f"where the root is to be after {_listed(TRAJECTORY_OFFSETS)} frames, in the heading frame: "
+        "x, z of each in cm, then directions x, z of each",
     ),
     "given": ((1, 1), "1 where the trajectory counts, else 0"),
     "progress": ((1, 1), "0 to 1 through a performance of a type with a phase, -1 for other types"),
-    "guide": ((1, GUIDE_COUNT), "outlines of a recording 5, 15 and 30 frames ahead, one after another"),
+    "guide": (
+        (1, GUIDE_COUNT),
+        f"outlines of a recording {_listed(GUIDE_OFFSETS)} frames ahead, one after another",
+    ),
     "guided": ((1, 1), "how many times larger than it is the guide is shown, 0 where it does not count"),
     "noise": ((1, FEATURE_COUNT), "standard normal numbers times a temperature; zeros give the mean"),
 }
@@ -62,33 +72,35 @@ OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 
 
-def build_graph(model: MotionModel, character: str = "default") -> ModelProto:
-    """The graph of one step on a character's body, with its metadata.
+def build_graph(model: MotionModel, character: str = "default", weights: str = "float32") -> ModelProto:
+    """The graph of one step on a character's body, with its metadata; weights are one of WEIGHTS.
 
     Raises:
         ModelError: if the model cannot run frame by frame on packed weights.
         ControlError: for an unknown character.
     """
-    weights = pack(model.network)
+    packed = pack(model.network)
     graph = Graph()
-    inputs = {**state_shapes(weights), "type_weights": (1, len(model.types))}
+    inputs = {**state_shapes(packed), "type_weights": (1, len(model.types))}
     inputs |= {name: shape for name, (shape, _) in CONTROLS.items()}
-    outputs = {present_name(name): shape for name, shape in state_shapes(weights).items()}
+    outputs = {present_name(name): shape for name, shape in state_shapes(packed).items()}
     outputs |= {name: shape for name, (shape, _) in OUTPUTS.items()}
-    write_body(graph, model, write_network(graph, model, weights), character)
-    proto = graph.model(inputs, outputs, __version__)
-    described = json.dumps(metadata(model, character, starts=False))
-    graph.onnx.helper.set_model_props(proto, {"motionkit": described})
-    return proto
+    features = write_network(graph, model, packed, small=weights == "int8")
+    write_body(graph, model, features, character)
+    described = json.dumps(metadata(model, character, weights, starts=False))
+    return graph.model(inputs, outputs, __version__, {"motionkit": described})
 
 
-def metadata(model: MotionModel, character: str = "default", starts: bool = True) -> dict[str, Any]:
+def metadata(
+    model: MotionModel, character: str = "default", weights: str = "float32", starts: bool = True
+) -> dict[str, Any]:
     """What an engine has to know beside the graph, with frames to start each type from."""
     skeleton = model.character(character)
     shapes = state_shapes(pack(model.network))
     described = {
         "format": FORMAT,
         "motionkit": __version__,
+        "weights": weights,
         "fps": model.fps,
         "units": {"length": "cm", "angle": "radians", "time": "frames of 1 / fps seconds"},
         "axes": "right-handed, Y up; heading 0 faces +Z, positive turns to the left (+X)",
@@ -170,11 +182,13 @@ class ExportCheck:
     frames_per_second: float
 
 
-def export_onnx(model: MotionModel, path: str | Path, character: str = "default") -> ExportCheck | None:
+def export_onnx(
+    model: MotionModel, path: str | Path, character: str = "default", weights: str = "float32"
+) -> ExportCheck | None:
     """Write graph and metadata (the same name with .json), then run both; None without onnxruntime."""
     path = Path(path)
-    proto = build_graph(model, character)
-    described = metadata(model, character)
+    proto = build_graph(model, character, weights)
+    described = metadata(model, character, weights)
     with atomic_write(path, "wb") as file:
         file.write(proto.SerializeToString())
     with atomic_write(path.with_suffix(".json")) as file:
@@ -187,7 +201,11 @@ def export_onnx(model: MotionModel, path: str | Path, character: str = "default"
 
 
 class OnnxStep:
-    """The graph in ONNX Runtime, one character, its state kept between steps."""
+    """The graph in ONNX Runtime, one character, its state kept between steps.
+
+    Arrays are bound to the graph once; state has two places, which take turns in going in and coming out.
+    Dictionaries of arrays for and from every run would take longer than some of the network.
+    """
 
     def __init__(self, path: str | Path, threads: int = 1) -> None:
         import onnxruntime
@@ -196,16 +214,34 @@ class OnnxStep:
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
         self.session = onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
-        self.outputs = [out.name for out in self.session.get_outputs()]
-        shapes = {value.name: value.shape for value in self.session.get_inputs()}
-        self.state = {n: s for n, s in shapes.items() if n not in CONTROLS and n != "type_weights"}
-        self.values = {name: np.zeros(shape, np.float32) for name, shape in shapes.items()}
+        given, made = (
+            {value.name: np.zeros(value.shape, np.float32) for value in values}
+            for values in (self.session.get_inputs(), self.session.get_outputs())
+        )
+        state = [name for name in given if present_name(name) in made]
+        turned_in = given | {name: made[present_name(name)] for name in state}
+        turned_out = made | {present_name(name): given[name] for name in state}
+        self._turns = [(i, o, self._bound(i, o)) for i, o in ((given, made), (turned_in, turned_out))]
+
+    def _bound(self, given: dict[str, np.ndarray], made: dict[str, np.ndarray]) -> Any:
+        import onnxruntime
+
+        binding = self.session.io_binding()
+        for arrays, bind in ((given, binding.bind_ortvalue_input), (made, binding.bind_ortvalue_output)):
+            for name, array in arrays.items():
+                bind(name, onnxruntime.OrtValue.ortvalue_from_numpy(array))
+        return binding
+
+    @property
+    def values(self) -> dict[str, np.ndarray]:
+        """Controls and state that the next step takes in, to be written into."""
+        return self._turns[0][0]
 
     def step(self) -> dict[str, np.ndarray]:
-        """Run on values, which hold controls and state, and move the state on."""
-        made = dict(zip(self.outputs, self.session.run(self.outputs, self.values), strict=True))
-        for name in self.state:
-            self.values[name] = made[present_name(name)]
+        """Run on values and move the state on; what it answers is overwritten by the steps after."""
+        _, made, binding = self._turns[0]
+        self.session.run_with_iobinding(binding)
+        self._turns.reverse()
         return made
 
 
@@ -219,15 +255,14 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     state.network = NetworkStep(pack(model.network), 1)
     state.start(start.features, start.contacts, weights)
     graph = OnnxStep(path)
-    values = graph.values
-    values["type_weights"] = weights.numpy()
-    values["progress"] = np.full((1, 1), -1.0, np.float32)
+    graph.values["type_weights"][:] = weights.numpy()
+    graph.values["progress"][:] = -1.0
     x = model.scaling.normalize(start.features).numpy()
     for t in range(x.shape[1]):
-        values["pose"], values["contacts"] = x[:, t], start.contacts[:, t].numpy()
+        graph.values["pose"][:], graph.values["contacts"][:] = x[:, t], start.contacts[:, t].numpy()
         if t + 1 < x.shape[1]:
             graph.step()
-    values["ground"] = np.zeros((1, 3), np.float32)
+    graph.values["ground"][:] = 0.0
     decoder = PoseDecoder(model.config.layout, model.references.numpy())
     skeleton = model.character(character)
     share = leg_length(skeleton) / leg_length(model.character("default"))
@@ -238,7 +273,7 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     apart, features, seconds = 0.0, 0.0, 0.0
     for frame in range(frames):
         guide, guided = played.guide[frame : frame + 1], played.guided[frame : frame + 1]
-        values["guide"], values["guided"] = guide.numpy(), guided[:, None].numpy()
+        graph.values["guide"][:], graph.values["guided"][:] = guide.numpy(), guided[:, None].numpy()
         ours, _, ground = state.advance(FrameControls(weights, way, given, none, guide, guided))
         rotations, root = decoder.decode(ours, ground)
         positions = body.forward(rotations, np.float32(share) * root)[..., :3, 3]
@@ -246,5 +281,5 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
         made = graph.step()
         seconds += time.perf_counter() - began
         apart = max(apart, float(np.linalg.norm(made["positions"] - positions, axis=-1).max()))
-        features = max(features, float(np.abs(values["pose"] - state.normalised).max()))
+        features = max(features, float(np.abs(made["present_pose"] - state.normalised).max()))
     return ExportCheck(frames, apart, features, frames / seconds)

@@ -64,7 +64,9 @@ class Graph:
         at = indices if isinstance(indices, str) else self.constant(indices, np.int64)
         return self.add("Gather", value, at, axis=axis)
 
-    def slice(self, value: str, starts: list[int], ends: list[int], axes: list[int], out: str | None = None) -> str:
+    def slice(
+        self, value: str, starts: list[int], ends: list[int], axes: list[int], out: str | None = None
+    ) -> str:
         """A block of a value."""
         bounds = (self.constant(numbers, np.int64) for numbers in (starts, ends, axes))
         return self.add("Slice", value, *bounds, out=out)
@@ -75,7 +77,11 @@ class Graph:
         return outs
 
     def model(
-        self, inputs: dict[str, tuple[int, ...]], outputs: dict[str, tuple[int, ...]], producer: str
+        self,
+        inputs: dict[str, tuple[int, ...]],
+        outputs: dict[str, tuple[int, ...]],
+        version: str,
+        properties: dict[str, str],
     ) -> ModelProto:
         """The whole of it, checked, with names and shapes of what goes in and comes out."""
         helper, kinds = self.onnx.helper, self.onnx.TensorProto
@@ -89,6 +95,7 @@ class Graph:
         proto = helper.make_model(
             graph, opset_imports=[helper.make_opsetid("", OPSET)], producer_name="motionkit", ir_version=8
         )
-        proto.producer_version = producer
+        proto.producer_version = version
+        helper.set_model_props(proto, properties)
         self.onnx.checker.check_model(proto)
         return proto

@@ -1,8 +1,14 @@
 """The network of one frame as ONNX nodes, written from the packed weights (models/step_weights.py).
 
 What costs time in a graph of one frame is to read the weights, and then every node, however small. So what
-can be folded into constants is folded, parts and heads go side by side through single nodes, and rings are
-written in place instead of being shifted: the next frame goes into the slot of the oldest.
+can be folded into constants is folded, and rings are written in place instead of being shifted: the next
+frame goes into the slot of the oldest.
+
+All parts go through one product. Either their maps stand side by side, (K, P N): then each part's row meets
+every map, and what it has of the others' is left out afterwards. Or they stand one below the other,
+(P K, N), and each part's row is zero but in its own columns. The additional sums cost nothing, as long as
+bringing the weights to the processor takes longer than to use them; products of a plain matrix are what
+runtimes are best at, and the only ones they know in 8 bits.
 
 Shape legend: P parts, L layers, D width, H heads, E head width, F hidden, W window, C controls.
 """
@@ -12,10 +18,10 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.apps.onnx_graph import Graph
-from motionkit.features.control import SKELETON_COUNT, skeleton_signal
+from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel
-from motionkit.models.step_weights import NORM_EPS, Floats, ModuleWeights, StepWeights
+from motionkit.models.step_weights import NORM_EPS, Floats, StepWeights
 from motionkit.motion.skeleton import canonical_skeleton
 
 INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
@@ -32,7 +38,7 @@ def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
         "pose": (1, FEATURE_COUNT),
         "contacts": (1, CONTACT_COUNT),
         "ground": (1, 3),
-        "past_frames": (1, max(config.kernel - 1, 1), INPUT_COUNT),
+        "past_frames": (1, max(config.kernel - 1, 1) * INPUT_COUNT),
         "frames_seen": (1, 1),
     }
     for layer in range(2 * config.layers):
@@ -47,26 +53,32 @@ def present_name(name: str) -> str:
     )
 
 
-def write_network(g: Graph, model: MotionModel, weights: StepWeights) -> str:
-    """Nodes from controls and state to all state but the ground; answers the unnormalised features (1, 276)."""
-    config, P, D = weights.config, len(weights.columns), weights.config.width
-    step = _Step(g, weights)
-    recent = _recent_frames(g, config.kernel)
-    blocks = _control_blocks(g, model, weights)
+def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: bool) -> str:
+    """Nodes from controls and state to all state but the ground; answers the unnormalised features (1, 276).
+
+    small: products of the layers in 8 bits.
+    """
+    config, P, D, hidden = (
+        weights.config,
+        len(weights.columns),
+        weights.config.width,
+        weights.config.contact_hidden,
+    )
+    step = _Step(g, weights, small)
+    blocks = _control_blocks(step, model)
+    recent = g.add("Concat", "past_frames", "pose", "contacts", axis=1)
+    past = state_shapes(weights)["past_frames"][1]
+    g.slice(recent, [INPUT_COUNT], [INPUT_COUNT + past], [1], out="present_frames")
     shallow = step.module(0, step.embed_frames(recent), blocks[0])
-    flat = g.reshape(shallow, 1, P * D)
     # What the deep module and the feet take of the shallow features, in one product.
-    deep_embed = weights.deep.embed.transpose(1, 0, 2).reshape(P * D, P * D)
-    hidden = config.contact_hidden
-    taken = g.add(
-        "Gemm",
-        flat,
-        np.concatenate([deep_embed, weights.contact_shallow], axis=1),
+    taken = step.product(
+        shallow,
+        np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
         np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
     )
     deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
-    deep = step.module(1, g.reshape(deep_input, P, 1, D), blocks[1])
-    head = g.add("Gemm", g.reshape(deep, 1, P * D), weights.head, weights.head_bias)
+    deep = step.module(1, g.reshape(deep_input, P, D), blocks[1])
+    head = g.add("Gemm", deep, weights.head, weights.head_bias)
     mean, sigma, feet_too = g.split(head, [FEATURE_COUNT, FEATURE_COUNT, hidden], axis=1)
     feet = g.add("Relu", g.add("Add", feet, feet_too))
     g.add("Sigmoid", g.add("Gemm", feet, weights.contact, weights.contact_bias), out="present_contacts")
@@ -76,30 +88,20 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights) -> str:
     if weights.momentum is not None:
         # Nothing has moved yet at the first frame.
         share = g.add("Mul", g.add("Min", "frames_seen", np.float32(1.0)), weights.momentum)
-        last = max(config.kernel - 1, 1) - 1
-        before = g.reshape(g.slice("past_frames", [last, 0], [last + 1, FEATURE_COUNT], [1, 2]), 1, FEATURE_COUNT)
+        before = g.slice("past_frames", [past - INPUT_COUNT], [past - CONTACT_COUNT], [1])
         terms.append(g.add("Mul", g.add("Sub", "pose", before), share))
     pose = g.add("Sum", *terms, out="present_pose")
     std, middle = model.scaling.std.numpy(), model.scaling.mean.numpy()
     return g.add("Add", g.add("Mul", pose, std), middle, out="features")
 
 
-def _recent_frames(g: Graph, kernel: int) -> str:
-    """The last inputs (1, K 280) one after another, oldest first; writes present_frames."""
-    now = g.reshape(g.add("Concat", "pose", "contacts", axis=1), 1, 1, INPUT_COUNT)
-    if kernel == 1:
-        return g.reshape(g.add("Identity", now, out="present_frames"), 1, INPUT_COUNT)
-    frames = g.add("Concat", "past_frames", now, axis=1)
-    g.slice(frames, [1], [kernel], [1], out="present_frames")
-    return g.reshape(frames, 1, kernel * INPUT_COUNT)
-
-
-def _control_blocks(g: Graph, model: MotionModel, weights: StepWeights) -> list[list[str]]:
-    """What the controls add to the input of each layer (P, 1, D), of both modules.
+def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
+    """What the controls add to the input of each layer (P, D), of both modules.
 
     The skeleton is always the same one, and scales and offsets of the other signals are in the map behind
-    them: a signal (s - m) / d that counts where g is 1 is s g on a map divided by d, and g on the rest.
+    them: a signal (s - m) / d that counts where g is 1 is g s on a map divided by d, and g on the rest.
     """
+    g, weights = step.g, step.weights
     layout, scaling, guides = model.controls, model.trajectory_scaling, model.guide_map
     P, modules = len(weights.columns), (weights.shallow, weights.deep)
     embed = np.concatenate([m.controls for m in modules]).transpose(1, 0, 2).astype(np.float64)
@@ -111,7 +113,8 @@ def _control_blocks(g: Graph, model: MotionModel, weights: StepWeights) -> list[
     guide = embed[layout.guide]
     seen = g.add("MatMul", "pose", (guides.matrix / guides.gains).numpy())
     differences = g.add("Mul", g.add("Sub", "guide", seen), "guided")
-    turns = g.add("Add", g.add("Mul", "progress", np.float32(2.0 * np.pi)), [[0.0, 0.5 * np.pi]])
+    # The sine and, a quarter of a turn ahead, the cosine.
+    turns = g.add("Gemm", "progress", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
     has_phase = g.add("GreaterOrEqual", "progress", np.float32(0.0))
     turns = g.add("Where", has_phase, g.add("Sin", turns), np.float32(0.0))
     shown = g.add(
@@ -134,29 +137,28 @@ def _control_blocks(g: Graph, model: MotionModel, weights: StepWeights) -> list[
         -(guides.constant.double().numpy() @ guide)[None],
         embed[layout.guided][None],
     ]
-    assert layout.skeleton.stop == SKELETON_COUNT
     embedded = g.add("Gemm", shown, np.concatenate(rows).astype(np.float32), bias.astype(np.float32))
     maps = np.concatenate([m.layer_controls for m in modules])
-    added = g.add("MatMul", g.reshape(embedded, 2 * P, 1, maps.shape[1]), maps)
+    added = step.product(step.own_columns(embedded, 2 * P, maps.shape[1]), _below(maps))
     D = weights.config.width
     count = maps.shape[2] // D
     return [
-        g.split(part, [D] * count, axis=2) if count > 1 else [part] for part in g.split(added, [P, P], axis=0)
+        g.split(part, [D] * count, axis=1) if count > 1 else [part] for part in g.split(added, [P, P], axis=0)
     ]
 
 
 class _Step:
     """The modules of one frame."""
 
-    def __init__(self, g: Graph, weights: StepWeights) -> None:
-        self.g, self.weights, self.config = g, weights, weights.config
+    def __init__(self, g: Graph, weights: StepWeights, small: bool) -> None:
+        self.g, self.weights, self.config, self.small = g, weights, weights.config, small
         config, P, W = self.config, len(weights.columns), weights.config.window
         # Frames are counted up to 2 W - 2 and then from W - 1 again: while places in the rings are empty, and
         # then which slot is the oldest.
         counts = np.arange(2 * W - 1)
-        count = g.reshape(g.add("Cast", "frames_seen", to=g.onnx.TensorProto.INT64), 1)
-        following = np.append(counts[1:], W - 1).astype(np.float32)
-        g.reshape(g.gather(following, count, axis=0), 1, 1, out="present_frames_seen")
+        count = g.add("Cast", "frames_seen", to=g.onnx.TensorProto.INT64)
+        g.add("Gather", np.append(counts[1:], W - 1), count, axis=0, out="present_frames_seen")
+        count = g.reshape(count, 1)
         slot = np.stack(np.broadcast_arrays(*np.ogrid[:P, : config.heads, : 2 * W - 1]), axis=-1)
         slot[..., 2] %= W
         self.slot = g.gather(g.constant(slot, np.int64), count, axis=2)  # (P, H, 1, 3)
@@ -167,38 +169,78 @@ class _Step:
         self.biases = g.split(g.gather(bias, count, axis=2), [P] * (2 * config.layers), axis=0)
 
     def embed_frames(self, recent: str) -> str:
-        """The first convolution: (P, 1, D) without its bias from the last frames (1, K 280)."""
+        """The first convolution: (P, D) without its bias, from the last frames (1, 280 each) and the present one."""
         columns, config = self.weights.columns, self.config
         P, N = columns.shape
         # Short parts are filled up with any column, on weights of zero.
         used = columns < INPUT_COUNT
-        place = np.where(used, columns, 0)[:, None] + INPUT_COUNT * np.arange(config.kernel)[:, None]
+        first = max(2 - config.kernel, 0)  # one frame more than a kernel of one takes in is kept
+        place = np.where(used, columns, 0)[:, None]
+        place = place + INPUT_COUNT * np.arange(first, first + config.kernel)[:, None]
         embed = self.weights.shallow.embed.reshape(P, config.kernel, N, -1) * used[:, None, :, None]
-        inputs = self.g.gather(recent, place.reshape(P, -1), axis=1)
-        inputs = self.g.reshape(inputs, P, 1, config.kernel * N)
-        return self.g.add("MatMul", inputs, embed.reshape(P, config.kernel * N, -1))
+        inputs = self.g.gather(recent, place.reshape(P, 1, -1), axis=1)
+        embedded = self.g.add("MatMul", inputs, embed.reshape(P, config.kernel * N, -1))
+        return self.g.reshape(embedded, P, config.width)
 
     def module(self, index: int, motion: str, controls: list[str]) -> str:
-        """Features (P, 1, D) without their sqrt(D) of a module from its embedded input (P, 1, D)."""
+        """Features (1, P D) without their sqrt(D) of a module from its embedded input (P, D)."""
         g, config = self.g, self.config
         weights = (self.weights.shallow, self.weights.deep)[index]
         P, D, H = len(self.weights.columns), config.width, config.heads
-        terms = [motion, controls[0]]
-        if index == 0:
-            terms.append(g.constant(weights.embed_bias[:, None]))
-        x = g.add("Sum", *terms)
+        own_map = np.arange(P)[:, None, None] * (P + 1) * 3 * H + np.arange(3 * H)[:, None]
+        # The deep module's bias is in the product before.
+        constant = [g.constant(weights.embed_bias)] if index == 0 else []
+        x = g.add("Sum", motion, controls[0], *constant)
         for i in range(config.layers):
             layer = index * config.layers + i
-            qkv = self._of_norm(x, weights.qkv[i], weights.qkv_bias[i])
-            heads = g.split(g.reshape(qkv, P, 3 * H, 1, D // H), [H, H, H], axis=1)
-            mixed = g.reshape(self._attend(layer, *heads), P, 1, D)
-            x = g.add("Add", x, g.add("MatMul", mixed, weights.out[i]))
-            hidden = g.add("Relu", self._of_norm(x, weights.inner[i], weights.inner_bias[i]))
-            terms = [x, g.add("MatMul", hidden, weights.outer[i])]
-            if i + 1 < len(controls):
-                terms.append(controls[i + 1])
-            x = g.add("Sum", *terms)
-        return self._norm(x, 0.0)
+            qkv = self.product(self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1))
+            heads = g.gather(g.reshape(qkv, P * P * 3 * H, D // H), own_map, axis=0)
+            mixed = self._attend(layer, *g.split(heads, [H, H, H], axis=1))
+            x = self._add_product(x, self.own_columns(mixed, P, D), _below(weights.out[i]))
+            hidden = self._hidden(self._norm(x), _beside(weights.inner[i]), weights.inner_bias[i])
+            x = self._add_product(x, hidden, _below(weights.outer[i]), *controls[i + 1 : i + 2])
+        return g.reshape(self._norm(x), 1, P * D)
+
+    def _hidden(self, x: str, weight: Floats, bias: Floats) -> str:
+        """Rows (P, P F), each with zeros but in its own columns, of the hidden layer with bias (P, F)."""
+        P, F = bias.shape
+        if self.small:
+            hidden = self.product(x, weight, bias.reshape(-1))
+            return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F))
+        # A bias far below zero wipes out as well.
+        biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
+        return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
+
+    def own_columns(self, rows: str, count: int, width: int) -> str:
+        """Rows (count, count width), each with its own columns and zeros, from rows of any shape."""
+        return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
+
+    def product(self, x: str, weight: Floats, bias: Floats | None = None) -> str:
+        """Rows times a matrix (K, N) plus a bias (N,)."""
+        if not self.small:
+            return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
+        made = self._small_product(x, weight)
+        return made if bias is None else self.g.add("Add", made, bias)
+
+    def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
+        """x plus rows y times a matrix, plus more."""
+        if not self.small and not more:
+            return self.g.add("Gemm", y, weight, x)
+        return self.g.add("Sum", x, self.product(y, weight), *more)
+
+    def _small_product(self, x: str, weight: Floats) -> str:
+        """Rows in 8 bits with a common scale, times columns in 8 bits with a scale of their own.
+
+        Weights are symmetric around 128: unsigned, since some processors cut off sums of products of unsigned
+        with signed numbers.
+        """
+        g = self.g
+        scale = np.maximum(np.abs(weight).max(axis=0), 1e-12) / 127
+        whole = g.constant(np.rint(weight / scale) + 128, np.uint8)
+        value, step, zero = g.quantized(x)
+        product = g.add("MatMulInteger", value, whole, zero, g.constant(128, np.uint8))
+        product = g.add("Cast", product, to=g.onnx.TensorProto.FLOAT)
+        return g.add("Mul", product, g.add("Mul", step, scale))
 
     def _attend(self, layer: int, query: str, key: str, value: str) -> str:
         """Attention (P, H, 1, E) over the ring of a layer, into which key and value go."""
@@ -211,18 +253,21 @@ class _Step:
         scores = self.g.add("Add", scores, self.biases[layer])
         return self.g.add("MatMul", self.g.add("Softmax", scores, axis=-1), values)
 
-    def _of_norm(self, x: str, weight: Floats, bias: Floats) -> str:
-        """A linear map (P, D, N) with its bias (P, N) of normalised rows.
-
-        A norm's output has no mean, so a number added to all of it can carry the bias of the map behind it.
-        """
+    def _norm(self, x: str) -> str:
         D = self.config.width
-        level = D**-0.5
-        wide = weight.astype(np.float64)
-        carried = wide + (bias[:, None] - level * wide.sum(axis=1, keepdims=True)) / (D * level)
-        return self.g.add("MatMul", self._norm(x, level), carried.astype(np.float32))
+        return self.g.add("LayerNormalization", x, np.full(D, D**-0.5), axis=-1, epsilon=NORM_EPS)
 
-    def _norm(self, x: str, level: float) -> str:
-        D = self.config.width
-        inputs = (x, np.full(D, D**-0.5), np.full(D, level))
-        return self.g.add("LayerNormalization", *inputs, axis=-1, epsilon=NORM_EPS)
+
+def _beside(maps: Floats) -> Floats:
+    """Maps (P, K, N) side by side: (K, P N)."""
+    return maps.transpose(1, 0, 2).reshape(maps.shape[1], -1)
+
+
+def _below(maps: Floats) -> Floats:
+    """Maps (P, K, N) one below the other: (P K, N)."""
+    return maps.reshape(-1, maps.shape[-1])
+
+
+def _own(count: int, width: int) -> Floats:
+    """(count, count width) ones where a row has its own columns."""
+    return np.repeat(np.eye(count, dtype=np.float32), width, axis=1)

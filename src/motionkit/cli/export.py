@@ -24,8 +24,15 @@ from motionkit.cli.common import json_option, print_json
     help="A model file; the bundled model by default.",
 )
 @click.option("--character", default="default", show_default=True, help="The body the joints are of.")
+@click.option(
+    "--weights",
+    type=click.Choice(["float32", "int8"]),
+    default="float32",
+    show_default=True,
+    help="Of the layers: int8 is a third of the size and faster, a little less exact, and not for every engine.",
+)
 @json_option
-def command(path: Path, model_path: Path | None, character: str, as_json: bool) -> None:
+def command(path: Path, model_path: Path | None, character: str, weights: str, as_json: bool) -> None:
     """Write a model as an ONNX graph of one frame.
 
     Controls and state go in, a posed body and the next state come out: see docs/engines.md. With
@@ -35,7 +42,7 @@ def command(path: Path, model_path: Path | None, character: str, as_json: bool) 
     from motionkit.apps.onnx_export import export_onnx
     from motionkit.models.bundled import open_model
 
-    check = export_onnx(open_model(model_path), path, character)
+    check = export_onnx(open_model(model_path), path, character, weights)
     if as_json:
         result: dict = {"file": str(path), "metadata": str(path.with_suffix(".json"))}
         if check is not None:
