@@ -90,13 +90,16 @@ def floor(weights: StepWeights, bits: int) -> Step:
     return lambda: memory.sum()
 
 
-def graph(model: MotionModel, folder: Path) -> Step:
+def graph(model: MotionModel, folder: Path, weights: str) -> Step:
     """The ONNX graph, forward kinematics included."""
     from motionkit.apps.onnx_export import OnnxStep, build_graph
 
-    path = folder / "model.onnx"
-    path.write_bytes(build_graph(model).SerializeToString())
-    return OnnxStep(path).step
+    path = folder / f"{weights}.onnx"
+    path.write_bytes(build_graph(model, weights=weights).SerializeToString())
+    step = OnnxStep(path)
+    step.values["type_weights"][:] = asked_of(model, 1).type_weights.numpy()
+    step.values["progress"][:] = -1.0
+    return step.step
 
 
 def timed(step: Step, steps: int, limit: float) -> tuple[list[float], list[float]]:
@@ -136,7 +139,8 @@ def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
         with suppress(ImportError):
             import onnxruntime  # noqa: F401
 
-            out["ONNX Runtime, float32"] = graph(model, folder)
+            for weights_kind in ("float32", "int8"):
+                out[f"ONNX Runtime, {weights_kind}"] = graph(model, folder, weights_kind)
         out["floor: 32-bit weights"], out["floor: 16-bit weights"] = floor(weights, 32), floor(weights, 16)
     return out
 

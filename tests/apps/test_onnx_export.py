@@ -11,9 +11,12 @@ import numpy as np
 import pytest
 import torch
 
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel, load_model
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
+from motionkit.models.step import NetworkStep
+from motionkit.models.step_weights import pack
 
 pytest.importorskip("onnx")
 pytest.importorskip("onnxruntime")
@@ -21,6 +24,7 @@ pytest.importorskip("onnxruntime")
 from motionkit.apps.onnx_export import OnnxStep, build_graph, check_export, export_onnx
 from motionkit.apps.onnx_graph import OPSET
 from motionkit.apps.onnx_network import present_name
+from motionkit.apps.onnx_small import spread_channels
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
 
@@ -71,15 +75,30 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     import onnx
 
     check = export_onnx(tiny_model, tmp_path / "small.onnx", weights="int8")
-    assert check is not None and 1e-3 < check.positions < 5.0
+    assert check is not None and 1e-4 < check.features < 0.05
     assert (tmp_path / "small.onnx").stat().st_size < 0.7 * exported.stat().st_size
     assert json.loads((tmp_path / "small.json").read_text())["weights"] == "int8"
     proto = onnx.load(str(tmp_path / "small.onnx"))
     onnx.checker.check_model(proto, full_check=True)
     assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
-    # Four products a layer, the controls, and what the deep module takes of the shallow one.
+    # Four products a layer, and the controls.
     products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
-    assert len(products) == 4 * 2 * tiny_model.config.layers + 2
+    assert len(products) == 4 * 2 * tiny_model.config.layers + 1
+
+
+def test_a_rotation_of_channels_changes_nothing(tiny_model: MotionModel) -> None:
+    weights = pack(tiny_model.network)
+    turned = spread_channels(weights)
+    assert not np.allclose(turned.head, weights.head, atol=0.1)
+    steps = [NetworkStep(w, 1) for w in (weights, turned)]
+    random = np.random.default_rng(0)
+    sizes = (FEATURE_COUNT, CONTACT_COUNT, tiny_model.controls.size)
+    for _ in range(5):
+        frame = [random.standard_normal((1, size), np.float32) for size in sizes]
+        for step in steps:
+            step.step(*frame)
+        np.testing.assert_allclose(steps[0].out, steps[1].out, atol=1e-4)
+        np.testing.assert_allclose(steps[0].contact_logits, steps[1].contact_logits, atol=1e-4)
 
 
 def test_steps_take_turns_between_two_places_of_state(exported: Path) -> None:

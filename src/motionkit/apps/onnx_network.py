@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.apps.onnx_graph import Graph
+from motionkit.apps.onnx_small import spread_channels
 from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel
@@ -58,20 +59,18 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
 
     small: products of the layers in 8 bits.
     """
-    config, P, D, hidden = (
-        weights.config,
-        len(weights.columns),
-        weights.config.width,
-        weights.config.contact_hidden,
-    )
+    config, P, D = weights.config, len(weights.columns), weights.config.width
+    hidden = config.contact_hidden
+    weights = spread_channels(weights) if small else weights
     step = _Step(g, weights, small)
     blocks = _control_blocks(step, model)
     recent = g.add("Concat", "past_frames", "pose", "contacts", axis=1)
     past = state_shapes(weights)["past_frames"][1]
     g.slice(recent, [INPUT_COUNT], [INPUT_COUNT + past], [1], out="present_frames")
     shallow = step.module(0, step.embed_frames(recent), blocks[0])
-    # What the deep module and the feet take of the shallow features, in one product.
-    taken = step.product(
+    # What the deep module and the feet take of the shallow features, in one product; all further layers hang on it.
+    taken = g.add(
+        "Gemm",
         shallow,
         np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
         np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
