@@ -225,7 +225,7 @@ class _Step:
         """x plus rows y times a matrix, plus more."""
         if not self.small and not more:
             return self.g.add("Gemm", y, weight, x)
-        return self.g.add("Sum", x, self.product(y, weight), *more)
+        return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
 
     def _small_product(self, x: str, weight: Floats) -> str:
         """Rows in 8 bits with a common scale, times columns in 8 bits with a scale of their own.
@@ -254,7 +254,9 @@ class _Step:
 
     def _norm(self, x: str) -> str:
         D = self.config.width
-        return self.g.add("LayerNormalization", x, np.full(D, D**-0.5), axis=-1, epsilon=NORM_EPS)
+        # The shift of zero is there for importers that do not know that it may be left out.
+        inputs = (x, np.full(D, D**-0.5), np.zeros(D))
+        return self.g.add("LayerNormalization", *inputs, axis=-1, epsilon=NORM_EPS)
 
 
 def _beside(maps: Floats) -> Floats:

@@ -1,0 +1,115 @@
+"""Motion of the ONNX graph with weights of 32 and of 8 bits, each on its own output: does it stay as good?
+
+    python benchmarks/engine_weights.py [--model FILE] [--seconds 20]
+
+A walk and a run straight ahead, and cartwheels as recorded, from the same starts, with the same controls and
+the same noise at a temperature of 0.05. Drifting apart is to be expected; speeds, heights and sliding of the
+feet should agree. Jerk tells of trembling.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from common import print_table
+
+from motionkit.apps.onnx_export import WEIGHTS, OnnxStep, build_graph
+from motionkit.features.control import TRAJECTORY_OFFSETS
+from motionkit.features.layout import FEATURE_COUNT
+from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.metrics.ground import floor_height, foot_positions
+from motionkit.metrics.smoothness import mean_jerk
+from motionkit.models.bundled import open_model
+from motionkit.models.checkpoint import MotionModel
+from motionkit.synthesis.outline_player import Signals, last_poses
+from motionkit.synthesis.plan import TypePart, plan_signals
+from motionkit.synthesis.start import seed_start
+
+ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead, None: as recorded
+
+
+def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Signals:
+    """What is asked for, frame by frame."""
+    seen = seed_start(model, kind, 1).features[0]
+    recorded = plan_signals(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
+    if speed is None:
+        return recorded
+    ahead = torch.zeros(len(TRAJECTORY_OFFSETS), 2)
+    ahead[:, 1] = speed / model.fps * torch.tensor(TRAJECTORY_OFFSETS)
+    way = torch.cat([ahead, torch.tensor([0.0, 1.0]).expand_as(ahead)]).reshape(1, -1).expand(frames, -1)
+    none = torch.zeros(frames)
+    return Signals(torch.zeros_like(recorded.guide), none, way, none + 1.0, none - 1.0)
+
+
+def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> torch.Tensor:
+    """Joint positions (T, 23, 3) in cm of the graph on its own output."""
+    graph = OnnxStep(path)
+    start = seed_start(model, kind, 1)
+    graph.values["type_weights"][0, model.type_id(kind)] = 1.0
+    graph.values["progress"][:] = -1.0
+    poses, contacts = model.scaling.normalize(start.features)[0].numpy(), start.contacts[0].numpy()
+    for t in range(len(poses)):
+        graph.values["pose"][:], graph.values["contacts"][:] = poses[t], contacts[t]
+        if t + 1 < len(poses):
+            graph.step()
+    graph.values["ground"][:] = 0.0
+    random = np.random.default_rng(0)
+    noise = random.standard_normal((1, FEATURE_COUNT))
+    out = []
+    for frame in range(len(asked.progress)):
+        noise = 0.95 * noise + (1.0 - 0.95**2) ** 0.5 * random.standard_normal(noise.shape)
+        graph.values["noise"][:] = 0.05 * model.noise.get(kind, 1.0) * noise
+        for name, values in vars(asked).items():
+            graph.values[name][:] = values[frame].numpy()
+        out.append(graph.step()["positions"][0].copy())
+    return torch.from_numpy(np.stack(out))
+
+
+def measures(positions: torch.Tensor, fps: float) -> list[str]:
+    """Speed, sliding, heights, jerk."""
+    feet = foot_positions(positions)
+    heights = positions[..., 1]
+    return [
+        f"{torch.diff(positions, dim=0).norm(dim=-1).mean() * fps:.1f}",
+        f"{average_foot_sliding(feet, floor_height(feet)).value:.3f}",
+        f"{heights[:, 0].mean():.1f}",
+        f"{heights.min():.1f}",
+        f"{heights.max():.1f}",
+        f"{mean_jerk(positions).value:.0f}",
+    ]
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
+    parser.add_argument("--seconds", type=float, default=20.0, help="of each type")
+    arguments = parser.parse_args()
+    model = open_model(arguments.model)
+    torch.set_num_threads(1)
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        paths = {weights: Path(folder) / f"{weights}.onnx" for weights in WEIGHTS}
+        for weights, path in paths.items():
+            path.write_bytes(build_graph(model, weights=weights).SerializeToString())
+        for kind, speed in ASKED.items():
+            asked = signals(model, kind, speed, round(arguments.seconds * model.fps))
+            for weights, path in paths.items():
+                rows.append([f"{kind}, {weights}", *measures(roll(model, path, kind, asked), model.fps)])
+    header = [
+        "type, weights",
+        "joint speed cm/s",
+        "AFS cm/frame",
+        "hips cm",
+        "lowest cm",
+        "highest cm",
+        "jerk m/s^3",
+    ]
+    print_table("motion of the graph on its own output", header, rows)
+
+
+if __name__ == "__main__":
+    main()
