@@ -3,8 +3,8 @@
     python benchmarks/engine_weights.py [--model FILE] [--seconds 20]
 
 A walk and a run straight ahead, and cartwheels as recorded, from the same starts, with the same controls and
-the same noise at a temperature of 0.05. Drifting apart is to be expected; speeds, heights and sliding of the
-feet should agree. Jerk tells of trembling.
+the same noise. Drifting apart is to be expected; speeds, heights and sliding of the feet should agree. Jerk
+tells of trembling.
 """
 
 from __future__ import annotations
@@ -27,6 +27,7 @@ from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel
 from motionkit.synthesis.outline_player import Signals, last_poses
 from motionkit.synthesis.plan import TypePart, plan_signals
+from motionkit.synthesis.rollout import Noise
 from motionkit.synthesis.start import seed_start
 
 ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead, None: as recorded
@@ -58,11 +59,13 @@ def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> torch.Ten
             graph.step()
     graph.values["ground"][:] = 0.0
     random = np.random.default_rng(0)
-    noise = random.standard_normal((1, FEATURE_COUNT))
+    noise, settings = np.zeros((2, 1, FEATURE_COUNT)), Noise()
+    keeps, takes, keeps_too, takes_too = settings.filters
     out = []
     for frame in range(len(asked.progress)):
-        noise = 0.95 * noise + (1.0 - 0.95**2) ** 0.5 * random.standard_normal(noise.shape)
-        graph.values["noise"][:] = 0.05 * model.noise.get(kind, 1.0) * noise
+        noise[0] = keeps * noise[0] + takes * random.standard_normal(noise[0].shape)
+        noise[1] = keeps_too * noise[1] + takes_too * noise[0]
+        graph.values["noise"][:] = settings.temperature * model.noise.get(kind, 1.0) * noise[1]
         for name, values in vars(asked).items():
             graph.values[name][:] = values[frame].numpy()
         out.append(graph.step()["positions"][0].copy())
