@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from motionkit.errors import ModelError
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel, load_model
 from motionkit.models.network import PartTransformer
@@ -84,6 +85,11 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     # Four products a layer, and the controls.
     products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
     assert len(products) == 4 * 2 * tiny_model.config.layers + 1
+
+
+def test_other_weights_are_refused(tiny_model: MotionModel) -> None:
+    with pytest.raises(ModelError, match=r"'int4' are unknown, expected one of float32, int8"):
+        build_graph(tiny_model, weights="int4")
 
 
 def test_a_rotation_of_channels_changes_nothing(tiny_model: MotionModel) -> None:

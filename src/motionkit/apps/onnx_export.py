@@ -21,6 +21,7 @@ from motionkit import __version__
 from motionkit.apps.onnx_body import write_body
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_network import present_name, state_shapes, write_network
+from motionkit.errors import ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS
 from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS
 from motionkit.features.layout import FEATURE_COUNT, column_names
@@ -76,9 +77,11 @@ def build_graph(model: MotionModel, character: str = "default", weights: str = "
     """The graph of one step on a character's body, with its metadata; weights are one of WEIGHTS.
 
     Raises:
-        ModelError: if the model cannot run frame by frame on packed weights.
+        ModelError: if the model cannot run frame by frame on packed weights, or for other weights.
         ControlError: for an unknown character.
     """
+    if weights not in WEIGHTS:
+        raise ModelError(f"weights {weights!r} are unknown, expected one of {', '.join(WEIGHTS)}")
     packed = pack(model.network)
     graph = Graph()
     inputs = {**state_shapes(packed), "type_weights": (1, len(model.types))}
