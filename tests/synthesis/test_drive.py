@@ -9,7 +9,7 @@ from torch import Tensor
 
 from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory
-from motionkit.features.guide import guide_signal
+from motionkit.features.guide import OUTLINE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
 from motionkit.motion.rotations import rotate_ground
 from motionkit.synthesis.drive import DriveOptions, Driver, Wish, together
@@ -171,7 +171,7 @@ def test_a_performance_without_a_way_leaves_one_who_stands_free(
 def test_a_strike_takes_its_own_time(tiny_model: MotionModel) -> None:
     phases = torch.full((300,), -1.0)
     phases[100:140] = torch.arange(40) / 40.0
-    kick = Outline(torch.zeros(330, 16), torch.zeros(300, 3), phases)
+    kick = Outline(torch.zeros(330, OUTLINE_COUNT), torch.zeros(300, 3), phases)
     driver = Driver(replace(tiny_model, outlines={"running": [kick]}), "idle", DriveOptions(blend_frames=10))
     driver.perform("running", seconds=5.0)
     asked = play(driver, 120)[0]

@@ -10,7 +10,7 @@ import torch
 from motionkit.features.control import future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, OUTLINE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
-from motionkit.synthesis.outline_player import BEFORE_EVENT, OutlinePlayer, last_poses
+from motionkit.synthesis.outline_player import BEFORE_EVENT, BLEND, PAUSE, OutlinePlayer, last_poses
 from motionkit.synthesis.plan import TypePart, plan_signals
 
 NEAR = torch.zeros(2, OUTLINE_COUNT)
@@ -34,18 +34,30 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
     asked = plan_signals(flips, parts, NEAR)
     assert asked.trajectory.shape == (120, 24) and asked.guide.shape == (120, GUIDE_COUNT)
     assert asked.given.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
-    assert asked.guided.tolist() == [1.0] * 60 + [flips.guidance] * 30 + [1.0] * 30
+    assert asked.guided.tolist() == pytest.approx(
+        [1.0] * 60 + [flips.guidance["cartwheel"]] * 30 + [1.0] * 30
+    )
     outline = flips.outlines["cartwheel"][0]
     frames = torch.arange(30)
     assert torch.equal(asked.trajectory[60:90], future_trajectory(outline.ground, frames))
-    assert torch.equal(asked.guide[60:90], guide_signal(outline.poses, frames))
+    recorded = guide_signal(outline.poses, frames)
+    assert torch.equal(asked.guide[60 + BLEND : 90], recorded[BLEND:])
+    steps = asked.guide[59:90].diff(dim=0).norm(dim=1)
+    assert float(steps.max()) < 0.5 * float((asked.guide[59] - recorded[0]).norm()), "no leap at the change"
     assert torch.equal(asked.progress[60:90], outline.phases[:30])
 
 
-def test_a_second_performance_begins_where_the_first_ends(flips: MotionModel) -> None:
+def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: MotionModel) -> None:
     length = len(flips.outlines["cartwheel"][0])
-    asked = plan_signals(flips, [TypePart("cartwheel", 2 * length / flips.fps)], NEAR)
-    assert torch.equal(asked.guide[:length], asked.guide[length:])
+    asked = plan_signals(flips, [TypePart("cartwheel", (2 * length + PAUSE) / flips.fps)], NEAR)
+    second = slice(length + PAUSE, None)
+    for signal in (asked.guide, asked.trajectory, asked.progress):
+        assert torch.equal(signal[:length], signal[second])
+    pause = slice(length, length + PAUSE)
+    assert (asked.progress[pause] < 0.0).all() and (asked.given[pause] == 1.0).all()
+    way = asked.guide[length + PAUSE] - asked.guide[length - 1]
+    steps = asked.guide[length - 1 : length + PAUSE].diff(dim=0)
+    assert float(steps.norm(dim=1).max()) < 1.5 * float(way.norm()) / PAUSE + 1e-4
     assert flips.phase_seconds("cartwheel") == pytest.approx(length / flips.fps)
 
 

@@ -153,6 +153,20 @@ def test_fk_loss_counts_feet_that_slide_while_they_touch() -> None:
     assert fk(prediction(sliding, released), data) < 1e-3
 
 
+def test_slip_counts_as_often_as_told_and_does_not_teach_contacts() -> None:
+    sliding = standing(6)
+    sliding[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])
+    data = batch(sliding)
+    logits = torch.full((1, 6, 4), 2.0, requires_grad=True)
+    once, often = (
+        losses.fk_loss(prediction(sliding, logits), data, PLAIN, REFERENCES, "sixd-root-1", 60.0, times)
+        for times in (1.0, 10.0)
+    )
+    near = losses.fk_loss(prediction(sliding, logits), data, PLAIN, REFERENCES, "sixd-root-1", 60.0, 0.0)
+    assert float(often - near) == pytest.approx(10.0 * float(once - near)) and float(once) > float(near)
+    assert not often.requires_grad
+
+
 def test_fk_loss_takes_the_turn_of_the_heading_out() -> None:
     """A body that stands still in the world while its heading turns: no foot slips."""
     yaw = 0.8 * torch.arange(8) / 60.0

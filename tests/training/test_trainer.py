@@ -74,7 +74,7 @@ def test_the_loss_falls_and_the_model_file_is_whole(
 # Total loss at steps 1, 5 and 10 of the run below, float32 on a CPU. Other processors and releases of
 # torch sum in another order; over ten steps that moves these by less than one in a thousand. A change to
 # the network, its inputs, the losses or the windows moves them by more: then these are to be taken anew.
-GOLDEN = {1: 363.193, 5: 373.920, 10: 273.750}
+GOLDEN = {1: 375.453, 5: 383.111, 10: 272.793}
 
 
 def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
@@ -98,6 +98,7 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
         rate=1e-3,
         outlier=1e9,
         evenness=0.0,
+        slip_weight=10.0,
         self_feed=SelfFeedOptions(share=0.0),
     )
     train(dataset_folder, path, options, device="cpu")

@@ -45,7 +45,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     g.reshape(rotations, 1, JOINT_COUNT, 4, out="rotations")
     up, across = np.zeros((1, 3)), np.zeros((3, 3))
     up[0, 1] = across[0, 0] = across[1, 2] = share
-    root = g.add("Gemm", "present_ground", across, g.add("Mul", at, up), out="root_positions")
+    place = g.add("Gemm", "present_ground", across, g.add("Mul", at, up), out="root_positions")
     # Local transforms (24, 4, 4), the last an identity, multiplied up the chains in three rounds.
     outer = g.add("Mul", rotations, g.reshape(rotations, JOINT_COUNT, 4, 1))
     to_transform = np.zeros((16, 4, 4), np.float32)
@@ -60,7 +60,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
         whole = g.add("MatMul", g.gather(whole, ancestors, axis=0), whole)
     last = g.slice(whole, [0, 0, 3], [JOINT_COUNT, 3, 4], [0, 1, 2])
     # The root comes last, which keeps digits far from the origin.
-    g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), root, out="positions")
+    g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), place, out="positions")
 
 
 def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_velocity: str) -> str:

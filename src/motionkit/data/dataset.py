@@ -53,7 +53,7 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class ClipData:
-    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), guide (T, 48)."""
+    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), guide (T, 72)."""
 
     features: Tensor
     contacts: Tensor

@@ -99,9 +99,11 @@ def _roll_batch(
     features, contacts = seed_batch(
         [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
     )
+    # Who starts with a performance has its first frames behind, as in synthesize.
+    lengths = [model.phase_seconds(plan.parts[0].type) * model.fps for plan in plans]
     asked = [
-        plan_signals(model, plan.parts, last_poses(model, seen), 0, plan.choice)
-        for plan, seen in zip(plans, features, strict=True)
+        plan_signals(model, plan.parts, last_poses(model, seen), len(seen) if length else 0, plan.choice)
+        for plan, seen, length in zip(plans, features, lengths, strict=True)
     ]
     signals = Signals.side_by_side(asked)
 
@@ -110,7 +112,7 @@ def _roll_batch(
 
     with inner_threads(len(plans)):
         state = RolloutState(model, len(plans), noise, seed)
-        state.start(features, contacts, weights[0])
+        state.start(features, contacts, weights[0], None, lengths)
         rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     return performances(model, rollout)
 

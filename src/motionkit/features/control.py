@@ -59,7 +59,7 @@ class ControlLayout:
 
     @property
     def guide(self) -> slice:
-        """The 48 numbers of the guide, zero where none is given."""
+        """The 72 numbers of the guide, zero where none is given."""
         return slice(self.phase.stop, self.phase.stop + GUIDE_COUNT)
 
     @property
@@ -137,7 +137,7 @@ def control_vector(
 ) -> Tensor:
     """Control vectors (..., C): trajectory normalised; it and the guide zero where they are not given.
 
-    progress (...) is that of phase_signal, negative for types without a phase; guide (..., 48) is as GuideMap shows it.
+    progress (...) is that of phase_signal, negative for types without a phase; guide (..., 72) is as GuideMap shows it.
     """
     shown = trajectory_scaling.normalize(trajectory) * given[..., None]
     parts = [skeleton_B69, type_weights, shown, given[..., None], phase_signal(progress)]

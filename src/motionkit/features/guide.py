@@ -23,7 +23,7 @@ from torch import Tensor
 from motionkit.features.layout import FeatureLayout
 from motionkit.features.normalize import Scaling
 
-OUTLINE_COUNT = 16
+OUTLINE_COUNT = 24
 GUIDE_OFFSETS: tuple[int, ...] = (5, 15, 30)  # frames ahead, at 60 fps
 GUIDE_COUNT = OUTLINE_COUNT * len(GUIDE_OFFSETS)
 LEAST_SHARE = 1e-6  # of the largest variance, for a direction to count
@@ -36,15 +36,15 @@ class PoseOutline:
     """A linear map from unnormalised features to outlines, which have about unit size.
 
     Attributes:
-        matrix: (276, 16); only joint positions count.
-        offset: (16,) subtracted.
+        matrix: (276, 24); only joint positions count.
+        offset: (24,) subtracted.
     """
 
     matrix: Tensor
     offset: Tensor
 
     def of(self, features: Tensor) -> Tensor:
-        """Outlines (..., 16) of features (..., 276), unnormalised."""
+        """Outlines (..., 24) of features (..., 276), unnormalised."""
         return features @ self.matrix - self.offset
 
 
@@ -87,7 +87,7 @@ def fit_outline(features: Tensor, weights: Tensor, layout: FeatureLayout) -> Pos
 
 
 def guide_signal(outlines: Tensor, frames: Tensor) -> Tensor:
-    """Guides (..., 48) of frames (...), indices into outlines (T, 16); the last outline is held beyond its end."""
+    """Guides (..., 72) of frames (...), indices into outlines (T, 24); the last outline is held beyond its end."""
     ahead = frames[..., None] + torch.tensor(GUIDE_OFFSETS)
     return outlines[ahead.clamp(max=len(outlines) - 1)].flatten(-2)
 
@@ -97,8 +97,8 @@ class GuideMap:
     """What turns a guide into what the network is shown of it: gains x guide - (x @ matrix + constant).
 
     Attributes:
-        gains: (48,).
-        matrix, constant: (276, 48), (48,) of the present frame x, normalised.
+        gains: (72,).
+        matrix, constant: (276, 72), (72,) of the present frame x, normalised.
     """
 
     gains: Tensor
@@ -106,7 +106,7 @@ class GuideMap:
     constant: Tensor
 
     def shown(self, guide: Tensor, x: Tensor) -> Tensor:
-        """Guides (..., 48) as seen from normalised frames x (..., 276)."""
+        """Guides (..., 72) as seen from normalised frames x (..., 276)."""
         return self.gains * guide - (x @ self.matrix + self.constant)
 
     def to(self, device: torch.device) -> GuideMap:

@@ -27,7 +27,7 @@ from motionkit.models.config import ModelConfig
 from motionkit.models.network import PartTransformer
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
-FORMAT = "motionkit-model-2"
+FORMAT = "motionkit-model-3"
 MOVEMENT_FRAMES = 120
 
 
@@ -55,7 +55,7 @@ class Outline:
     """Recorded motion of one type in outline, from which guides are played (features/guide.py).
 
     Attributes:
-        poses: (L + 30, 16) outlines of its frames and of those that follow, which guides look ahead at.
+        poses: (L + 30, 24) outlines of its frames and of those that follow, which guides look ahead at.
         ground: (L, 3) root x, z (cm) and heading (radians).
         phases: (L,) progress through a performance, negative outside.
     """
@@ -93,7 +93,7 @@ class MotionModel:
         outlines: for each type name recordings in outline, the longest first where they are performances.
         gaits: how each type moves over the ground, for paths that do not say how fast.
         guides: whether the network was trained with guides.
-        guidance: how many times larger than it is a guide is shown, but for gaits (docs/synthesis.md).
+        guidance: for type names how many times larger than it is a guide is shown, 1 by default (docs/synthesis.md).
         noise: for type names the share they take of the temperature, 1 by default.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
@@ -110,7 +110,7 @@ class MotionModel:
     gaits: dict[str, Gait] = field(default_factory=dict)
     outlines: dict[str, list[Outline]] = field(default_factory=dict)
     guides: bool = False
-    guidance: float = 1.0
+    guidance: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
@@ -265,7 +265,7 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
                 for kind, count in header["outlines"].items()
             },
             bool(header["guides"]),
-            float(header["guidance"]),
+            {kind: float(times) for kind, times in header["guidance"].items()},
             {kind: float(share) for kind, share in header["noise"].items()},
             header.get("card", {}),
         )

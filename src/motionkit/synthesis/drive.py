@@ -75,7 +75,7 @@ class _Performance:
 class _Asked:
     """Controls on their way: a kind, or for a path its type weights; trajectory (1, 24) if one is given.
 
-    progress (1,); guide (1, 48) and guided (1,) if one is given.
+    progress (1,); guide (1, 72) and guided (1,) if one is given.
     """
 
     kind: str

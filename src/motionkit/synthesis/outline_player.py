@@ -13,11 +13,11 @@ from motionkit.features.guide import GUIDE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
 from motionkit.synthesis.places import STEP, Places, pose_state
 from motionkit.synthesis.rollout import FrameControls
-from motionkit.synthesis.steering import STEERED_TYPES
 
 # Places a recording may be entered at, of which the one most like the present pose is taken. Few at a change of
 # type, for of many the most alike to one who stands is one where nothing happens; many to go on within a type.
 CANDIDATES, CANDIDATES_WITHIN = 24, 200
+PAUSE = 20  # frames from the end of a performance to the beginning of the next one
 BLEND = 15  # frames over which one recording goes over to the next of its type
 EVENT_CANDIDATES = 4
 # A recording is entered where so many seconds of it are left; a strike so many frames before it begins.
@@ -32,7 +32,7 @@ class Signals:
     """What a player asks of one character for T frames.
 
     Attributes:
-        guide, guided: (T, 48), and (T,) how many times larger than it is it is shown, 0 for not.
+        guide, guided: (T, 72), and (T,) how many times larger than it is it is shown, 0 for not.
         trajectory, given: (T, 24) of a recorded performance, and (T,) 1 where it counts.
         progress: (T,) through a performance, negative for none.
     """
@@ -79,9 +79,8 @@ class OutlinePlayer:
         self.kind = ""
         self.outline: Outline | None = None
         self.at = 0
-        self.left: tuple[Outline, int, int] | None = (
-            None  # the recording before, its place, and that of this one
-        )
+        # The recording before, its place, and that of this one.
+        self.left: tuple[Outline, int, int] | None = None
         self._places: dict[str, Places] = {}
         self._since = 0  # frames since a place was sought
 
@@ -91,7 +90,7 @@ class OutlinePlayer:
         """Go over to a type.
 
         Args:
-            near: (2, 16) outlines of the pose now and STEP frames before; that of what was played by default.
+            near: (2, 24) outlines of the pose now and STEP frames before; that of what was played by default.
             behind: frames of a performance that lie behind already.
             way: (24,) the trajectory that is asked for, if the place is to suit it.
         """
@@ -99,24 +98,21 @@ class OutlinePlayer:
             near = self._present()
         outlines = self.model.outlines.get(kind, [])
         count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
+        left, place = self.outline, self.at
         self.kind, self.outline, self.at, self.left, self._since = kind, None, 0, None, 0
         if not outlines:
             return
         if self.model.performed(kind):
             self.outline = outlines[self.choice % len(outlines)]
             self.at = behind % len(self.outline)
-            return
-        if way is not None and near is not None:
+        elif way is not None and near is not None:
             number, self.at = self._sought().nearest(near, way, RECONSIDERED)
             self.outline = outlines[number]
-            return
-        places = self._events(outlines) or self._anywhere(outlines, count)
-        if near is None:
-            self.outline, self.at = places[0]
-            return
-        states = torch.stack([pose_state(outline, at) for outline, at in places])
-        costs = (states - near).flatten(1).norm(dim=1)
-        self.outline, self.at = places[int(costs.argmin())]
+        else:
+            self.outline, self.at = self._drawn(outlines, count, near)
+        # A performance is entered as it begins: its phase and its way do not wait for the guide.
+        if left is not None and not self.outline.performed:
+            self.left = (left, place, self.at)
 
     def event_frames(self) -> int:
         """Frames from here to the end of the strike or jump that comes first, zero if none comes."""
@@ -140,7 +136,11 @@ class OutlinePlayer:
             if self.outline is not None and self.at >= len(self.outline):
                 left = self.outline
                 self.begin(self.kind, way=way)
-                self.left = None if left.performed else (left, len(left), self.at)
+                if left.performed:
+                    self.left = None
+                    parts.append(self._between(left, frames - played))
+                    played += len(parts[-1].progress)
+                    continue
             elif way is not None and self._since >= RECONSIDERED:
                 self._reconsider(way)
             count = frames - played
@@ -205,14 +205,33 @@ class OutlinePlayer:
             outline.phases[frames],
         )
 
+    def _between(self, left: Outline, frames: int) -> Signals:
+        """From the end of a performance to the beginning of the next one, in no more than so many frames."""
+        assert self.outline is not None
+        count = min(PAUSE, frames)
+        share = (torch.arange(1, count + 1) / PAUSE)[:, None]
+        end, start = torch.tensor([len(left) - 1]), torch.tensor([0])
+        guide = torch.lerp(guide_signal(left.poses, end), guide_signal(self.outline.poses, start), share)
+        way = torch.lerp(
+            future_trajectory(left.ground, end), future_trajectory(self.outline.ground, start), share
+        )
+        ones = torch.ones(count)
+        return Signals(guide, self._strength() * ones, way, ones, -ones)
+
     def _strength(self) -> float:
         """How much larger than it is the guide is shown."""
-        if not self.model.guides:
-            return 0.0
-        return 1.0 if self.kind in STEERED_TYPES else self.model.guidance
+        return self.model.guidance.get(self.kind, 1.0) if self.model.guides else 0.0
 
     def _present(self) -> Tensor | None:
         return None if self.outline is None else pose_state(self.outline, min(self.at, len(self.outline) - 1))
+
+    def _drawn(self, outlines: list[Outline], count: int, near: Tensor | None) -> tuple[Outline, int]:
+        """Of some places drawn the one most like the pose."""
+        places = self._events(outlines) or self._anywhere(outlines, count)
+        if near is None:
+            return places[0]
+        states = torch.stack([pose_state(outline, at) for outline, at in places])
+        return places[int((states - near).flatten(1).norm(dim=1).argmin())]
 
     def _events(self, outlines: list[Outline]) -> list[tuple[Outline, int]]:
         """Some places shortly before a strike or jump; none for types without."""
@@ -239,5 +258,5 @@ class OutlinePlayer:
 
 
 def last_poses(model: MotionModel, features: Tensor) -> Tensor:
-    """Outlines (2, 16) of the last of some frames (T, 276) and of that STEP frames before."""
+    """Outlines (2, 24) of the last of some frames (T, 276) and of that STEP frames before."""
     return model.outline.of(features[[-1, max(-len(features), -1 - STEP)]])

@@ -30,8 +30,9 @@ class Places:
         lengths = [len(outline) for outline in outlines]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]
         self.left = torch.cat([torch.arange(length, 0, -1) for length in lengths])
-        states = [torch.stack([pose_state(o, at) for at in range(len(o))]) for o in outlines]
-        ways = [future_trajectory(o.ground, torch.arange(len(o))) for o in outlines]
+        frames = [torch.arange(length) for length in lengths]
+        states = [pose_states(o, at) for o, at in zip(outlines, frames, strict=True)]
+        ways = [future_trajectory(o.ground, at) for o, at in zip(outlines, frames, strict=True)]
         self._features = torch.cat([torch.cat(states).flatten(1), _scaled(torch.cat(ways))], dim=1)
 
     def nearest(
@@ -53,9 +54,14 @@ class Places:
         return number, best - self.first[number]
 
 
+def pose_states(outline: Outline, frames: Tensor) -> Tensor:
+    """The poses (..., 2, 24) in outline at frames (...) and STEP frames before them."""
+    return outline.poses[torch.stack([frames, (frames - STEP).clamp(min=0)], dim=-1)]
+
+
 def pose_state(outline: Outline, at: int) -> Tensor:
     """The poses (2, 24) in outline at a frame and STEP frames before it."""
-    return outline.poses[[at, max(0, at - STEP)]]
+    return pose_states(outline, torch.tensor(at))
 
 
 def _scaled(ways: Tensor) -> Tensor:

@@ -59,7 +59,7 @@ class FrameControls:
 
     type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
     the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative. guide:
-    (B, 48), and guided: (B,) how many times larger than it is it is shown, 0 where it does not count; None for no guide
+    (B, 72), and guided: (B,) how many times larger than it is it is shown, 0 where it does not count; None for no guide
     at all.
     """
 

@@ -116,12 +116,19 @@ def foot_positions(features: Tensor, offsets: Tensor, references: Tensor, layout
 
 
 def fk_loss(
-    prediction: Prediction, batch: Batch, scaling: Scaling, references: Tensor, layout: str, fps: float
+    prediction: Prediction,
+    batch: Batch,
+    scaling: Scaling,
+    references: Tensor,
+    layout: str,
+    fps: float,
+    slip_weight: float = 1.0,
 ) -> Tensor:
     """Feet by forward kinematics near the true ones, and still on the ground while in contact (L_FK).
 
     Paper eq. 8 compares the feet of two frames in the root's space, where a standing foot moves as the
-    body passes over it; here the step the root takes between the frames is taken out first.
+    body passes over it; here the step the root takes between the frames is taken out first. What a touching foot
+    slips counts slip_weight times; it teaches feet to stand still, not contacts to be denied.
     """
     features = scaling.denormalize(prediction.mean)
     predicted = foot_positions(features, batch.offsets, references, layout)
@@ -135,9 +142,9 @@ def fk_loss(
     step = torch.stack([step[..., 0], lift[..., 0], step[..., 1]], dim=-1)
     before = quat_rotate(quat_from_yaw(-turn), predicted[:, :-1])
     slip = (predicted[:, 1:] + step[:, :, None] - before).abs().sum(-1) / FOOT_UNIT
-    touching = torch.sigmoid(prediction.contact_logits)
+    touching = torch.sigmoid(prediction.contact_logits.detach())
     both = touching[:, 1:] * touching[:, :-1]
-    return near + _mean((both * slip).sum(-1), batch.mask[:, 1:])
+    return near + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
 
 
 def consistency_loss(
@@ -164,8 +171,9 @@ def training_losses(
     fps: float,
     outlier: float = math.inf,
     evenness: float = 0.0,
+    slip_weight: float = 1.0,
 ) -> dict[str, Tensor]:
-    """All six terms by name, unweighted; outlier and evenness as in gaussian_loss."""
+    """All six terms by name, unweighted; outlier and evenness as in gaussian_loss, slip_weight as in fk_loss."""
     zero = torch.zeros((), device=prediction.mean.device)
     consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
     return {
@@ -174,7 +182,7 @@ def training_losses(
         ),
         "smooth": smoothness_loss(prediction.mean, batch.mask),
         "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
-        "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps),
+        "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps, slip_weight),
         "consistency": consistency,
         "trajectory": gaussian_loss(
             prediction.trajectory_mean,

@@ -40,7 +40,9 @@ def train_options(
             noise=0.05,
         )
         options = replace(options, batch=56, rate=1e-4, sampler=paper, weights=dict(WEIGHTS))
-        options = replace(options, outlier=1e9, evenness=0.0, self_feed=SelfFeedOptions(share=0.0))
+        options = replace(
+            options, outlier=1e9, evenness=0.0, slip_weight=1.0, self_feed=SelfFeedOptions(share=0.0)
+        )
     sampler = options.sampler
     if window is not None:
         sampler = replace(sampler, window=window)

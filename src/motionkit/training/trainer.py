@@ -52,11 +52,13 @@ class TrainingModule(nn.Module):
         dataset: Dataset,
         outlier: float = math.inf,
         evenness: float = 0.0,
+        slip_weight: float = 1.0,
     ) -> None:
         super().__init__()
         self.network = network
         self.consistency = ConsistencyModules(network) if network.config.consistency else None
         self.fps, self.outlier, self.evenness = dataset.fps, outlier, evenness
+        self.slip_weight = slip_weight
         self.scaling = dataset.scaling
         self.references = dataset.references
 
@@ -85,6 +87,7 @@ class TrainingModule(nn.Module):
             self.fps,
             self.outlier,
             self.evenness,
+            self.slip_weight,
         )
 
 
@@ -196,9 +199,9 @@ class _Run:
         network = PartTransformer(config, ControlLayout(dataset.types).size)
         if options.init is not None:
             warm_start(network, dataset, open_model(options.init))
-        self.module = TrainingModule(network, dataset, options.outlier, options.evenness).to_device(
-            self.device
-        )
+        self.module = TrainingModule(
+            network, dataset, options.outlier, options.evenness, options.slip_weight
+        ).to_device(self.device)
         self.trainable: nn.Module = self.module
         if self.world > 1:
             ids = [self.device.index] if self.device.type == "cuda" else None
