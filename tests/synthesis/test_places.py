@@ -69,12 +69,28 @@ def test_a_player_goes_over_to_what_suits_the_way(tiny_model: MotionModel, outli
     assert 0.0 <= float(steps.min()) and float(steps.max()) < 0.002, "gone over to little by little"
 
 
-def test_a_strike_is_played_to_its_end(tiny_model: MotionModel, outlines: list[Outline]) -> None:
+def test_strikes_are_not_left_for_a_better_way(tiny_model: MotionModel, outlines: list[Outline]) -> None:
     outlines[1].phases[:100] = torch.arange(100) / 100.0
     player = OutlinePlayer(replace(tiny_model, outlines={"walking": outlines}))
     player.kind, player.outline, player.at = "walking", outlines[1], 1
     fast = way_of(outlines[2]).expand(RECONSIDERED + 60, -1)
     player.play(len(fast), fast)
-    assert player.outline is outlines[1]
-    player.play(len(fast), fast)
-    assert player.outline is outlines[2]
+    assert player.outline is outlines[1] and player.at == 1 + len(fast)
+
+
+def test_the_same_second_is_not_played_again_and_again(tiny_model: MotionModel) -> None:
+    """Poses that hardly differ on a way that suits none: every place is as good as the last."""
+    slow = walk(0.0, 600)
+    slow.poses[:, 0] = 1e-3 * torch.arange(630)
+    player = OutlinePlayer(replace(tiny_model, outlines={"walking": [slow]}))
+    player.kind, player.outline, player.at = "walking", slow, 0
+    way = way_of(walk(0.5)).expand(400, -1)
+    player.play(400, way)
+    assert player.at >= 400
+
+
+def test_what_stands_is_no_place_to_go_over_to(outlines: list[Outline]) -> None:
+    for number in (0, 2):
+        outlines[number].poses[:, 0] = 0.01 * torch.arange(230)
+    found, _ = Places(outlines).nearest(torch.zeros(2, OUTLINE_COUNT), way_of(outlines[1]), least=60)
+    assert found != 1, "although it goes the way"

@@ -135,7 +135,7 @@ class OutlinePlayer:
             way = None if ways is None else ways[played]
             if self.outline is not None and self.at >= len(self.outline):
                 left = self.outline
-                self.begin(self.kind, way=way)
+                self.begin(self.kind, way=None if self._strikes() else way)
                 if left.performed:
                     self.left = None
                     parts.append(self._between(left, frames - played))
@@ -155,10 +155,10 @@ class OutlinePlayer:
         return Signals.joined(parts)
 
     def _reconsider(self, way: Tensor) -> None:
-        """Go over to a place that suits the way clearly better; a strike, jump or performance is played to its end."""
+        """Go over to a place that suits the way clearly better; strikes and jumps would be kept from coming."""
         self._since = 0
         outline = self.outline
-        if outline is None or outline.performed or float(outline.phases[self.at]) >= 0.0:
+        if outline is None or self._strikes():
             return
         places = self._sought()
         stay = places.first[places.outlines.index(outline)] + self.at
@@ -166,6 +166,10 @@ class OutlinePlayer:
         if (places.outlines[number], at) != (outline, self.at):
             self.left = (outline, self.at, at)
             self.outline, self.at = places.outlines[number], at
+
+    def _strikes(self) -> bool:
+        """Whether the type is a performance or made of strikes or jumps."""
+        return any(bool((outline.phases >= 0.0).any()) for outline in self.model.outlines.get(self.kind, []))
 
     def _sought(self) -> Places:
         if self.kind not in self._places:

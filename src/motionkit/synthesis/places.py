@@ -12,6 +12,7 @@ from torch import Tensor
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.models.checkpoint import Outline
 
+NEARBY = 90  # frames
 STEP = 5  # frames between the two poses of a state
 # A place that is so far off (cm), or a direction so far (of its length), counts as a pose one deviation off.
 PLACE_UNIT, DIRECTION_UNIT = 20.0, 0.5
@@ -23,6 +24,7 @@ class Places:
     Attributes:
         first: the number of each recording's first frame among all frames.
         left: (P,) frames to the end of the recording, the frame itself included.
+        moves: (P,) whether at least the type's usual movement follows.
     """
 
     def __init__(self, outlines: list[Outline]) -> None:
@@ -30,6 +32,8 @@ class Places:
         lengths = [len(outline) for outline in outlines]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]
         self.left = torch.cat([torch.arange(length, 0, -1) for length in lengths])
+        movement = torch.cat([outline.movement for outline in outlines])
+        self.moves = movement >= movement.median()
         frames = [torch.arange(length) for length in lengths]
         states = [pose_states(o, at) for o, at in zip(outlines, frames, strict=True)]
         ways = [future_trajectory(o.ground, at) for o, at in zip(outlines, frames, strict=True)]
@@ -42,13 +46,16 @@ class Places:
 
         Args:
             least: frames that have to be left.
-            stay: a place to stay at, unless another costs less than gain times as much.
+            stay: a place to stay at, unless another costs less than gain times as much. What is near it in its
+                recording does not count: of what moves slowly the same second would be played again and again.
         """
         wanted = torch.cat([state.flatten(), _scaled(way)])
-        costs = (self._features - wanted).square().sum(dim=1)
-        costs = torch.where(self.left >= least, costs, torch.inf)
+        all_costs = (self._features - wanted).square().sum(dim=1)
+        costs = torch.where((self.left >= least) & self.moves, all_costs, torch.inf)
+        if stay is not None:
+            costs[max(0, stay - NEARBY) : stay + NEARBY] = torch.inf
         best = int(costs.argmin())
-        if stay is not None and float(costs[best]) >= gain * float(costs[stay]):
+        if stay is not None and float(costs[best]) >= gain * float(all_costs[stay]):
             best = stay
         number = max(i for i, first in enumerate(self.first) if first <= best)
         return number, best - self.first[number]
