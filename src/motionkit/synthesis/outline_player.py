@@ -137,7 +137,6 @@ class OutlinePlayer:
                 left = self.outline
                 self.begin(self.kind, way=None if self._strikes() else way)
                 if left.performed:
-                    self.left = None
                     parts.append(self._between(left, frames - played))
                     played += len(parts[-1].progress)
                     continue

@@ -120,11 +120,10 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
                 )
                 found.append((clip.name, outline))
     found = [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
-    if performed:
-        ordered = [outline for _, outline in sorted(found, key=lambda entry: (-len(entry[1]), entry[0]))]
-    elif kind in dataset.phase_events:
-        shown = [int((outline.phases >= 0.0).sum()) for _, outline in found]
-        ordered = [found[i][1] for i in sorted(range(len(found)), key=lambda i: (-shown[i], found[i][0]))]
+    if kind in dataset.phase_events:
+        # Of a performance all frames are in its phase: the longest shows most.
+        found.sort(key=lambda entry: (-int((entry[1].phases >= 0.0).sum()), entry[0]))
+        ordered = [outline for _, outline in found]
     else:
         ordered = typical_first(found)
     out: list[Outline] = []
