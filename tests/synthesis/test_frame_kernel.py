@@ -64,7 +64,7 @@ def test_hundreds_of_frames_in_closed_loop(noise: Noise, ik: bool) -> None:
         assert distances.max() < CLOSE
         return
     # Where a leg is stretched out flat, the height of its hip is a root of nearly zero, which keeps few digits.
-    assert (distances < CLOSE).float().mean() > 0.8 and distances.max() < 2e-2
+    assert (distances < CLOSE).float().mean() > 0.85 and distances.max() < 2e-2
     assert locked > 50, "feet were locked"
 
 
