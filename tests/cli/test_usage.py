@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -118,3 +119,24 @@ def test_infinite_numbers_are_null_in_json(capsys: pytest.CaptureFixture[str]) -
 
     print_json({"a": [float("nan"), float("inf"), 1.5], "b": {"c": (1, None)}})
     assert json.loads(capsys.readouterr().out) == {"a": [None, None, 1.5], "b": {"c": [1, None]}}
+
+
+@pytest.mark.skipif(not hasattr(signal, "setitimer"), reason="no interval timers here")
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_signal_during_an_import_waits_for_its_end(name: str, tmp_path: Path) -> None:
+    (tmp_path / "starting.py").write_text(
+        f"import signal\nsignal.raise_signal(signal.{name})\nprint('started')\n"
+    )
+    code = (
+        "import click, time\n"
+        "from motionkit.cli import main\n"
+        "def run(**_):\n"
+        "    import starting\n"
+        "    time.sleep(50)\n"
+        "main.cli.main = run\n"
+        "main.main()\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60
+    )
+    assert (done.returncode, done.stdout.split(), done.stderr.split()) == (1, ["started"], ["stopped"])

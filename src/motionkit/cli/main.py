@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 import signal
 import sys
-from typing import Any
+from types import FrameType
 
 import click
 
@@ -48,14 +48,39 @@ def cli() -> None:
     """
 
 
-def _stop(number: int, frame: Any) -> None:
-    """A terminated command stops as with Ctrl-C, and takes what it has half written away."""
-    raise KeyboardInterrupt
+# Seconds until a signal that came during an import is looked at again.
+_IMPORT_WAIT = 0.02
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    """A terminated command stops as with Ctrl-C, and takes what it has half written away.
+
+    Not in the middle of an import: compiled libraries (torch, PyGLM) crash when their start is broken off.
+    """
+    if _importing(frame) and hasattr(signal, "setitimer"):
+        signal.setitimer(signal.ITIMER_REAL, _IMPORT_WAIT)
+    else:
+        raise KeyboardInterrupt
+
+
+def _importing(frame: FrameType | None) -> bool:
+    while frame is not None:
+        if frame.f_code.co_filename.startswith("<frozen importlib"):
+            return True
+        frame = frame.f_back
+    return False
+
+
+def _catch_signals() -> None:
+    for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # the last is the timer's, where there is one
+        number = getattr(signal, name, None)
+        if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
+            signal.signal(number, _stop)
 
 
 def main() -> None:
     """Entry point of the console script."""
-    signal.signal(signal.SIGTERM, _stop)
+    _catch_signals()
     try:
         cli.main(standalone_mode=False)
     except click.UsageError as error:
