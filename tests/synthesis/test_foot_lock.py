@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from motionkit.motion.foot_ik import EASE_FRAMES, LEGS
+from motionkit.motion.foot_ik import CLEARANCE, EASE_FRAMES, LEGS, MAX_CLEARANCE, TOE_HEIGHT
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.skeleton import PARENTS, canonical_skeleton
 from motionkit.synthesis.foot_lock import BRAKE_FRAMES, MAX_SLIDE, FootLock
@@ -24,16 +24,19 @@ def bent_pose(count: int, seed: int = 0) -> Floats:
     return expmap_to_quat(turns)
 
 
-class Glider:
-    """People who hold a pose and glide over the floor."""
+HIGH = TOE_HEIGHT + MAX_CLEARANCE + 0.5  # cm; toes up here need no lift
 
-    def __init__(self, count: int = 1, sizes: tuple[float, ...] = (1.0,)) -> None:
+
+class Glider:
+    """People who hold a pose and glide over the floor, their toes at a height of their own size."""
+
+    def __init__(self, count: int = 1, sizes: tuple[float, ...] = (1.0,), height: float = HIGH) -> None:
         self.scale = np.array([sizes[i % len(sizes)] for i in range(count)], np.float32)
         self.offsets = self.scale[:, None, None] * canonical_skeleton().offsets.numpy()
         self.body, self.feet = BodyKinematics(self.offsets), FootLock(count)
         self.pose, self.place = bent_pose(count), np.zeros((count, 3), np.float32)
         lowest = self.body.forward(self.pose, self.place)[:, TOES, 1, 3].min(axis=-1)
-        self.place[:, 1] = 2.0 * self.scale - lowest
+        self.place[:, 1] = height * self.scale - lowest
 
     def step(self, velocity: float, contact: float) -> tuple[Floats, Floats]:
         """Shown and predicted positions of the next frame, checked to belong to the shown rotations."""
@@ -90,12 +93,25 @@ def test_a_foot_that_slides_far_takes_a_new_place() -> None:
 def test_hips_come_down_for_a_leg_that_is_too_short() -> None:
     glider = Glider()
     glider.pose = expmap_to_quat(np.zeros((1, 23, 3), np.float32))
-    glider.place[:, 1] = 2.0 - glider.body.forward(glider.pose, 0 * glider.place)[:, TOES[0], 1, 3]
+    glider.place[:, 1] = HIGH - glider.body.forward(glider.pose, 0 * glider.place)[:, TOES[0], 1, 3]
     heights = [float(glider.step(0.9, 0.9)[0][0, 0, 1]) for _ in range(12)]
     assert heights[-1] < heights[0] - 0.05
     for _ in range(80):
         shown, plain = glider.step(0.0, 0.0)
     assert np.abs(shown - plain).max() < 1e-3, "and go up again"
+
+
+def test_toes_that_move_along_the_floor_come_off_it() -> None:
+    sizes = (1.0, 0.8)
+    for velocity, clear in ((0.0, 0.0), (1.0, CLEARANCE), (9.0, MAX_CLEARANCE)):
+        glider = Glider(2, sizes, height=1.0)
+        glider.place[:, 2] = 500.0
+        toes = np.stack([glider.step(velocity, 0.1)[0][:, TOES, 1] for _ in range(30)])
+        for number, size in enumerate(sizes):
+            lowest = toes[-1, number].min()
+            assert abs(lowest - (TOE_HEIGHT + clear) * size) < 0.05
+        assert np.diff(toes, axis=0).max() < 0.5 * (TOE_HEIGHT + MAX_CLEARANCE), "not at once"
+        assert toes[0].min() < 2.0, "coming from elsewhere is no movement"
 
 
 def test_characters_do_not_touch_each_other_and_forget_on_reset() -> None:

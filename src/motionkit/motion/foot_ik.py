@@ -23,9 +23,11 @@ MIN_LOCK_FRAMES = 4
 CONTACT_ON, CONTACT_OFF = 0.6, 0.4
 MAX_SLIDE = 16.0  # cm; a foot that slides further while "in contact" is not held back any more
 MAX_REACH = 0.999  # of the length of the straight leg
-LIFT_FLOOR = 0.5  # cm; no toe goes below this height
-# A foot that goes over to another place steps over: so high, if it goes at least so far.
-STEP_HEIGHT, STEP_LENGTH = 5.0, 6.0  # cm; a standing toe is about 3 cm high
+TOE_HEIGHT = 2.5  # cm; no toe goes below this height (a standing one is recorded at 1.8 to 3.6)
+# A toe that moves along the ground is off it: by so many times its way in a frame, up to so many cm.
+# Of the recorded toes a quarter are lower, at any speed.
+CLEARANCE, MAX_CLEARANCE = 2.7, 5.0
+LIFT_FRAMES = 2  # a foot is up so many frames before it has to be, and begins to rise as many earlier
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
     """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
     frames = len(toe)
     pulls, strength = torch.zeros(frames, 3, dtype=torch.float64), torch.zeros(frames, 1, dtype=torch.float64)
-    weights, lengths = torch.zeros(2, frames, 1, dtype=torch.float64)
+    weights = torch.zeros(frames, 1, dtype=torch.float64)
     for start, end in _still_spans(toe, locked_spans(contacts)):
         lock = toe[start:end].median(dim=0).values
         shift = torch.zeros_like(pulls)
@@ -113,18 +115,35 @@ def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
         # Frames between two near locks are shared by them; within a lock it alone counts.
         weight = share / (1.0 - share + 1e-9)
         pulls, weights = pulls + weight * shift, weights + weight
-        lengths = lengths + weight * shift[:, [0, 2]].norm(dim=-1, keepdim=True)
         strength = torch.maximum(strength, share)
-    weights = weights.clamp(min=1e-12)
-    total = (strength * pulls / weights).to(toe.dtype)
-    least = LIFT_FLOOR + step_height(strength, lengths / weights)[:, 0]
-    total[:, 1] += (least - (toe + total)[:, 1]).clamp(min=0.0)
+    total = (strength * pulls / weights.clamp(min=1e-12)).to(toe.dtype)
+    total[:, 1] += _lift(toe + total)
     return total
 
 
-def step_height(strength: Tensor, length: Tensor) -> Tensor:
-    """How high in cm a toe is at least, while its lock is that strong and it has that far (cm) to go."""
-    return STEP_HEIGHT * 4.0 * strength * (1.0 - strength) * (length / STEP_LENGTH).clamp(max=1.0)
+def _lift(toe: Tensor) -> Tensor:
+    """How much higher (T,) a toe (T, 3) has to be, to stay off a floor that it moves along.
+
+    At the ends of a lock the toe comes down and leaves the floor, as a foot does at the ends of a step.
+    """
+    way = torch.diff(toe[:, [0, 2]], dim=0).norm(dim=-1)
+    # The longer of the ways to a frame and from it.
+    way = torch.maximum(F.pad(way, (1, 0)), F.pad(way, (0, 1)))
+    least = TOE_HEIGHT + (CLEARANCE * way).clamp(max=MAX_CLEARANCE)
+    missing = (least - toe[:, 1]).clamp(min=0.0)
+    return _eased_most(missing, missing[:, None], LIFT_FRAMES)[:, 0]
+
+
+def _eased_most(size: Tensor, values: Tensor, half: int) -> Tensor:
+    """Of values (T, k) the one of largest size (T,) within half frames around each, smoothed over as many.
+
+    So the smoothed ones nowhere fall short of what is needed.
+    """
+    kernel = torch.hann_window(2 * half + 3, periodic=False, dtype=values.dtype)[1:-1]
+    kernel = (kernel / kernel.sum())[None, None]
+    _, largest = F.max_pool1d(size[None, None], 2 * half + 1, stride=1, padding=half, return_indices=True)
+    padded = F.pad(values[largest[0, 0]].T[:, None], (half, half), mode="replicate")
+    return F.conv1d(padded, kernel)[:, 0].T
 
 
 def _lower_hips(motion: Motion, positions: Tensor, targets: list[Tensor]) -> Motion:
@@ -140,15 +159,8 @@ def _lower_hips(motion: Motion, positions: Tensor, targets: list[Tensor]) -> Mot
         missing = torch.minimum(missing, (distance - already).clamp(min=0.0))
         move = reach / distance.clamp(min=1e-6) * missing
         need = torch.where(missing > need.norm(dim=-1, keepdim=True), move, need)
-    kernel = torch.hann_window(2 * EASE_FRAMES + 3, periodic=False)[1:-1]
-    kernel = (kernel / kernel.sum())[None, None]
-    half = kernel.shape[-1] // 2
-    # The largest need around each frame, so that the smoothed one nowhere falls short of it.
-    size = need.norm(dim=-1)[None, None]
-    _, largest = F.max_pool1d(size, 2 * half + 1, stride=1, padding=half, return_indices=True)
-    need = need[largest[0, 0]]
-    padded = F.pad(need.T[:, None], (half, half), mode="replicate")
-    return replace(motion, root_positions=motion.root_positions + F.conv1d(padded, kernel)[:, 0].T)
+    eased = _eased_most(need.norm(dim=-1), need, EASE_FRAMES)
+    return replace(motion, root_positions=motion.root_positions + eased)
 
 
 def _reach(motion: Motion, leg: _Leg, target: Tensor) -> Motion:

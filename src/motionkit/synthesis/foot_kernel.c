@@ -7,13 +7,22 @@ typedef struct {
     float thigh, shin;
 } Leg;
 
+/* Raises a toe that is too low for its way along the ground in this frame. */
+static float raised(const Feet *f, float lift, float height, float way, float scale) {
+    const float clear = f->clearance * way, most = f->max_clearance * scale;
+    float missing = f->toe_height * scale + (clear < most ? clear : most) - height;
+    missing = missing > 0.0f ? missing : 0.0f;
+    lift += (missing > lift ? f->lift_rise : f->lift_fall) * (missing - lift);
+    return lift > f->least_drop ? lift : 0.0f;
+}
+
 /* How far a foot has to move, and what it remembers. */
 static Vec3 foot_shift(const Feet *f, int64_t foot, Vec3 toe, float level, float scale) {
     float *anchor = f->anchor + 2 * foot, *shift = f->shift + 2 * foot, *released = f->released + 2 * foot;
     float *before = f->before + 2 * foot, *age = f->age + foot;
     const float place[2] = {toe.x, toe.z};
     const float dx = anchor[0] - place[0], dz = anchor[1] - place[1];
-    const int locked = f->locked[foot];
+    const int first = *age < 0.0f, locked = f->locked[foot];
     const int slid = locked && sqrtf(dx * dx + dz * dz) > f->max_slide * scale;
     const int eased = *age >= f->ease || (released[0] == 0.0f && released[1] == 0.0f);
     const int caught = !locked && level > f->contact_on && eased;
@@ -22,18 +31,18 @@ static Vec3 foot_shift(const Feet *f, int64_t foot, Vec3 toe, float level, float
     f->locked[foot] = (locked || caught) && !let_go;
     /* A caught toe goes on with what is left of its speed while it is braked. */
     const float speed = clip(1.0f - *age / f->brake, 0.0f, 1.0f), rest = clip(1.0f - (*age + 1.0f) / f->ease, 0.0f, 1.0f);
+    float way[2];
     for (int i = 0; i < 2; i++) {
+        const float shown = before[i] + shift[i];
         anchor[i] = caught ? place[i] + shift[i] : anchor[i] + speed * (place[i] - before[i]);
         if (let_go) released[i] = shift[i];
         shift[i] = f->locked[foot] ? anchor[i] - place[i] : released[i] * (rest * rest * (3.0f - 2.0f * rest));
+        way[i] = first ? 0.0f : place[i] + shift[i] - shown;
         before[i] = place[i];
     }
-    /* A foot that was let go steps over to where it is to be. */
-    const float share = rest * rest * (3.0f - 2.0f * rest);
-    const float way = clip(sqrtf(released[0] * released[0] + released[1] * released[1]) / f->step_length, 0.0f, 1.0f);
-    const float step = f->locked[foot] ? 0.0f : f->step_height * 4.0f * share * (1.0f - share) * way;
-    const float lift = f->lift_floor + step - toe.y;
-    return (Vec3){shift[0], lift > 0.0f ? lift : 0.0f, shift[1]};
+    float *lift = f->lift + foot;
+    *lift = raised(f, *lift, toe.y, sqrtf(way[0] * way[0] + way[1] * way[1]), scale);
+    return (Vec3){shift[0], *lift, shift[1]};
 }
 
 /* How far the hips have to come down for a leg. A leg that was straight before stays so. */

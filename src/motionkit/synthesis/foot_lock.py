@@ -10,23 +10,24 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.motion.foot_ik import (
+    CLEARANCE,
     CONTACT_OFF,
     CONTACT_ON,
     EASE_FRAMES,
     LEGS,
-    LIFT_FLOOR,
+    MAX_CLEARANCE,
     MAX_REACH,
-    STEP_HEIGHT,
-    STEP_LENGTH,
+    TOE_HEIGHT,
 )
 from motionkit.synthesis.pose import Floats, cross, quat_product
 
 # cm; less than in a finished motion, whose locks lie in the middle of the slide.
 MAX_SLIDE = 12.0
 BRAKE_FRAMES = 4  # until a foot that has touched stands still
+LIFT_RISE, LIFT_FALL = 0.5, 0.2  # share of the way to its height that a lifted foot goes in a frame
 HIP_RETURN = 0.85  # share of a lowering of the hips that is left a frame later
 MAX_DROP = 12.0  # cm the hips come down at most
-LEAST_DROP = 1e-4  # cm; what is lowered less is where it was
+LEAST_DROP = 1e-4  # cm; what is lowered or lifted less is where it was
 
 _HIPS, _KNEES, _ANKLES, _TOES = (
     np.array([getattr(leg, joint) for leg in LEGS]) for joint in ("hip", "knee", "ankle", "toe")
@@ -40,18 +41,20 @@ class FootLock:
 
     def __init__(self, count: int) -> None:
         self.locked = np.zeros((count, 2), bool)
-        self.age = np.zeros((count, 2), np.float32)  # frames since the foot was caught or let go
+        # Frames since the foot was caught or let go; below zero before the first frame.
+        self.age = np.full((count, 2), -1.0, np.float32)
         self.anchor = np.zeros((count, 2, 2), np.float32)  # x, z of a caught toe
         self.shift = np.zeros((count, 2, 2), np.float32)  # from the predicted to the shown toe
         self.released = np.zeros((count, 2, 2), np.float32)  # that shift when the foot was let go
         self.toes = np.zeros((count, 2, 2), np.float32)  # predicted x, z of the last frame
+        self.lift = np.zeros((count, 2), np.float32)
         self.drop = np.zeros(count, np.float32)
 
     def reset(self, index: int) -> None:
         """Forget one character's past."""
         self.locked[index] = False
-        self.age[index] = EASE_FRAMES
-        self.shift[index] = self.released[index] = 0.0
+        self.age[index] = -1.0
+        self.shift[index] = self.released[index] = self.lift[index] = 0.0
         self.drop[index] = 0.0
 
     def apply(
@@ -87,6 +90,7 @@ class FootLock:
         """How far (N, 2, 3) each foot has to move."""
         place = toes[..., ::2]
         level = contacts.reshape(-1, 2, 2).max(axis=-1)
+        first = self.age < 0.0
         slid = self.locked & (_length(self.anchor - place) > MAX_SLIDE * scale[:, None])
         free = ~self.locked & ((self.age >= EASE_FRAMES) | (self.released == 0.0).all(axis=-1))
         caught = ~self.locked & (level > CONTACT_ON) & free
@@ -96,20 +100,27 @@ class FootLock:
         self.locked = (self.locked | caught) & ~let_go
         # A caught toe goes on with what is left of its speed while it is braked.
         speed = np.clip(1.0 - self.age / BRAKE_FRAMES, 0.0, 1.0)[..., None]
-        shown = place + self.shift
+        shown, before = place + self.shift, self.toes + self.shift
         self.anchor = np.where(caught[..., None], shown, self.anchor + speed * (place - self.toes))
         self.released = np.where(let_go[..., None], self.shift, self.released)
         rest = np.clip(1.0 - (self.age + 1.0) / EASE_FRAMES, 0.0, 1.0)[..., None]
         share = rest * rest * (3.0 - 2.0 * rest)
         self.shift = np.where(self.locked[..., None], self.anchor - place, self.released * share)
-        # A foot that was let go steps over to where it is to be.
-        way = np.clip(_length(self.released) / STEP_LENGTH, 0.0, 1.0)
-        step = np.where(self.locked, 0.0, STEP_HEIGHT * 4.0 * (share * (1.0 - share))[..., 0] * way)
+        way = np.where(first, 0.0, _length(place + self.shift - before))
+        self._lift(toes[..., 1], way, scale[:, None])
         self.toes = place
         out = np.empty_like(toes)
         out[..., ::2] = self.shift
-        out[..., 1] = np.maximum(LIFT_FLOOR + step - toes[..., 1], 0.0)
+        out[..., 1] = self.lift
         return out
+
+    def _lift(self, height: Floats, way: Floats, scale: Floats) -> None:
+        """Raise the toes (N, 2) that are too low for their way along the ground in this frame."""
+        clear = np.minimum(CLEARANCE * way, MAX_CLEARANCE * scale)
+        missing = np.maximum(TOE_HEIGHT * scale + clear - height, 0.0)
+        pace = np.where(missing > self.lift, LIFT_RISE, LIFT_FALL)
+        self.lift = (self.lift + pace * (missing - self.lift)).astype(np.float32)
+        self.lift[self.lift <= LEAST_DROP] = 0.0
 
     def _lower(self, hips: Floats, ankles: Floats, targets: Floats, leg: Floats, scale: Floats) -> None:
         """Bring the hips down, straight, as far as the leg that misses most needs it."""

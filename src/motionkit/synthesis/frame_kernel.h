@@ -24,11 +24,12 @@ typedef struct {
 /* The feet of all characters and the numbers of foot_lock.py. */
 typedef struct {
     int64_t hip[2], knee[2], ankle[2], toe[2];
-    float contact_on, contact_off, ease, brake, max_slide, max_reach, lift_floor, hip_return, max_drop, least_drop;
-    float step_height, step_length;
+    float contact_on, contact_off, ease, brake, max_slide, max_reach, hip_return, max_drop, least_drop;
+    float toe_height, clearance, max_clearance, lift_rise, lift_fall;
     uint8_t *locked;                           /* (B, 2) */
     float *age;                                /* (B, 2) */
     float *anchor, *shift, *released, *before; /* (B, 2, 2) x, z */
+    float *lift;                               /* (B, 2) */
     float *drop;                               /* (B,) */
 } Feet;
 

@@ -26,7 +26,7 @@ from motionkit.synthesis import foot_lock
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 3  # of frame_kernel.c
+VERSION = 4  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -39,8 +39,8 @@ class _Draw(Structure):
 
 
 _FEET_NUMBERS = (
-    "contact_on contact_off ease brake max_slide max_reach lift_floor hip_return max_drop least_drop "
-    "step_height step_length"
+    "contact_on contact_off ease brake max_slide max_reach hip_return max_drop least_drop "
+    "toe_height clearance max_clearance lift_rise lift_fall"
 )
 
 
@@ -48,7 +48,7 @@ class _Feet(Structure):
     _fields_ = (
         *((n, c_int64 * 2) for n in ("hip", "knee", "ankle", "toe")),
         *((n, c_float) for n in _FEET_NUMBERS.split()),
-        *((n, c_void_p) for n in "locked age anchor shift released toes drop".split()),
+        *((n, c_void_p) for n in "locked age anchor shift released toes lift drop".split()),
     )
 
 
@@ -171,11 +171,11 @@ class PoseKernel:
 def _feet(feet: foot_lock.FootLock) -> _Feet:
     f = foot_lock
     numbers = (
-        f.CONTACT_ON, f.CONTACT_OFF, f.EASE_FRAMES, f.BRAKE_FRAMES, f.MAX_SLIDE, f.MAX_REACH, f.LIFT_FLOOR,
-        f.HIP_RETURN, f.MAX_DROP, f.LEAST_DROP, f.STEP_HEIGHT, f.STEP_LENGTH,
+        f.CONTACT_ON, f.CONTACT_OFF, f.EASE_FRAMES, f.BRAKE_FRAMES, f.MAX_SLIDE, f.MAX_REACH, f.HIP_RETURN,
+        f.MAX_DROP, f.LEAST_DROP, f.TOE_HEIGHT, f.CLEARANCE, f.MAX_CLEARANCE, f.LIFT_RISE, f.LIFT_FALL,
     )  # fmt: skip
     joints = [[getattr(leg, joint) for leg in f.LEGS] for joint in ("hip", "knee", "ankle", "toe")]
-    state = (feet.locked, feet.age, feet.anchor, feet.shift, feet.released, feet.toes, feet.drop)
+    state = (feet.locked, feet.age, feet.anchor, feet.shift, feet.released, feet.toes, feet.lift, feet.drop)
     return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *(_address(array) for array in state))
 
 
