@@ -68,11 +68,12 @@ def make_strike(joint: str, axis: int, angle: float, frames: int = 6) -> Motion:
     return Motion(motion.skeleton, rotations, motion.root_positions, motion.fps)
 
 
-def make_punch() -> Motion:
-    """The left elbow opens from a right angle and more within a tenth of a second."""
+def make_punch(seconds: float = 0.1, aside: float = 0.0) -> Motion:
+    """The left elbow opens from a right angle and more, the arm held aside (radians) from straight ahead."""
     motion = make_idle(120)
-    share = ((torch.arange(120) - 50) / 6.0).clamp(0.0, 1.0)
+    share = ((torch.arange(120) - 50) / (60.0 * seconds)).clamp(0.0, 1.0)
     rotations = motion.local_rotations.clone()
+    rotations[:, JOINT_NAMES.index("LeftArm")] = about(1, (aside - math.pi / 2) * torch.ones(120))
     rotations[:, JOINT_NAMES.index("LeftForeArm")] = about(1, -2.2 * (1.0 - share))
     return Motion(motion.skeleton, rotations, motion.root_positions, motion.fps)
 
@@ -99,6 +100,8 @@ def shown(motion: Motion) -> set[str]:
         (make_flip(0, 2 * math.pi, hips=30.0), {"dive-roll"}),
         (make_strike("LeftUpLeg", 0, -2.2), {"kicking"}),
         (make_punch(), {"punching"}),
+        (make_punch(seconds=1.0), set()),
+        (make_punch(aside=1.5), set()),
     ],
 )
 def test_a_motion_shows_its_type_and_no_other(motion: Motion, kinds: set[str]) -> None:

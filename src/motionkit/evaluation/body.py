@@ -160,6 +160,16 @@ class Body:
         return torch.stack(out, dim=-1)
 
     @cached_property
+    def arm_ahead(self) -> Tensor:
+        """(T, 2) cosine of the angle between the way the body faces and that from each shoulder to its hand."""
+        facing = torch.stack([torch.sin(self.heading), torch.cos(self.heading)], dim=-1)
+        out = []
+        for shoulder, _, hand in ARMS:
+            reach = self.positions[:, hand] - self.positions[:, shoulder]
+            out.append((reach[:, [0, 2]] * facing).sum(dim=-1) / reach.norm(dim=-1).clamp(min=1e-6))
+        return torch.stack(out, dim=-1)
+
+    @cached_property
     def arm_thrust(self) -> Tensor:
         """(T, 2) cm/s at which each hand moves away from its shoulder."""
         reach = torch.stack(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections import defaultdict
 
 import torch
 
@@ -38,13 +39,13 @@ def height_drift(body: Body) -> float:
     return float(heights[-edge:].mean() - heights[:edge].mean())
 
 
-def real_measures(real: RealMotion, kinds: list[str]) -> tuple[float, float]:
-    """Mean distance (cm a joint) of recordings to the nearest training pose, and their mean jerk (m/s^3).
+def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
+    """Mean distance (cm a joint) of a type's recordings to the nearest training pose, and their mean jerk (m/s^3).
 
     The distance is that of held-out recordings, or without any of the training ones to poses of other clips.
     """
-    found = [s for s in real.stretches if s.type in kinds]
-    held_out = [s for s in found if s.split == "test"]
+    found = real.of_type(kind)
+    held_out = real.of_type(kind, "test")
     distances, jerks, frames = [], [], []
     for stretch in held_out or found:
         each = real.pose_distances(stretch.body, -1 if held_out else stretch.clip).amin(dim=1)
@@ -57,13 +58,29 @@ def real_measures(real: RealMotion, kinds: list[str]) -> tuple[float, float]:
     return float(far.mean()) if len(far) else float("nan"), jerk
 
 
-def _row(name: str, body: Body, real: RealMotion, kinds: list[str]) -> dict[str, float | str | bool | None]:
-    manners: list[Manner] = [m for m in map(real.manner, kinds) if m is not None]
+def _mixed_measures(real: RealMotion, parts: tuple[TypePart, ...]) -> tuple[float, float]:
+    """real_measures of recordings mixed as the types of a plan are, by their seconds."""
+    seconds: dict[str, float] = defaultdict(float)
+    for part in parts:
+        seconds[part.type] += part.seconds
+    measures = torch.tensor([real_measures(real, kind) for kind in seconds])
+    shares = torch.tensor(list(seconds.values()))[:, None]
+    # A type without a distance to measure (one clip) counts in the jerk alone.
+    known = shares * measures.isfinite()
+    distance, jerk = (measures.nan_to_num() * known).sum(dim=0) / known.sum(dim=0)
+    return float(distance), float(jerk)
+
+
+def _row(
+    name: str, body: Body, real: RealMotion, parts: tuple[TypePart, ...]
+) -> dict[str, float | str | bool | None]:
+    """What a body did for a plan's parts, against recordings of the same types in the same shares."""
+    manners: list[Manner] = [m for m in (real.manner(part.type) for part in parts) if m is not None]
     slowest = min((m.speeds[0] for m in manners), default=0.0) * FROZEN_SHARE
     finite = bool(torch.isfinite(body.positions).all())
     if not finite:
         return {"type": name, "finite": False}
-    distance, jerk = real_measures(real, kinds)
+    distance, jerk = _mixed_measures(real, parts)
     heights = body.positions[:, 0, 1]
     near = float(real.pose_distances(body.every(10)).amin(dim=1).mean())
     return {
@@ -107,8 +124,8 @@ def endurance_section(
     mixed = roll_plans(
         model, [wild], settings.noise, settings.seed, lambda x: progress(first + (1 - first) * x)
     )
-    rows = [_row(kind, p.body, real, [kind]) for kind, p in zip(kinds, single, strict=True)]
-    rows.append(_row("random changes", mixed[0].body, real, kinds))
+    rows = [_row(kind, p.body, real, plan.parts) for kind, p, plan in zip(kinds, single, plans, strict=True)]
+    rows.append(_row("random changes", mixed[0].body, real, wild.parts))
     columns = max((tuple(row) for row in rows), key=len)
     tables = [
         Table(
@@ -122,7 +139,8 @@ def endurance_section(
         "limit of the type's manner; height drift: last third of the time against the first",
         "pose distance: mean distance a joint to the nearest training pose of any type, over the same figure for "
         "held-out recordings of the type (without any: of training recordings against other clips)",
-        "jerk: of 60 fps positions, over that of the type's recordings",
+        "jerk: of 60 fps positions, over that of the type's recordings; of the random changes: over that of recordings "
+        "of their types, each for as long as it was asked for",
     ]
     return Section("endurance", "Endurance", tables, _goals(rows, settings), notes)
 

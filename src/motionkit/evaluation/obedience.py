@@ -10,7 +10,7 @@ from motionkit.evaluation.real import MANNER_SECONDS, RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, neutral_types, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.evaluation.signs import HOLD, SIGNS, sign_windows
+from motionkit.evaluation.signs import HOLD, LEAST_WINDOW, SIGNS, sign_windows
 from motionkit.models.checkpoint import MotionModel
 from motionkit.synthesis.plan import TypePart
 
@@ -91,13 +91,15 @@ class Calibration:
 def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
     """Hold recordings of all types, training and held-out ones, against the sign of each type.
 
-    A recording is compared with the poses of other clips only.
+    A recording is compared with the poses of other clips only. One shorter than half a window is too short to tell.
     """
     own: dict[str, list[bool]] = defaultdict(list)
     failing: dict[str, list[str]] = defaultdict(list)
     others: dict[str, dict[str, list[bool]]] = {kind: defaultdict(list) for kind in kinds}
     for stretch in judge.real.stretches:
         for window in {judge.window(kind) for kind in kinds}:
+            if stretch.body.seconds < LEAST_WINDOW * window:
+                continue
             for part in sign_windows(stretch.body, window):
                 shown = _shown(judge, [k for k in kinds if judge.window(k) == window], part, stretch.clip)
                 for kind, shows in shown.items():
@@ -151,7 +153,7 @@ def obedience_section(
         f"{settings.seconds:g} s of the type; shown: the share of them that show its sign",
         f"a lasting sign has to show in {HOLD:.0%} of its windows from {GRACE:g} s after the command, one of a type "
         "performed once at least once",
-        "recordings are judged by the same signs and windows, against poses of other clips only",
+        "recordings of at least half a window are judged by the same signs, against poses of other clips only",
     ]
     if unknown:
         notes.append(f"not in the dataset, so not judged: {', '.join(unknown)}")

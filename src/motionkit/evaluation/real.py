@@ -23,7 +23,7 @@ MANNER_SECONDS = 7.0
 # Manner: the limits lie at these quantiles of the recordings' windows, wider by these factors. Where a type
 # has few recordings the detour to its own poses may be DETOUR at least.
 LOWEST, HIGHEST = 0.02, 0.98
-SLOWER, FASTER, FARTHER, DETOUR = 0.7, 1.4, 1.25, 1.15
+SLOWER, FASTER, FARTHER, DETOUR = 0.7, 1.4, 1.25, 1.3
 TIE = 1.0  # cm a joint, below which one type is as near as another
 
 

@@ -15,6 +15,7 @@ from motionkit.evaluation.body import Body, spans
 
 HOLD = 0.8  # share of the windows that must show a lasting sign
 STRIDE = 0.25  # of a window, from one to the next
+LEAST_WINDOW = 0.5  # of a window: what is shorter is too short to tell
 
 
 @dataclass(frozen=True)
@@ -125,12 +126,14 @@ def _whirl_kick(body: Body) -> bool:
 
 
 def _punching(body: Body) -> bool:
-    soon = round(0.15 * body.fps)
-    fast, straight = body.arm_thrust > 200.0, body.arm_extension > 0.8
+    soon = round(0.5 * body.fps)
+    high = body.hand_heights - body.positions[:, :1, 1] > 20.0
+    straight = (body.arm_extension > 0.9) & (body.arm_ahead > 0.75) & high
+    thrust = (body.arm_thrust > 65.0) & (body.arm_extension < 0.8)
     after = torch.nn.functional.max_pool1d(
         torch.nn.functional.pad(straight.T.float()[None], (0, soon)), soon + 1, 1
     )[0].T
-    return bool((fast & (after > 0)).any())
+    return bool((thrust & (after > 0)).any())
 
 
 # ---- turning over ----
@@ -220,7 +223,7 @@ SIGNS: dict[str, Sign] = {
     "jumping-r": Sign("at least half of the flights of 0.2 s start from the right foot", _jumps("r"), 3.0),
     "kicking": Sign("an ankle above the hips, head up, hands 40 cm off the ground", _kicking, 4.0),
     "punching": Sign(
-        "a hand moves away from its shoulder at 2 m/s, the arm is straight to 80 % within 0.15 s",
+        "a bent arm thrusts at 0.65 m/s and is straight to 90 % within 0.5 s, ahead and 20 cm above the hips",
         _punching,
         6.0,
     ),
