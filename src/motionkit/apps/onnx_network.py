@@ -84,12 +84,16 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     low, high = np.float32(config.log_sigma_min), np.float32(config.log_sigma_max)
     drawn = g.add("Mul", "noise", g.add("Exp", g.add("Clip", sigma, low, high)))
     terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head_leak))]
+    before = g.slice("past_frames", [past - INPUT_COUNT], [past - CONTACT_COUNT], [1])
+    # Nothing has moved yet at the first frame.
+    moved = g.add("Mul", g.add("Sub", "pose", before), g.add("Min", "frames_seen", np.float32(1.0)))
     if weights.momentum is not None:
-        # Nothing has moved yet at the first frame.
-        share = g.add("Mul", g.add("Min", "frames_seen", np.float32(1.0)), weights.momentum)
-        before = g.slice("past_frames", [past - INPUT_COUNT], [past - CONTACT_COUNT], [1])
-        terms.append(g.add("Mul", g.add("Sub", "pose", before), share))
-    pose = g.add("Sum", *terms, out="present_pose")
+        terms.append(g.add("Mul", moved, weights.momentum))
+    drawn = g.add("Sum", *terms)
+    inertias = np.array([[model.inertia.get(kind, 0.0)] for kind in model.types], np.float32)
+    late = g.add("Sub", g.add("Add", "pose", moved), drawn)
+    late = g.add("Mul", late, g.add("MatMul", "type_weights", inertias))
+    pose = g.add("Add", drawn, late, out="present_pose")
     std, middle = model.scaling.std.numpy(), model.scaling.mean.numpy()
     return g.add("Add", g.add("Mul", pose, std), middle, out="features")
 

@@ -95,6 +95,7 @@ class MotionModel:
         guides: whether the network was trained with guides.
         guidance: for type names how many times larger than it is a guide is shown, 1 by default (docs/synthesis.md).
         noise: for type names the share they take of the temperature, 1 by default.
+        inertia: for type names how much of the last frame's movement goes on whatever is drawn, 0 by default.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
@@ -112,6 +113,7 @@ class MotionModel:
     guides: bool = False
     guidance: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
+    inertia: dict[str, float] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -205,6 +207,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "guides": model.guides,
         "guidance": model.guidance,
         "noise": model.noise,
+        "inertia": model.inertia,
         "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
         "card": model.card,
     }
@@ -267,6 +270,7 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
             bool(header["guides"]),
             {kind: float(times) for kind, times in header["guidance"].items()},
             {kind: float(share) for kind, share in header["noise"].items()},
+            {kind: float(share) for kind, share in header.get("inertia", {}).items()},
             header.get("card", {}),
         )
     except ModelError as error:

@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 4; }
+int64_t frame_kernel_version(void) { return 5; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -15,16 +15,23 @@ int64_t frame_kernel_version(void) { return 4; }
 static void draw_pose(const Draw *d, int64_t row) {
     const float *mean = d->mean + row * d->gaussian_stride, *sigma = d->log_sigma + row * d->gaussian_stride;
     float *x = d->x + row * d->features, *out = d->denormalised + row * d->features;
+    float *before = d->before + row * d->features, *noise = d->noise + row * d->features;
+    float *smooth = d->smooth + row * d->features;
+    const float inertia = d->inertia[row];
     if (d->fresh) {
         const float *fresh = d->fresh + row * d->features;
-        float *noise = d->noise + row * d->features, *smooth = d->smooth + row * d->features;
         for (int64_t n = 0; n < d->features; n++) noise[n] = noise[n] * d->rho + fresh[n] * d->fresh_share;
         for (int64_t n = 0; n < d->features; n++) smooth[n] = smooth[n] * d->smoothing + noise[n] * d->noise_share;
-        for (int64_t n = 0; n < d->features; n++) x[n] = (float)exp(sigma[n]) * (smooth[n] * d->temperature) + mean[n];
-    } else {
-        for (int64_t n = 0; n < d->features; n++) x[n] = mean[n];
     }
-    for (int64_t n = 0; n < d->features; n++) out[n] = x[n] * d->scaling_std[n] + d->scaling_mean[n];
+    for (int64_t n = 0; n < d->features; n++) {
+        const float drawn =
+            d->fresh ? (float)exp(sigma[n]) * (smooth[n] * d->temperature) + mean[n] : mean[n];
+        /* Where the last movement would go on to. */
+        const float now = x[n], onwards = now + (now - before[n]);
+        before[n] = now;
+        x[n] = drawn + (onwards - drawn) * inertia;
+        out[n] = x[n] * d->scaling_std[n] + d->scaling_mean[n];
+    }
 }
 
 static void take_contacts(const Draw *d, int64_t row) {

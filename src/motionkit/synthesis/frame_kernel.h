@@ -14,6 +14,8 @@ typedef struct {
     const float *scaling_mean, *scaling_std; /* (features,) */
     const float *fresh;                      /* (B, features) standard normal; NULL takes the mean */
     float *noise, *smooth;                   /* (B, features), follow themselves and each other */
+    const float *inertia;                    /* (B,) */
+    float *before;                           /* (B, features) the frame before, normalised */
     float rho, fresh_share, smoothing, noise_share, temperature, fps;
     float *x;            /* (B, features) the frame, normalised */
     float *seen;         /* (B, contacts) probabilities */

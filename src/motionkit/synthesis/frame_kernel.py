@@ -26,13 +26,13 @@ from motionkit.synthesis import foot_lock
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 4  # of frame_kernel.c
+VERSION = 5  # of frame_kernel.c
 
 
 class _Draw(Structure):
     _fields_ = (
         *((n, c_int64) for n in "features contacts yaw xz gaussian_stride logit_stride".split()),
-        *((n, c_void_p) for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth".split()),
+        *((n, c_void_p) for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inertia before".split()),
         *((n, c_float) for n in "rho fresh_share smoothing noise_share temperature fps".split()),
         *((n, c_void_p) for n in "x seen denormalised ground".split()),
     )
@@ -85,6 +85,8 @@ class DrawArrays:
     fresh: Floats | None
     noise: Floats
     smooth: Floats
+    inertia: Floats
+    before: Floats
     x: Floats
     contacts: Floats
     features: Floats
@@ -106,13 +108,14 @@ def bind_draw(
     """
     a = arrays
     strides = [array.strides[0] // 4 for array in (a.mean, a.logits)]
-    whole = (a.scaling_mean, a.scaling_std, a.noise, a.smooth, a.x, a.contacts, a.features, a.ground)
+    followed = (a.noise, a.smooth, a.inertia, a.before)
+    whole = (a.scaling_mean, a.scaling_std, *followed, a.x, a.contacts, a.features, a.ground)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
     assert a.log_sigma.strides == a.mean.strides
     draw = _Draw(
         FEATURE_COUNT, CONTACT_COUNT, *columns, *strides,
         *(_address(v) for v in (a.mean, a.log_sigma, a.logits, a.scaling_mean, a.scaling_std)),
-        *(_address(v) for v in (a.fresh, a.noise, a.smooth)),
+        *(_address(v) for v in (a.fresh, *followed)),
         *noise, fps,
         *(_address(v) for v in (a.x, a.contacts, a.features, a.ground)),
     )  # fmt: skip

@@ -114,12 +114,15 @@ class RolloutState:
         self._trajectory_mean, self._trajectory_std = scaling.mean.numpy(), scaling.std.numpy()
         self._layout = model.controls
         self._noise_shares = np.array([model.noise.get(kind, 1.0) for kind in model.types], np.float32)
+        self._inertias = np.array([model.inertia.get(kind, 0.0) for kind in model.types], np.float32)
         guides = model.guide_map
         self._guide_gains, self._guide_matrix, self._guide_constant = (
             g.numpy() for g in vars(guides).values()
         )
         self._controls = np.zeros((batch, self._layout.size), np.float32)
         self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._before = np.zeros((batch, FEATURE_COUNT), np.float32)  # the frame before
+        self._inertia = np.zeros((batch, 1), np.float32)
         self._contacts = np.zeros((batch, CONTACT_COUNT), np.float32)
         self._ground = np.zeros((batch, 3), np.float32)
         self._features = np.zeros((batch, FEATURE_COUNT), np.float32)
@@ -175,6 +178,7 @@ class RolloutState:
             self._ask(FrameControls(type_weights, none, torch.zeros(self.batch), progress), x[:, t])
             self.network.step(x[:, t], contacts[:, t].numpy(), self._controls)
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1].numpy()
+        self._before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
         self._ground[:] = 0.0 if ground is None else ground.numpy()
         self._noise_state[:] = self.random.standard_normal(self._x.shape, np.float32)
         self._smooth_noise[:] = self._noise_state
@@ -199,6 +203,7 @@ class RolloutState:
         self.network.adopt(index, one.network)
         for mine, its in (
             (self._x, one._x),
+            (self._before, one._before),
             (self._contacts, one._contacts),
             (self._ground, one._ground),
             (self._noise_state, one._noise_state),
@@ -212,6 +217,7 @@ class RolloutState:
         weights = asked.type_weights.numpy()
         controls[:, layout.type] = weights
         self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
+        np.matmul(weights, self._inertias, out=self._inertia[:, 0])
         given = asked.given.numpy()
         shown = controls[:, layout.trajectory]
         np.subtract(asked.trajectory.numpy(), self._trajectory_mean, out=shown)
@@ -254,7 +260,8 @@ class RolloutState:
         fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
         arrays = DrawArrays(
             network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
-            self._noise_state, self._smooth_noise, self._x, self._contacts, self._features, self._ground,
+            self._noise_state, self._smooth_noise, self._inertia, self._before, self._x, self._contacts,
+            self._features, self._ground,
         )  # fmt: skip
         noise = (*self.noise.filters, self.noise.temperature)
         call = bind_draw(library, arrays, (self._yaw, self._xz.start), noise, self.model.fps)
@@ -270,12 +277,16 @@ class RolloutState:
         """Functions in double precision, so that they give to the last digit what frame_kernel.c gives."""
         network = self._drawn_from
         assert network is not None
+        onwards = self._x + (self._x - self._before)
+        self._before[:] = self._x
         if self.noise.kind == "mean":
             self._x[:] = network.mean
         else:
             self._x[:] = np.exp(network.log_sigma, dtype=np.float64)
             self._x *= self._next_noise()
             self._x += network.mean
+        onwards -= self._x
+        self._x += onwards * self._inertia
         self._contacts[:] = 1.0 / (1.0 + np.exp(-network.contact_logits, dtype=np.float64))
         features = np.multiply(self._x, self._std, out=self._features)
         features += self._mean
