@@ -43,6 +43,10 @@ def test_what_is_saved_is_what_is_loaded(tiny_model: MotionModel, tmp_path: Path
         assert torch.equal(getattr(copy, name).mean, getattr(tiny_model, name).mean)
         assert torch.equal(getattr(copy, name).std, getattr(tiny_model, name).std)
     assert torch.equal(copy.references, tiny_model.references)
+    for name in ("guidance", "noise", "inertia"):
+        assert getattr(copy, name) == getattr(tiny_model, name) and set(getattr(copy, name)) == set(
+            copy.types
+        )
 
 
 def test_the_same_model_gives_the_same_bytes(tiny_model: MotionModel, tmp_path: Path) -> None:

@@ -21,6 +21,8 @@ from motionkit.training.bundle import (
     SEED_FRAMES,
     SEEDS_PER_TYPE,
     bundle_model,
+    guidance_of,
+    inertia_of,
     measure_gaits,
     noise_shares,
     recorded_outlines,
@@ -138,3 +140,15 @@ def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
     assert outline.movement[0] == pytest.approx(100 / MOVEMENT_FRAMES)
     assert outline.movement[40] == pytest.approx(60 / MOVEMENT_FRAMES)
     assert outline.movement[-1] == 0.0 and len(outline.movement) == 300
+
+
+def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    events = {"cartwheel": "", "jumping-b": "jump", "kicking": "kick"}
+    monkeypatch.setattr(Dataset, "phase_events", events)
+    kinds = ("walking", "jumping-b", "kicking", "cartwheel", "dance-salsa")
+    walking, jumping, kicking, cartwheel, dance = (guidance_of(dataset, kind) for kind in kinds)
+    assert 1.0 == walking < kicking == cartwheel < dance < jumping
+    walking, jumping, kicking, cartwheel, dance = (inertia_of(dataset, kind) for kind in kinds)
+    assert 0.0 < walking < jumping < kicking == dance < cartwheel < 1.0

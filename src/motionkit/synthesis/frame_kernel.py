@@ -32,7 +32,10 @@ VERSION = 5  # of frame_kernel.c
 class _Draw(Structure):
     _fields_ = (
         *((n, c_int64) for n in "features contacts yaw xz gaussian_stride logit_stride".split()),
-        *((n, c_void_p) for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inertia before".split()),
+        *(
+            (n, c_void_p)
+            for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inertia before".split()
+        ),
         *((n, c_float) for n in "rho fresh_share smoothing noise_share temperature fps".split()),
         *((n, c_void_p) for n in "x seen denormalised ground".split()),
     )
