@@ -59,9 +59,10 @@ def synthesis_options(function: Callable) -> Callable:
         noise_options,
         click.option(
             "--ik/--no-ik",
-            default=False,
+            default=True,
             show_default=True,
-            help="Hold feet still while they touch the floor.",
+            help="Hold feet still while they touch the floor and lift them while they move; without, as the network "
+            "drew them.",
         ),
         click.option(
             "--fps",
