@@ -9,9 +9,13 @@ import logging
 import socket
 import struct
 import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,10 +25,15 @@ from websockets.sync.client import connect
 
 from apps.play.conftest import PATIENCE, Running, Web
 from motionkit.apps.play.client import Client, TooManyMessages
+from motionkit.apps.play.frames import WorldFrame
 from motionkit.apps.play.limits import Limits
+from motionkit.apps.play.live import Live
 from motionkit.apps.play.requests import parse_request
+from motionkit.apps.play.session import Session
+from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.rotations import quat_angle
+from motionkit.synthesis.character import CharacterStream
 
 
 @pytest.fixture(autouse=True)
@@ -151,6 +160,77 @@ def test_requests_that_cost_much_count_for_more() -> None:
     client.charge_work(reset, now=1.0)
     with pytest.raises(TooManyMessages):
         client.charge(65536, now=1.0)
+
+
+@pytest.fixture
+def slow_work(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Putting a character on its feet takes much longer than a frame; at which frames it was done."""
+    at: list[int] = []
+    streams, step = CharacterStream.reset, Session.step
+    newest = [0]
+
+    def slow_reset(*words: Any) -> None:
+        at.append(newest[0])
+        time.sleep(0.1)
+        streams(*words)
+
+    def counted(session: Session, *words: Any) -> WorldFrame:
+        newest[0] += 1
+        return step(session, *words)
+
+    monkeypatch.setattr(CharacterStream, "reset", slow_reset)
+    monkeypatch.setattr(Session, "step", counted)
+    return at
+
+
+def test_one_who_asks_for_much_work_does_not_hold_up_the_frames(
+    serve: Callable, tcp: Callable, slow_work: list[int]
+) -> None:
+    client = tcp(serve(tcp=0))
+    slow_work.clear()
+    client.send(b'{"do": "reset"}\n' * 8 + b'{"do": "ping"}\n')
+    client.until("pong")
+    assert len(slow_work) == 8 and all(b > a for a, b in pairwise(slow_work)), "frames between any two"
+
+
+def test_many_who_come_at_once_do_not_hold_up_the_frames(serve: Callable, slow_work: list[int]) -> None:
+    server = serve(tcp=0, limits=Limits(clients=4))
+    with ExitStack() as stack:
+        crowd = [
+            stack.enter_context(socket.create_connection(server.addresses.tcp, PATIENCE)) for _ in range(7)
+        ]
+        said = [json.loads(stack.enter_context(one.makefile("rb")).readline()) for one in crowd]
+    assert sorted(one["event"] for one in said) == ["error"] * 3 + ["hello"] * 4, "who waits has a place"
+    assert len(slow_work) == 4 and all(b > a for a, b in pairwise(slow_work))
+
+
+def test_who_changes_something_all_the_time_does_not_fill_the_others_outboxes(
+    serve: Callable, web: Callable, tcp: Callable
+) -> None:
+    server = serve(tcp=0)
+    restless, other = tcp(server), web(server)
+    begun = other.until("frame", lambda f: len(f["characters"]) == 2)["frame"]
+    asked = [json.dumps({"do": "noise", "temperature": n / 100}).encode() + b"\n" for n in range(1, 151)]
+    restless.send(b"".join(asked))
+    told, frame, heard = 0, begun, None
+    while heard != 1.5:
+        event = other.read()
+        if event["event"] == "characters":
+            told += 1
+            heard = event["characters"][0]["temperature"]
+        elif event["event"] == "frame":
+            frame = event["frame"]
+    frame = other.until("frame")["frame"]
+    assert told <= frame - begun + 1
+
+
+def test_a_character_may_go_at_the_very_end_of_its_path(tiny_model: MotionModel) -> None:
+    live = Live(Session(tiny_model))
+    character = live.session.join(1)
+    assert character is not None
+    frame = replace(live.session.step(), arrived=(character.id,))
+    live.session.leave(1)
+    live._send(frame)
 
 
 def test_a_client_that_leaves_while_something_is_sent_is_let_go() -> None:

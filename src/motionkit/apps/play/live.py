@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import asyncio
 import time
-from collections.abc import Callable
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
 from typing import Any
 
-from motionkit.apps.play.client import Client
+from motionkit.apps.play.client import COSTS, Client
 from motionkit.apps.play.frames import WorldFrame, frame_bytes, frame_text
 from motionkit.apps.play.pace import Pacer
 from motionkit.apps.play.recording import Recordings, bvh_bytes
-from motionkit.apps.play.requests import ProtocolError, parse_request
+from motionkit.apps.play.requests import ProtocolError, Request, parse_request
 from motionkit.apps.play.session import Recorded, Session
 from motionkit.errors import ControlError
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
+REST = 3.0  # times as long as such work took, only frames and light requests follow work like a reset
 
 
 class Live:
@@ -29,15 +31,27 @@ class Live:
         self.pacer = Pacer(session.model.fps, clock())
         self.watchers: list[Callable[[WorldFrame], None]] = []  # told of every frame, as VMC is
         self._last_client = 0
+        self._joining = 0  # clients that wait for their character
+        self._changed = False  # the characters, since clients were told of them
+        self._working = asyncio.Lock()
+        self._rested = 0.0  # when work may begin again, on the clock
         self._writing = asyncio.Semaphore(1)
         self._tasks: set[asyncio.Task] = set()
 
     # ---- clients ----
 
-    def join(self, as_json: bool) -> Client | None:
+    async def join(self, as_json: bool) -> Client | None:
         """A new client with its hello under way; None if there are as many as there may be."""
-        if len(self.clients) >= self.session.limits.clients:
+        if len(self.clients) + self._joining >= self.session.limits.clients:
             return None
+        self._joining += 1
+        try:
+            async with self._turn():
+                return self._welcome(as_json)
+        finally:
+            self._joining -= 1
+
+    def _welcome(self, as_json: bool) -> Client:
         self._last_client += 1
         client = Client(self._last_client, as_json, self.session.limits, self.clock())
         character = self.session.join(client.number)
@@ -45,16 +59,16 @@ class Live:
         client.tell(self.session.hello(client.number, character))
         if self.pacer.behind:
             client.tell(self.pace_event())
-        self._tell_characters(but=client)
+        self._changed = True
         return client
 
     def leave(self, client: Client) -> None:
         """A client has gone."""
         if self.clients.pop(client.number, None) is not None:
             self.session.leave(client.number)
-            self._tell_characters()
+            self._changed = True
 
-    def take(self, client: Client, message: str | bytes) -> None:
+    async def take(self, client: Client, message: str | bytes) -> None:
         """Act on a message of a client.
 
         Raises:
@@ -68,7 +82,13 @@ class Live:
         if request.do == "ping":
             stamp = request.fields["stamp"]
             client.tell({"event": "pong", "stamp": stamp, "time": self.session.time})
-            return
+        elif request.do in COSTS:
+            async with self._turn():
+                self._obey(client, request)
+        else:
+            self._obey(client, request)
+
+    def _obey(self, client: Client, request: Request) -> None:
         try:
             if request.fields.get("on") and len(self._tasks) >= self.session.limits.recordings:
                 raise ControlError("earlier recordings are still being written")
@@ -79,13 +99,23 @@ class Live:
         if recorded is not None:
             self._keep(recorded)
         if request.do in CHANGES_CHARACTERS:
-            self._tell_characters()
+            self._changed = True
 
-    def _tell_characters(self, but: Client | None = None) -> None:
-        event = {"event": "characters", "characters": self.session.told()}
-        for client in self.clients.values():
-            if client is not but:
-                client.tell(event)
+    @asynccontextmanager
+    async def _turn(self) -> AsyncIterator[None]:
+        """A client's turn to do what takes as long as several frames.
+
+        Clients have it one after the other, and together for a part of all time only: whoever asks for much
+        waits, and everybody's frames go on.
+        """
+        async with self._working:
+            await asyncio.sleep(max(0.0, self._rested - self.clock()))
+            began = self.clock()
+            try:
+                yield
+            finally:
+                now = self.clock()
+                self._rested = now + REST * (now - began)
 
     def _tell_all(self, event: dict[str, Any]) -> None:
         for client in self.clients.values():
@@ -133,18 +163,22 @@ class Live:
         await asyncio.sleep(max(0.0, then - self.clock()))
 
     def _send(self, frame: WorldFrame) -> None:
+        # Once a frame at most, or who changes something all the time would fill everybody's outbox.
+        if self._changed:
+            self._changed = False
+            self._tell_all({"event": "characters", "characters": self.session.told()})
         self._show(frame)
         for watcher in self.watchers:
             watcher(frame)
         for number in frame.arrived:
-            owner = self.clients.get(self.session.characters[number].owner or 0)
+            character = self.session.characters.get(number)  # it may have gone since the frame was made
+            owner = None if character is None else self.clients.get(character.owner or 0)
             if owner is not None:
                 owner.tell({"event": "arrived", "character": number})
         ended = self.session.full()
         for recorded in ended:
             self._keep(recorded)
-        if ended:
-            self._tell_characters()
+            self._changed = True
         if self.pacer.sent(self.clock()):
             self._tell_all(self.pace_event())
 

@@ -175,7 +175,7 @@ class PlayServer:
                 raise ConnectionError(str(error)) from None
 
         _send_late(socket.transport)
-        client = self.live.join(as_json=False)
+        client = await self.live.join(as_json=False)
         with suppress(ConnectionClosed):
             if client is None:
                 await socket.close(CLOSE_FULL, "too many clients")
@@ -194,8 +194,8 @@ class PlayServer:
         assert task is not None
         self._connections[task] = writer
         _send_late(writer.transport)
-        client = self.live.join(as_json=True)
         try:
+            client = await self.live.join(as_json=True)
             if client is None:
                 full = error_event(ProtocolError("too many clients"), closing=True)
                 writer.write(json.dumps(full).encode() + b"\n")
@@ -243,7 +243,7 @@ class PlayServer:
         pump.add_done_callback(sent_all)
         try:
             async for message in messages:
-                self.live.take(client, message)
+                await self.live.take(client, message)
         except ProtocolError as error:
             client.end(error_event(error, closing=True))
             await asyncio.wait([pump])

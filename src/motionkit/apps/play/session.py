@@ -22,7 +22,7 @@ from motionkit.apps.play.requests import Request
 from motionkit.errors import ControlError
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
-from motionkit.motion.skeleton import JOINT_NAMES, PARENTS
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
 from motionkit.synthesis.character import CharacterStream, model_first_type
 from motionkit.synthesis.drive import Driver, Wish
 from motionkit.synthesis.path import PathPart, make_path
@@ -136,6 +136,8 @@ class Session:
         self._last_id = 0
         # Of characters that have gone. To make one takes as long as many frames, to reset one does not.
         self._spare: list[CharacterStream] = []
+        # Looking all bodies up takes as long as a frame: once, not at every hello.
+        self._bodies = [_body_told(name, model.character(name)) for name in model.characters]
 
     @property
     def time(self) -> float:
@@ -283,7 +285,6 @@ class Session:
     def hello(self, client: int, character: Character | None) -> dict[str, Any]:
         """The event every client gets first."""
         model = self.model
-        bodies = [(name, model.character(name)) for name in model.characters]
         gaits = [(kind, model.gaits.get(kind)) for kind in model.types]
         return {
             "event": "hello",
@@ -305,14 +306,7 @@ class Session:
                 for kind, gait in gaits
             ],
             "steered": [kind for kind in STEERED_TYPES if kind in model.types],
-            "bodies": [
-                {
-                    "name": name,
-                    "offsets": [[round(float(v), 4) for v in row] for row in body.offsets],
-                    "ends": {str(j): [round(v, 4) for v in end] for j, end in body.end_sites.items()},
-                }
-                for name, body in bodies
-            ],
+            "bodies": self._bodies,
             "characters": self.told(),
             "limits": self.limits.told(),
         }
@@ -330,3 +324,12 @@ class Session:
             }
             for c in self.characters.values()
         ]
+
+
+def _body_told(name: str, body: Skeleton) -> dict[str, Any]:
+    """A body as hello lists it."""
+    return {
+        "name": name,
+        "offsets": [[round(v, 4) for v in row] for row in body.offsets.tolist()],
+        "ends": {str(j): [round(v, 4) for v in end] for j, end in body.end_sites.items()},
+    }
