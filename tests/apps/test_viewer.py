@@ -12,6 +12,7 @@ import pytest
 import torch
 from PIL import Image
 
+from apps.conftest import PATIENCE, drawn
 from motionkit.apps.figure_data import Shown, in_metres
 from motionkit.apps.viewer import viewer_page, write_viewer
 from motionkit.errors import MotionkitError
@@ -64,6 +65,7 @@ def joints_in_page(page: Page, track: int) -> np.ndarray:
 
 def picture(page: Page) -> np.ndarray:
     """The scene as (H, W, 3)."""
+    drawn(page)
     data = page.locator("#scene").screenshot()
     return np.array(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
 
@@ -130,20 +132,17 @@ def test_what_can_be_switched(page: Page) -> None:
     assert "a <b>walk</b></script>" in page.locator("#clips").inner_text(), "names are text, not markup"
     page.keyboard.press("d")
     theme = page.evaluate("document.documentElement.dataset.theme")
-    page.wait_for_timeout(300)
     assert (picture(page)[5, 5].mean() > 128) == (theme == "light")
 
 
 def test_the_picture_shows_figures_and_moves(page: Page) -> None:
     page.evaluate("motionkit.seek(0, true); motionkit.toggles.f.set(false); motionkit.frameAll()")
-    page.wait_for_timeout(400)
     first = picture(page)
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 200, "blank"
     blue = (first[..., 2] - first[..., 0] > 60).sum()
     orange = (first[..., 0] - first[..., 2] > 60).sum()
     assert min(blue, orange) > 100, "both shirts are to be seen"
     page.evaluate("motionkit.seek(1.4, true)")
-    page.wait_for_timeout(400)
     assert (np.abs(picture(page) - first).max(axis=-1) > 30).sum() > 500
 
 
@@ -172,7 +171,7 @@ def test_the_page_asks_for_nothing(two_motions: list[Shown], tmp_path: Path, bro
     asked: list[str] = []
     page.on("request", lambda request: asked.append(request.url))
     page.goto(file.as_uri())
-    page.wait_for_selector("html[data-ready]", state="attached", timeout=40_000)
+    page.wait_for_selector("html[data-ready]", state="attached", timeout=PATIENCE)
     page.close()
     assert asked == [file.as_uri()]
 

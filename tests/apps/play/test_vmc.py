@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 
+from apps.play.conftest import PATIENCE
 from motionkit.apps.play.frames import Shown
 from motionkit.apps.play.vmc import VmcBody, osc_bundles, osc_message, rest_turns
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply
@@ -168,7 +169,7 @@ def test_places_mirror_the_world() -> None:
 def test_frames_arrive_while_a_client_steers(serve: Callable, web: Callable) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as receiver:
         receiver.bind(("127.0.0.1", 0))
-        receiver.settimeout(20)
+        receiver.settimeout(PATIENCE)
         server = serve(vmc=receiver.getsockname())
         client = web(server)
         kept = server.ask(lambda: server.server.live.session.kept)
