@@ -205,50 +205,9 @@ INLINE void attend_heads(const int64_t count, int64_t H, int64_t E, int64_t W, c
     }
 }
 
-/* The same for exactly HEADS heads: two channels of all of them fill a vector. E is even. */
-INLINE void attend_pairs(int64_t E, int64_t W, const float *q, const float *keys, const float *values,
-                         const float *position, const int64_t *allowed, float *mixed) {
-    heads_vec shares[MOST_PLACES], top = (heads_vec){0} - 1e30f, total = {0};
-    float pair[LANES];
-    const int64_t channels = E * HEADS;
-    for (int64_t w = 0; w < W; w++) {
-        const float *key = keys + w * channels;
-        vec even = {0}, odd = {0};
-        int64_t c = 0;
-        for (; c + 2 * LANES <= channels; c += 2 * LANES) {
-            even += *(const vec *)(q + c) * *(const vec *)(key + c);
-            odd += *(const vec *)(q + c + LANES) * *(const vec *)(key + c + LANES);
-        }
-        if (c < channels) even += *(const vec *)(q + c) * *(const vec *)(key + c);
-        *(vec *)pair = even + odd;
-        shares[w] = *(const heads_vec *)pair + *(const heads_vec *)(pair + HEADS) +
-                    *(const heads_vec *)(position + w * HEADS);
-        if (!allowed[w]) shares[w] = (heads_vec){0} - 1e30f;
-        top = larger(top, shares[w]);
-    }
-    for (int64_t w = 0; w < W; w++) {
-        shares[w] = allowed[w] ? exp_negative(shares[w] - top) : (heads_vec){0};
-        total += shares[w];
-    }
-    vec doubled[MOST_PLACES];
-    for (int64_t w = 0; w < W; w++) {
-        *(heads_vec *)pair = *(heads_vec *)(pair + HEADS) = shares[w] / total;
-        doubled[w] = *(const vec *)pair;
-    }
-    for (int64_t c = 0; c < channels; c += LANES) {
-        vec sum = {0};
-        for (int64_t w = 0; w < W; w++) sum += doubled[w] * *(const vec *)(values + w * channels + c);
-        *(vec *)(mixed + c) = sum;
-    }
-}
-
 FASTEST
 static void attend(int64_t H, int64_t E, int64_t W, const float *q, const float *keys, const float *values,
                    const float *position, const int64_t *allowed, float *mixed) {
-    if (H == HEADS && E % 2 == 0) {
-        attend_pairs(E, W, q, keys, values, position, allowed, mixed);
-        return;
-    }
     int64_t h = 0;
     for (; h + HEADS <= H; h += HEADS)
         attend_heads(HEADS, H, E, W, q + h, keys + h, values + h, position + h, allowed, mixed + h);

@@ -91,19 +91,6 @@ def _workers(count: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(count, thread_name_prefix="motionkit-step")
 
 
-def over_cores(function: Callable[..., None], calls: list[tuple]) -> None:
-    """Call a function of a library, which does not hold Python's lock, once or on all cores."""
-    if len(calls) == 1:
-        function(*calls[0])
-    else:
-        list(_workers(torch.get_num_threads()).map(lambda words: function(*words), calls))
-
-
-def row_shares(rows: int, most: int) -> list[tuple[int, int]]:
-    """First row and number of the rows that go together, at most so many."""
-    return [(first, min(most, rows - first)) for first in range(0, rows, most)]
-
-
 class StepKernel:
     """A network's weights laid out for the kernel, to be shared by any number of NetworkSteps.
 
@@ -159,12 +146,18 @@ class StepKernel:
         places = [self._position[slot].ctypes.data for slot in range(len(self._position))]
         program, call = byref(self._program), self._library.step
         size = self._library.scratch_size(program, min(ROWS, state.batch))
-        shares = [(*share, np.empty(size, np.float32)) for share in row_shares(state.batch, ROWS)]
+        shares = [
+            (first, min(ROWS, state.batch - first), np.empty(size, np.float32))
+            for first in range(0, state.batch, ROWS)
+        ]
         calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
 
         def step(slot: int) -> None:
             frame.position, frame.slot = places[slot], slot
-            over_cores(call, calls)
+            if len(calls) == 1:
+                call(*calls[0])
+            else:  # the library does not hold Python's lock
+                list(_workers(torch.get_num_threads()).map(lambda words: call(*words), calls))
 
         step.keeps = (shares, controls)  # type: ignore[attr-defined]
         return step

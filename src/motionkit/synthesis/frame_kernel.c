@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 6; }
+int64_t frame_kernel_version(void) { return 5; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -50,8 +50,8 @@ static void move_root(const Draw *d, int64_t row) {
     ground[1] += cosine * z - sine * x;
 }
 
-void draw_frames(const Draw *d, int64_t first, int64_t rows) {
-    for (int64_t row = first; row < first + rows; row++) {
+void draw_frames(const Draw *d, int64_t rows) {
+    for (int64_t row = 0; row < rows; row++) {
         draw_pose(d, row);
         take_contacts(d, row);
         move_root(d, row);
@@ -132,8 +132,8 @@ static void forward_kinematics(const Pose *p, const Quat *rotations, Vec3 root, 
     for (int64_t j = 0; j < JOINTS; j++) positions[j] = plus(positions[j], root);
 }
 
-void pose_frames(const Pose *p, int64_t first, int64_t rows) {
-    for (int64_t row = first; row < first + rows; row++) {
+void pose_frames(const Pose *p, int64_t rows) {
+    for (int64_t row = 0; row < rows; row++) {
         const float *features = p->frame + row * p->features, *ground = p->ground + 3 * row, scale = p->scale[row];
         Quat *rotations = (Quat *)p->rotations + row * JOINTS;
         Vec3 *positions = (Vec3 *)p->positions + row * JOINTS;

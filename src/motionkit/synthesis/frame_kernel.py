@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.models.step_kernel import load_library, over_cores, row_shares
+from motionkit.models.step_kernel import load_library
 from motionkit.models.step_weights import Floats
 from motionkit.motion.skeleton import JOINT_COUNT, PARENTS
 from motionkit.synthesis import foot_lock
@@ -26,8 +26,7 @@ from motionkit.synthesis import foot_lock
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 6  # of frame_kernel.c
-ROWS = 32  # characters whose frames one core draws
+VERSION = 5  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -71,8 +70,8 @@ def frame_library() -> ctypes.CDLL | None:
     """The shared library, None where the installation has none that fits."""
     library = load_library(Path(__file__).resolve().parent / "_frame_kernel", "frame_kernel_version", VERSION)
     if library is not None:
-        library.draw_frames.argtypes = [POINTER(_Draw), c_int64, c_int64]
-        library.pose_frames.argtypes = [POINTER(_Pose), c_int64, c_int64]
+        library.draw_frames.argtypes = [POINTER(_Draw), c_int64]
+        library.pose_frames.argtypes = [POINTER(_Pose), c_int64]
         library.draw_frames.restype = library.pose_frames.restype = None
     return library
 
@@ -188,10 +187,10 @@ def _feet(feet: foot_lock.FootLock) -> _Feet:
 
 def _call(function: Callable, words: Structure, rows: int, kept: object) -> Callable[[], None]:
     """A call of the library for all rows; what the words point to is kept alive with it."""
-    calls = [(byref(words), *share) for share in row_shares(rows, ROWS)]
+    where, count = byref(words), c_int64(rows)
 
     def call() -> None:
-        over_cores(function, calls)
+        function(where, count)
 
     call.keeps = (words, kept)  # type: ignore[attr-defined]
     return call
