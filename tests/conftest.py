@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import signal
+import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import FrameType
 
 import pytest
 import torch
@@ -34,7 +37,10 @@ def time_limit(request: pytest.FixtureRequest) -> Iterator[None]:
         return
     seconds = SECONDS_PER_SLOW_TEST if request.node.get_closest_marker("slow") else SECONDS_PER_TEST
 
-    def stop(*_: object) -> None:
+    def stop(_: int, frame: FrameType | None) -> None:
+        # Told as a warning too: a library may take the error for one of its own and go on.
+        where = "".join(traceback.format_stack(frame)[-12:])
+        warnings.warn(f"{request.node.nodeid} was stopped after {seconds} s in\n{where}", stacklevel=1)
         raise TimeoutError(f"test ran for more than {seconds} s")
 
     before = signal.signal(signal.SIGALRM, stop)
