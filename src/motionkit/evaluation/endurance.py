@@ -58,12 +58,12 @@ def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
     return float(far.mean()) if len(far) else float("nan"), jerk
 
 
-def _mixed_measures(real: RealMotion, parts: tuple[TypePart, ...]) -> tuple[float, float]:
-    """real_measures of recordings mixed as the types of a plan are, by their seconds."""
+def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]) -> tuple[float, float]:
+    """real_measures, given for each type, of recordings mixed as the types of a plan are, by their seconds."""
     seconds: dict[str, float] = defaultdict(float)
     for part in parts:
         seconds[part.type] += part.seconds
-    measures = torch.tensor([real_measures(real, kind) for kind in seconds])
+    measures = torch.tensor([recorded[kind] for kind in seconds])
     shares = torch.tensor(list(seconds.values()))[:, None]
     # A type without a distance to measure (one clip) counts in the jerk alone.
     known = shares * measures.isfinite()
@@ -72,7 +72,11 @@ def _mixed_measures(real: RealMotion, parts: tuple[TypePart, ...]) -> tuple[floa
 
 
 def _row(
-    name: str, body: Body, real: RealMotion, parts: tuple[TypePart, ...]
+    name: str,
+    body: Body,
+    real: RealMotion,
+    recorded: dict[str, tuple[float, float]],
+    parts: tuple[TypePart, ...],
 ) -> dict[str, float | str | bool | None]:
     """What a body did for a plan's parts, against recordings of the same types in the same shares."""
     manners: list[Manner] = [m for m in (real.manner(part.type) for part in parts) if m is not None]
@@ -80,7 +84,7 @@ def _row(
     finite = bool(torch.isfinite(body.positions).all())
     if not finite:
         return {"type": name, "finite": False}
-    distance, jerk = _mixed_measures(real, parts)
+    distance, jerk = _mixed(recorded, parts)
     heights = body.positions[:, 0, 1]
     near = float(real.pose_distances(body.every(10)).amin(dim=1).mean())
     return {
@@ -124,8 +128,12 @@ def endurance_section(
     mixed = roll_plans(
         model, [wild], settings.noise, settings.seed, lambda x: progress(first + (1 - first) * x)
     )
-    rows = [_row(kind, p.body, real, plan.parts) for kind, p, plan in zip(kinds, single, plans, strict=True)]
-    rows.append(_row("random changes", mixed[0].body, real, wild.parts))
+    recorded = {kind: real_measures(real, kind) for kind in kinds}
+    rows = [
+        _row(kind, p.body, real, recorded, plan.parts)
+        for kind, p, plan in zip(kinds, single, plans, strict=True)
+    ]
+    rows.append(_row("random changes", mixed[0].body, real, recorded, wild.parts))
     columns = max((tuple(row) for row in rows), key=len)
     tables = [
         Table(

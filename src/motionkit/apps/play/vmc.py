@@ -16,7 +16,7 @@ from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.synthesis.pose import BodyKinematics, matrix_to_quat, quat_to_matrix
 
 BUNDLE_BYTES = 1400  # below what one Ethernet frame holds
-_IMMEDIATELY = struct.pack(">Q", 1)  # OSC's time tag for now
+_IMMEDIATELY = struct.pack(">Q", 1)  # OSC's time tag that means at once
 CM = 0.01  # metres
 
 # Unity's HumanBodyBones: bone, its parent bone, the joint that carries it.
