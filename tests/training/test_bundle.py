@@ -21,8 +21,7 @@ from motionkit.training.bundle import (
     SEED_FRAMES,
     SEEDS_PER_TYPE,
     bundle_model,
-    guidance_of,
-    inertia_of,
+    manner_of,
     measure_gaits,
     noise_shares,
     recorded_outlines,
@@ -148,7 +147,8 @@ def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
     events = {"cartwheel": "", "jumping-b": "jump", "kicking": "kick"}
     monkeypatch.setattr(Dataset, "phase_events", events)
     kinds = ("walking", "jumping-b", "kicking", "cartwheel", "dance-salsa")
-    walking, jumping, kicking, cartwheel, dance = (guidance_of(dataset, kind) for kind in kinds)
+    manners = [manner_of(dataset, kind) for kind in kinds]
+    walking, jumping, kicking, cartwheel, dance = (manner.guidance for manner in manners)
     assert 1.0 == walking < kicking == cartwheel < dance < jumping
-    walking, jumping, kicking, cartwheel, dance = (inertia_of(dataset, kind) for kind in kinds)
+    walking, jumping, kicking, cartwheel, dance = (manner.inertia for manner in manners)
     assert 0.0 < walking < jumping < kicking == dance < cartwheel < 1.0

@@ -167,6 +167,65 @@ def test_slip_counts_as_often_as_told_and_does_not_teach_contacts() -> None:
     assert not often.requires_grad
 
 
+def steps(predicted: Prediction, data: Batch) -> float:
+    """What step_weight adds, once."""
+    with_steps, without = (
+        float(losses.fk_loss(predicted, data, PLAIN, REFERENCES, "sixd-root-1", 60.0, 0.0, weight))
+        for weight in (1.0, 0.0)
+    )
+    return with_steps - without
+
+
+def lowness(data: Batch) -> Tensor:
+    """How much the four foot joints of a standing body count."""
+    feet = losses.foot_positions(data.targets, data.offsets, REFERENCES, "sixd-root-1")
+    return (1.0 - (feet[0, 0, :, 1] + 95.0) / losses.NEAR_GROUND).clamp(0.0, 1.0)
+
+
+def test_steps_from_the_frame_given_are_those_of_the_recording() -> None:
+    walking = standing(6)
+    walking[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])  # 1 cm a frame
+    data = batch(walking)
+    assert steps(prediction(walking), data) < 1e-4
+    # A root that stays behind drags each foot by 1 cm against the recording, the low ones count most.
+    low = lowness(data)
+    assert 0.0 < float(low.min()) < float(low.max()) < 1.0
+    expected = float(low.sum()) / losses.FOOT_UNIT
+    assert steps(prediction(standing(6)), data) == pytest.approx(expected, rel=1e-3)
+
+
+def test_steps_begin_at_the_frame_given_not_at_the_one_predicted_before() -> None:
+    truth = standing(6)
+    blocks = feature_layout().blocks
+    raised = truth.clone()
+    raised[:, 3:, blocks["joint_positions"].start] += (
+        2.0  # a body that was drawn 2 cm too high, and stays there
+    )
+    data = batch(truth)
+    fed = Batch(**{**vars(data), "inputs": raised})
+    # Frame t is predicted from input t: it stands still if it keeps the height of the input.
+    assert steps(prediction(raised), fed) < 1e-4
+    once = float(lowness(data).sum()) * 2.0 / losses.FOOT_UNIT / 5
+    assert steps(prediction(truth), fed) == pytest.approx(3 * once, rel=1e-3)
+    assert steps(prediction(raised), data) == pytest.approx(3 * once, rel=1e-3)
+
+
+def test_steps_take_the_turn_of_the_heading_out() -> None:
+    yaw = 0.8 * torch.arange(8) / 60.0
+    features = standing(9)
+    features[..., 0] = 0.8
+    features[0, :8, feature_layout().blocks["root_rotation"]] = quat_to_sixd(quat_from_yaw(-yaw))
+    features[0, 8, feature_layout().blocks["root_rotation"]] = quat_to_sixd(
+        quat_from_yaw(torch.tensor(-0.8 * 8 / 60.0))
+    )
+    inputs, targets = features[:, :-1], features[:, 1:]
+    data = Batch(**{**vars(batch(targets)), "inputs": inputs})
+    assert steps(prediction(targets), data) < 2e-3
+    still = targets.clone()
+    still[..., 0] = 0.0
+    assert steps(prediction(still), data) > 10 * steps(prediction(targets), data)
+
+
 def test_fk_loss_takes_the_turn_of_the_heading_out() -> None:
     """A body that stands still in the world while its heading turns: no foot slips."""
     yaw = 0.8 * torch.arange(8) / 60.0

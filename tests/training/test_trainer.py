@@ -99,6 +99,7 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
         outlier=1e9,
         evenness=0.0,
         slip_weight=10.0,
+        step_weight=0.0,
         self_feed=SelfFeedOptions(share=0.0),
     )
     train(dataset_folder, path, options, device="cpu")

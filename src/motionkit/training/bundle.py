@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -18,15 +19,29 @@ from motionkit.synthesis.steering import STEERED_TYPES
 
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
-# A network keeps on the safe side of what it is asked for, less so in what is sharp: strikes and flips. Who jumps has
-# to leave the ground; gaits would fly. docs/results-log.md has the figures.
-GUIDANCE, GUIDANCE_OF_EVENTS, GUIDANCE_OF_JUMPS, GUIDANCE_OF_GAITS = 2.0, 1.6, 2.3, 1.0
 # Noise shakes a body that a guide keeps moving; who stands nearly still sways. Quiet types turn slower (rad/s).
 NOISE, NOISE_OF_QUIET, QUIET = 0.4, 1.05, 0.3
-# Share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and moves less.
-INERTIA, INERTIA_OF_PERFORMANCES, INERTIA_OF_JUMPS, INERTIA_OF_GAITS = 0.4, 0.5, 0.35, 0.2
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
 OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 40.0, 6.0, 1.0
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How the types of a kind are drawn; docs/results-log.md has the figures behind the numbers.
+
+    Attributes:
+        guidance: how many times larger than it is a guide is shown. A network keeps on the safe side of what it is
+            asked for, less so in what is sharp: strikes and flips. Who jumps has to leave the ground; gaits would fly.
+        inertia: share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and
+            moves less.
+    """
+
+    guidance: float
+    inertia: float
+
+
+GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2), Manner(1.6, 0.5), Manner(1.6, 0.4)
+JUMP, OTHER = Manner(2.3, 0.35), Manner(2.0, 0.4)
 
 
 def bundle_model(
@@ -35,6 +50,7 @@ def bundle_model(
     """The model file's content for a network trained on a dataset, with guides or without."""
     characters = {"default": canonical_skeleton().offsets}
     characters |= dataset.characters
+    manners = {kind: manner_of(dataset, kind) for kind in dataset.types}
     return MotionModel(
         network,
         dataset.types,
@@ -48,9 +64,9 @@ def bundle_model(
         measure_gaits(dataset),
         {kind: recorded_outlines(dataset, kind) for kind in dataset.types},
         guides,
-        {kind: guidance_of(dataset, kind) for kind in dataset.types},
+        {kind: manner.guidance for kind, manner in manners.items()},
         noise_shares(dataset),
-        {kind: inertia_of(dataset, kind) for kind in dataset.types},
+        {kind: manner.inertia for kind, manner in manners.items()},
         card,
     )
 
@@ -153,24 +169,14 @@ def typical_first(found: list[tuple[str, Outline]]) -> list[Outline]:
     return [found[i][1] for *_, i in sorted(ranked)]
 
 
-def guidance_of(dataset: Dataset, kind: str) -> float:
-    """How many times larger than it is a type's guide is shown."""
+def manner_of(dataset: Dataset, kind: str) -> Manner:
+    """How a type is drawn."""
     if kind in STEERED_TYPES:
-        return GUIDANCE_OF_GAITS
+        return GAIT
     event = dataset.phase_events.get(kind)
     if event is None:
-        return GUIDANCE
-    return GUIDANCE_OF_JUMPS if event == "jump" else GUIDANCE_OF_EVENTS
-
-
-def inertia_of(dataset: Dataset, kind: str) -> float:
-    """How much of the last frame's movement goes on in a type."""
-    if kind in STEERED_TYPES:
-        return INERTIA_OF_GAITS
-    event = dataset.phase_events.get(kind)
-    if event == "":
-        return INERTIA_OF_PERFORMANCES
-    return INERTIA_OF_JUMPS if event == "jump" else INERTIA
+        return OTHER
+    return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)
 
 
 def noise_shares(dataset: Dataset) -> dict[str, float]:

@@ -24,8 +24,22 @@ from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
 
 FOOT_UNIT = 20.0  # cm
+NEAR_GROUND = 15.0  # cm; the higher a foot joint is, up to here, the less its movement counts
 TYPICAL_SIGMA = 0.1  # of a trained network
 WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
+
+
+@dataclass(frozen=True)
+class LossOptions:
+    """How the terms are measured, by default as in the paper.
+
+    outlier and evenness are those of gaussian_loss, both weights those of fk_loss.
+    """
+
+    outlier: float = math.inf
+    evenness: float = 0.0
+    slip_weight: float = 1.0
+    step_weight: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,28 +137,59 @@ def fk_loss(
     layout: str,
     fps: float,
     slip_weight: float = 1.0,
+    step_weight: float = 0.0,
 ) -> Tensor:
     """Feet by forward kinematics near the true ones, and still on the ground while in contact (L_FK).
 
     Paper eq. 8 compares the feet of two frames in the root's space, where a standing foot moves as the
     body passes over it; here the step the root takes between the frames is taken out first. What a touching foot
     slips counts slip_weight times; it teaches feet to stand still, not contacts to be denied.
+
+    Both of the paper's terms look at predictions alone, but a roll-out goes from the frame it was given to the
+    one predicted from it. step_weight times counts how far that movement of a foot over the ground is off the true
+    one, the more the lower the foot is.
     """
-    features = scaling.denormalize(prediction.mean)
+    features, truth = scaling.denormalize(prediction.mean), scaling.denormalize(batch.targets)
     predicted = foot_positions(features, batch.offsets, references, layout)
     with torch.no_grad():
-        true = foot_positions(scaling.denormalize(batch.targets), batch.offsets, references, layout)
-    near = _mean(safe_norm((predicted - true) / FOOT_UNIT).sum(-1), batch.mask)
+        true = foot_positions(truth, batch.offsets, references, layout)
+    loss = _mean(safe_norm((predicted - true) / FOOT_UNIT).sum(-1), batch.mask)
+    heights = root_height(features, layout)
+    if slip_weight:
+        before = (predicted[:, :-1], heights[:, :-1])
+        slip = _foot_moves(features[:, 1:], predicted[:, 1:], *before, layout, fps).abs().sum(-1) / FOOT_UNIT
+        touching = torch.sigmoid(prediction.contact_logits.detach())
+        both = touching[:, 1:] * touching[:, :-1]
+        loss = loss + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
+    if step_weight:
+        with torch.no_grad():
+            given = scaling.denormalize(batch.inputs[:, 1:])
+            start = (foot_positions(given, batch.offsets, references, layout), root_height(given, layout))
+            height = root_height(truth, layout)
+            wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], layout, fps)
+            low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
+        moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, layout, fps)
+        off = (moves - wanted).abs().sum(-1) / FOOT_UNIT
+        loss = loss + step_weight * _mean((low * off).sum(-1), batch.mask[:, 1:])
+    return loss
+
+
+def _foot_moves(
+    features: Tensor, feet: Tensor, before: Tensor, height_before: Tensor, layout: str, fps: float
+) -> Tensor:
+    """How far (B, T, 4, 3) feet move in the world from a frame to the next, in the heading frame of the later one.
+
+    Args:
+        features: (B, T, 276) unnormalised, of the later frames.
+        feet, before: (B, T, 4, 3) relative to the root, of the later frames and of the earlier ones.
+        height_before: (B, T) of the root in the earlier ones.
+    """
     blocks = feature_layout(layout).blocks
-    turn = features[:, 1:, blocks["root_yaw_velocity"]] / fps
-    step = features[:, 1:, blocks["root_xz_velocity"]] / fps
-    lift = (root_height(features[:, 1:], layout) - root_height(features[:, :-1], layout))[..., None]
+    turn = features[..., blocks["root_yaw_velocity"]] / fps
+    step = features[..., blocks["root_xz_velocity"]] / fps
+    lift = (root_height(features, layout) - height_before)[..., None]
     step = torch.stack([step[..., 0], lift[..., 0], step[..., 1]], dim=-1)
-    before = quat_rotate(quat_from_yaw(-turn), predicted[:, :-1])
-    slip = (predicted[:, 1:] + step[:, :, None] - before).abs().sum(-1) / FOOT_UNIT
-    touching = torch.sigmoid(prediction.contact_logits.detach())
-    both = touching[:, 1:] * touching[:, :-1]
-    return near + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
+    return feet + step[:, :, None] - quat_rotate(quat_from_yaw(-turn), before)
 
 
 def consistency_loss(
@@ -169,27 +214,26 @@ def training_losses(
     scaling: Scaling,
     references: Tensor,
     fps: float,
-    outlier: float = math.inf,
-    evenness: float = 0.0,
-    slip_weight: float = 1.0,
+    options: LossOptions | None = None,
 ) -> dict[str, Tensor]:
-    """All six terms by name, unweighted; outlier and evenness as in gaussian_loss, slip_weight as in fk_loss."""
+    """All six terms by name, unweighted."""
+    options = options or LossOptions()
+    rules = (options.outlier, options.evenness)
+    feet = (options.slip_weight, options.step_weight)
     zero = torch.zeros((), device=prediction.mean.device)
     consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
     return {
-        "gauss": gaussian_loss(
-            prediction.mean, prediction.log_sigma, batch.targets, batch.mask, outlier, evenness
-        ),
+        "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask, *rules),
         "smooth": smoothness_loss(prediction.mean, batch.mask),
         "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
-        "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps, slip_weight),
+        "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps, *feet),
         "consistency": consistency,
         "trajectory": gaussian_loss(
             prediction.trajectory_mean,
             prediction.trajectory_log_sigma,
             batch.trajectory,
             batch.mask,
-            outlier,
+            options.outlier,
         ),
     }
 

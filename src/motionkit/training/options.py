@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from motionkit.errors import MotionkitError
-from motionkit.training.losses import WEIGHTS
+from motionkit.training.losses import WEIGHTS, LossOptions
 from motionkit.training.sampler import SamplerOptions
 from motionkit.training.self_feeding import SelfFeedOptions
 
@@ -33,6 +33,7 @@ class TrainOptions:
     outlier: float = 3.0  # deviations beyond which the Gaussian loss is linear (paper: never)
     evenness: float = 0.5  # of the Gaussian loss between what is easy and what is hard to predict (paper: 0)
     slip_weight: float = 10.0  # of the slip of touching feet in the FK loss (paper: 1)
+    step_weight: float = 50.0  # there, of how low feet move from the frame given (paper: 0)
     seed: int = 0
     precision: str = "auto"  # "auto", "float32" or "bfloat16"
     checkpoint_seconds: float = 40.0
@@ -48,6 +49,11 @@ class TrainOptions:
     def __post_init__(self) -> None:
         if self.steps is None and self.minutes is None:
             raise MotionkitError("training needs --steps or --minutes to know when to end")
+
+    @property
+    def losses(self) -> LossOptions:
+        """Those of how the losses are measured."""
+        return LossOptions(self.outlier, self.evenness, self.slip_weight, self.step_weight)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for logs and model cards."""

@@ -27,7 +27,7 @@ from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
-from motionkit.training.losses import Batch, total_loss, training_losses
+from motionkit.training.losses import Batch, LossOptions, total_loss, training_losses
 from motionkit.training.options import TrainOptions
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler, window_generator
@@ -50,15 +50,12 @@ class TrainingModule(nn.Module):
         self,
         network: PartTransformer,
         dataset: Dataset,
-        outlier: float = math.inf,
-        evenness: float = 0.0,
-        slip_weight: float = 1.0,
+        options: LossOptions,
     ) -> None:
         super().__init__()
         self.network = network
         self.consistency = ConsistencyModules(network) if network.config.consistency else None
-        self.fps, self.outlier, self.evenness = dataset.fps, outlier, evenness
-        self.slip_weight = slip_weight
+        self.fps, self.options = dataset.fps, options
         self.scaling = dataset.scaling
         self.references = dataset.references
 
@@ -85,9 +82,7 @@ class TrainingModule(nn.Module):
             self.scaling,
             self.references,
             self.fps,
-            self.outlier,
-            self.evenness,
-            self.slip_weight,
+            self.options,
         )
 
 
@@ -199,9 +194,7 @@ class _Run:
         network = PartTransformer(config, ControlLayout(dataset.types).size)
         if options.init is not None:
             warm_start(network, dataset, open_model(options.init))
-        self.module = TrainingModule(
-            network, dataset, options.outlier, options.evenness, options.slip_weight
-        ).to_device(self.device)
+        self.module = TrainingModule(network, dataset, options.losses).to_device(self.device)
         self.trainable: nn.Module = self.module
         if self.world > 1:
             ids = [self.device.index] if self.device.type == "cuda" else None
