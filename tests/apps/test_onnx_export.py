@@ -64,6 +64,15 @@ def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None
     assert check_export(model, path, "default", frames=60).positions < 0.05
 
 
+def test_feet_hold_the_root_as_in_motionkit(tiny_model: MotionModel, tmp_path: Path) -> None:
+    model = replace(tiny_model, grip=dict.fromkeys(tiny_model.types, 0.6))
+    path = tmp_path / "model.onnx"
+    path.write_bytes(build_graph(model).SerializeToString())
+    assert check_export(model, path, "default", frames=120).positions < 0.05
+    # The same graph beside a roll-out without a grip is somewhere else.
+    assert check_export(replace(model, grip={}), path, "default", frames=120).positions > 1.0
+
+
 def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
     tall = {**tiny_model.characters, "tall": 1.2 * tiny_model.characters["default"]}
     check = export_onnx(replace(tiny_model, characters=tall), tmp_path / "tall.onnx", "tall")

@@ -43,7 +43,7 @@ def test_what_is_saved_is_what_is_loaded(tiny_model: MotionModel, tmp_path: Path
         assert torch.equal(getattr(copy, name).mean, getattr(tiny_model, name).mean)
         assert torch.equal(getattr(copy, name).std, getattr(tiny_model, name).std)
     assert torch.equal(copy.references, tiny_model.references)
-    for name in ("guidance", "noise", "inertia"):
+    for name in ("guidance", "noise", "inertia", "grip"):
         assert getattr(copy, name) == getattr(tiny_model, name) and set(getattr(copy, name)) == set(
             copy.types
         )

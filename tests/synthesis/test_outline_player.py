@@ -10,7 +10,7 @@ import torch
 from motionkit.features.control import future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, OUTLINE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
-from motionkit.synthesis.outline_player import BEFORE_EVENT, BLEND, PAUSE, OutlinePlayer, last_poses
+from motionkit.synthesis.outline_player import BEFORE_EVENT, BLEND, OWN_WAY, PAUSE, OutlinePlayer, last_poses
 from motionkit.synthesis.plan import TypePart, plan_signals
 
 NEAR = torch.zeros(2, OUTLINE_COUNT)
@@ -131,3 +131,30 @@ def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> Non
     features = tiny_model.seeds["walking"][0].features
     assert torch.allclose(last_poses(tiny_model, features), tiny_model.outline.of(features[[-1, -6]]))
     assert torch.allclose(last_poses(tiny_model, features[:2]), tiny_model.outline.of(features[[1, 0]]))
+
+
+def test_a_way_asked_for_is_met_by_the_recordings_own_where_feet_have_a_grip(tiny_model: MotionModel) -> None:
+    outline = recording(200)
+    outline.ground[:, 1] = torch.arange(200.0)  # straight ahead, 1 cm a frame
+    asked = torch.zeros(40, 24)
+    asked[:, 12:] = torch.tensor([0.0, 1.0]).repeat(6)
+    asked[:, 0:12:2] = torch.arange(10.0, 70.0, 10.0)  # to the side
+    for grip, share in (({}, 0.0), ({"walking": 0.0}, 0.0), ({"walking": 0.2}, OWN_WAY)):
+        player = OutlinePlayer(replace(tiny_model, outlines={"walking": [outline]}, grip=grip))
+        player.begin("walking", NEAR, way=asked[0])
+        shown = player.play(40, asked)
+        own = future_trajectory(outline.ground, torch.arange(player.at - 40, player.at))
+        assert torch.allclose(shown.trajectory, torch.lerp(asked, own, share), atol=1e-4)
+        assert shown.given.tolist() == [1.0] * 40
+    assert player.play(3).given.tolist() == [0.0] * 3
+
+
+def test_a_performance_goes_the_way_asked_for(flips: MotionModel) -> None:
+    player = OutlinePlayer(replace(flips, grip=dict.fromkeys(flips.types, 0.5)))
+    player.begin("cartwheel")
+    length = len(flips.outlines["cartwheel"][0])
+    asked = torch.rand(2 * length, 24, generator=torch.Generator().manual_seed(0))
+    shown = player.play(2 * length, asked)
+    assert float(shown.given.min()) == 1.0
+    between = slice(length, length + PAUSE)
+    assert torch.equal(shown.trajectory[between], asked[between])

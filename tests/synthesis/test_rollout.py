@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 
+from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.rotations import rotate_ground
+from motionkit.synthesis import grip
 from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState
 
 KINDS = ("walking", "cartwheel")
@@ -71,3 +75,108 @@ def test_inertia_makes_motion_smoother() -> None:
         frames = torch.stack([state.step(asked(model, weights))[0] for _ in range(60)])
         jerks.append(float(torch.diff(frames / model.scaling.std, n=3, dim=0).norm(dim=-1).mean()))
     assert jerks[1] < 0.8 * jerks[0]
+
+
+# ---- grip ----
+
+
+def standing_walk(
+    model: MotionModel, share: float, compiled: bool, drift: float = 0.0
+) -> tuple[torch.Tensor, ...]:
+    """Ground (60, 3) and feet (60, 4, 3) in the world of one who walks; drift is added to the root's speed."""
+    model = replace(model, grip={"walking": share}, inertia={})
+    seed = model.seeds["walking"][0]
+    state = RolloutState(model, 1, Noise("mean"), compiled=compiled)
+    weights = torch.zeros(1, len(model.types))
+    weights[0, model.type_id("walking")] = 1.0
+    state.start(seed.features[None], seed.contacts[None], weights)
+    state._mean = state._mean.copy()
+    state._mean[state._xz.start] += drift  # as if the network had drawn a step to the side
+    ground, feet = [], []
+    for _ in range(60):
+        features, _, at = state.step(asked(model, weights))
+        here = features[0, torch.from_numpy(state._feet)]
+        across = rotate_ground(at[0, 2], here[:, [0, 2]]) + at[0, :2]
+        ground.append(at[0])
+        feet.append(torch.stack([across[:, 0], here[:, 1], across[:, 1]], dim=-1))
+    return torch.stack(ground), torch.stack(feet)
+
+
+def slide(feet: torch.Tensor) -> float:
+    return average_foot_sliding(feet, grip.FLOOR).value or 0.0
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_grip_keeps_feet_where_they_stand(compiled: bool) -> None:
+    model = load_bundled_model()
+    loose = slide(standing_walk(model, 0.0, compiled, drift=60.0)[1])
+    half, firm = (slide(standing_walk(model, share, compiled, drift=60.0)[1]) for share in (0.5, 1.0))
+    assert firm < half < loose and firm < 0.6 * loose
+
+
+def test_with_and_without_the_kernel_feet_hold_alike() -> None:
+    model = load_bundled_model()
+    for mine, its in zip(
+        *(standing_walk(model, 0.7, compiled, 30.0) for compiled in (True, False)), strict=True
+    ):
+        assert torch.allclose(mine, its, atol=1e-3)
+
+
+def body_on_the_ground(seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Four foot joints (1, 4, 3), 20 cm apart, some low and some high, and any turn (1,) and step (1, 2)."""
+    random = torch.Generator().manual_seed(seed)
+    feet = 20.0 * torch.randn(1, 4, 3, generator=random)
+    feet[..., 1] = torch.tensor([8.0, 2.0, 12.0, 3.0])
+    return (
+        feet,
+        feet + torch.randn(1, 4, 3, generator=random),
+        torch.randn(1, generator=random) / 60,
+        feet[:, 0, :2],
+    )
+
+
+def test_feet_that_all_go_the_same_way_are_stopped() -> None:
+    feet, _, _, _ = body_on_the_ground(0)
+    nothing = np.zeros(1, np.float32), np.zeros((1, 2), np.float32)
+    there = feet.clone()
+    there[..., 0] -= 0.7
+    there[..., 2] += 0.4
+    angle, step = grip.standing_move(feet.numpy(), there.numpy(), *nothing)
+    share = 1.0 / (1.0 + float(np.hypot(0.7, 0.4)) / grip.LIMIT)
+    assert np.allclose(step, [[-0.7 * share, 0.4 * share]], atol=1e-6) and abs(float(angle[0])) < 1e-6
+
+
+def test_a_body_that_spins_on_its_feet_is_turned_back() -> None:
+    feet, _, _, _ = body_on_the_ground(1)
+    feet[..., 1] = 2.0
+    # The heading has turned by 0.02 rad, and the feet with it: they should have stayed.
+    turn, step = np.full(1, 0.02, np.float32), np.zeros((1, 2), np.float32)
+    angle, move = grip.standing_move(feet.numpy(), feet.numpy(), turn, step)
+    assert -0.02 < float(angle[0]) < -0.012
+    before = moves_of(feet, feet, 0.02, torch.zeros(2))
+    after = moves_of(feet, feet, 0.02 + float(angle[0]), torch.from_numpy(move[0]).float())
+    assert float(after.norm()) < 0.4 * float(before.norm())
+
+
+def moves_of(feet: torch.Tensor, before: torch.Tensor, turn: float, step: torch.Tensor) -> torch.Tensor:
+    """How far (4, 2) feet move over the ground."""
+    turned = rotate_ground(torch.tensor(-turn), before[0, :, [0, 2]])
+    return feet[0, :, [0, 2]] + step - turned
+
+
+def test_feet_in_the_air_hold_nothing() -> None:
+    feet, before, turn, step = body_on_the_ground(2)
+    feet[..., 1] += 20.0
+    angle, move = grip.standing_move(feet.numpy(), before.numpy(), turn.numpy(), step.numpy())
+    assert float(np.abs(angle).max()) == 0.0 and float(np.abs(move).max()) == 0.0
+
+
+def test_a_foot_that_stands_holds_more_than_one_that_swings() -> None:
+    feet, _, _, _ = body_on_the_ground(3)
+    feet[..., 1] = 2.0
+    there = feet.clone()
+    there[0, 2:, 0] -= 5.0  # the right foot steps
+    _, move = grip.standing_move(
+        feet.numpy(), there.numpy(), np.zeros(1, np.float32), np.zeros((1, 2), np.float32)
+    )
+    assert 0.0 > float(move[0, 0]) > -1.0

@@ -18,6 +18,7 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.apps.onnx_graph import Graph
+from motionkit.apps.onnx_grip import hold_ground
 from motionkit.apps.onnx_small import spread_channels
 from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
@@ -93,9 +94,11 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     inertias = np.array([[model.inertia.get(kind, 0.0)] for kind in model.types], np.float32)
     late = g.add("Sub", g.add("Add", "pose", moved), drawn)
     late = g.add("Mul", late, g.add("MatMul", "type_weights", inertias))
-    pose = g.add("Add", drawn, late, out="present_pose")
+    grips = any(model.grip.values())
+    pose = g.add("Add", drawn, late, out=None if grips else "present_pose")
     std, middle = model.scaling.std.numpy(), model.scaling.mean.numpy()
-    return g.add("Add", g.add("Mul", pose, std), middle, out="features")
+    features = g.add("Add", g.add("Mul", pose, std), middle, out=None if grips else "features")
+    return hold_ground(g, model, features, pose) if grips else features
 
 
 def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:

@@ -28,7 +28,7 @@ from motionkit.synthesis.steering import STEERED_TYPES
 from motionkit.synthesis.synthesize import inner_threads
 
 SHORTEST_REST = 30  # frames after the first INIT_FRAMES that a clip needs to be compared
-METRICS = ("bm-euler", "afs", "ssim-channel", "ssim-window", "mpjpe")
+METRICS = ("bm-euler", "afs", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
 MATCH_FRAMES = (0, 10, 20, 30)  # before the roll-out begins: poses the nearest clip is sought by
 WAYS = ("ground truth", "model", "model with IK", "last frame", "nearest clip")
 
@@ -99,10 +99,12 @@ def roll_like(
     first = torch.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
     weight, trajectory, clock = (torch.stack(v, dim=1) for v in (weights, trajectories, clocks))
     given = torch.ones(len(clips))
-    guide, guided, phase = (
-        torch.stack([getattr(g, name) for g in guides], dim=1) for name in ("guide", "guided", "progress")
+    guide, guided, phase, way = (
+        torch.stack([getattr(g, name) for g in guides], dim=1)
+        for name in ("guide", "guided", "progress", "trajectory")
     )
     clock = torch.where(guided > 0.0, phase, clock)
+    trajectory = torch.where(guided[..., None] > 0.0, way, trajectory)
 
     def controls(frame: int, ground: Tensor) -> FrameControls:
         return FrameControls(

@@ -96,6 +96,7 @@ class MotionModel:
         guidance: for type names how many times larger than it is a guide is shown, 1 by default (docs/synthesis.md).
         noise: for type names the share they take of the temperature, 1 by default.
         inertia: for type names how much of the last frame's movement goes on whatever is drawn, 0 by default.
+        grip: for type names how much of the sliding of standing feet is taken out of the root's way, 0 by default.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
@@ -114,6 +115,7 @@ class MotionModel:
     guidance: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
     inertia: dict[str, float] = field(default_factory=dict)
+    grip: dict[str, float] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -208,6 +210,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "guidance": model.guidance,
         "noise": model.noise,
         "inertia": model.inertia,
+        "grip": model.grip,
         "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
         "card": model.card,
     }
@@ -271,6 +274,7 @@ def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionMo
             {kind: float(times) for kind, times in header["guidance"].items()},
             {kind: float(share) for kind, share in header["noise"].items()},
             {kind: float(share) for kind, share in header.get("inertia", {}).items()},
+            {kind: float(share) for kind, share in header.get("grip", {}).items()},
             header.get("card", {}),
         )
     except ModelError as error:

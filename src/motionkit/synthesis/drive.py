@@ -201,7 +201,8 @@ class Driver:
             self._player.begin(kind)
             self._played = kind
         asked = self._player.play(1, trajectory)
-        return _Asked(kind, trajectory, asked.progress, None, asked.guide, asked.guided)
+        shown = None if trajectory is None else asked.trajectory
+        return _Asked(kind, shown, asked.progress, None, asked.guide, asked.guided)
 
     def _follow(self, follower: PathFollower, frame: int, ground: Tensor) -> _Asked:
         asked = follower(frame, ground)

@@ -102,7 +102,7 @@ class PathFollower:
             self.entered = part
         asked = self.player.play(1, trajectory[None])
         return FrameControls(
-            weights, trajectory[None], torch.ones(1), asked.progress, asked.guide, asked.guided
+            weights, asked.trajectory, asked.given, asked.progress, asked.guide, asked.guided
         )
 
     def _project(self, point: Tensor) -> float:

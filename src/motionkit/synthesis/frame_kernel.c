@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 5; }
+int64_t frame_kernel_version(void) { return 6; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -39,6 +39,65 @@ static void take_contacts(const Draw *d, int64_t row) {
         d->seen[row * d->contacts + n] = (float)(1.0 / (exp(-d->logits[row * d->logit_stride + n]) + 1.0));
 }
 
+/* What to add to the turn and the step of the root, so that feet on the ground stay there: standing_move in grip.py. */
+static void standing_move(const Draw *d, const float (*feet)[3], const float (*before)[3], double turn,
+                          const double *step, double *out) {
+    const double sine = sin(turn), cosine = cos(turn);
+    double x[4], z[4], weight[4], low_sum = 0, sum = 0, mean_x = 0, mean_z = 0, arm_x = 0, arm_z = 0;
+    for (int i = 0; i < 4; i++) {
+        x[i] = feet[i][0] + step[0] - (cosine * before[i][0] - sine * before[i][2]);
+        z[i] = feet[i][2] + step[1] - (cosine * before[i][2] + sine * before[i][0]);
+        double high = (feet[i][1] - d->floor) / d->reaches[i];
+        high = high < 0 ? 0 : high > 1 ? 1 : high;
+        const double low = (1 - high) * d->shares[i];
+        low_sum += low;
+        weight[i] = low / (sqrt(x[i] * x[i] + z[i] * z[i]) + d->ease);
+        sum += weight[i];
+    }
+    for (int i = 0; i < 4; i++) {
+        weight[i] /= sum + 1e-9;
+        mean_x += weight[i] * x[i], mean_z += weight[i] * z[i];
+        arm_x += weight[i] * feet[i][2], arm_z += weight[i] * -feet[i][0];
+    }
+    double turned = 0, spread = 0;
+    for (int i = 0; i < 4; i++) {
+        const double about_x = feet[i][2] - arm_x, about_z = -feet[i][0] - arm_z;
+        turned += weight[i] * ((x[i] - mean_x) * about_x + (z[i] - mean_z) * about_z);
+        spread += weight[i] * (about_x * about_x + about_z * about_z);
+    }
+    const double angle = -turned / (spread + d->stiffness);
+    const double back_x = -mean_x - angle * arm_x, back_z = -mean_z - angle * arm_z;
+    double holds = low_sum / d->enough < 1 ? low_sum / d->enough : 1;
+    holds /= 1 + sqrt(back_x * back_x + back_z * back_z) / d->limit;
+    out[0] = holds * angle, out[1] = holds * back_x, out[2] = holds * back_z;
+}
+
+/* Takes out of the root's velocities, in part, what feet on the ground would slide. */
+static void hold_ground(const Draw *d, int64_t row) {
+    if (d->grip[row] == 0) return;
+    float *features = d->denormalised + row * d->features, *normalised = d->x + row * d->features;
+    const float *before = d->before + row * d->features;
+    float feet[4][3], feet_before[4][3];
+    for (int i = 0; i < 4; i++)
+        for (int k = 0; k < 3; k++) {
+            const int64_t n = d->feet[i] + k;
+            feet[i][k] = features[n];
+            feet_before[i][k] = before[n] * d->scaling_std[n] + d->scaling_mean[n];
+        }
+    const float turn = features[d->yaw] / d->fps;
+    const float x = features[d->xz] / d->fps, z = features[d->xz + 1] / d->fps;
+    const double step[2] = {x, z};
+    double move[3];
+    standing_move(d, feet, feet_before, turn, step, move);
+    const double share = (double)d->grip[row] * (double)d->fps;
+    const int64_t columns[3] = {d->yaw, d->xz, d->xz + 1};
+    for (int k = 0; k < 3; k++) {
+        const float by = (float)(move[k] * share);
+        features[columns[k]] += by;
+        normalised[columns[k]] += by / d->scaling_std[columns[k]];
+    }
+}
+
 /* The root's predicted velocities add up to its place. */
 static void move_root(const Draw *d, int64_t row) {
     const float *features = d->denormalised + row * d->features;
@@ -54,6 +113,7 @@ void draw_frames(const Draw *d, int64_t rows) {
     for (int64_t row = 0; row < rows; row++) {
         draw_pose(d, row);
         take_contacts(d, row);
+        hold_ground(d, row);
         move_root(d, row);
     }
 }

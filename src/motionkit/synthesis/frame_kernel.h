@@ -10,11 +10,13 @@
 typedef struct {
     int64_t features, contacts, yaw, xz; /* counts, and columns of the root's velocities */
     int64_t gaussian_stride, logit_stride;
+    int64_t feet[4]; /* columns of the foot joints' positions */
+    double floor, reaches[4], shares[4], ease, stiffness, enough, limit; /* of grip.py */
     const float *mean, *log_sigma, *logits;
     const float *scaling_mean, *scaling_std; /* (features,) */
     const float *fresh;                      /* (B, features) standard normal; NULL takes the mean */
     float *noise, *smooth;                   /* (B, features), follow themselves and each other */
-    const float *inertia;                    /* (B,) */
+    const float *inertia, *grip;             /* (B,) */
     float *before;                           /* (B, features) the frame before, normalised */
     float rho, fresh_share, smoothing, noise_share, temperature, fps;
     float *x;            /* (B, features) the frame, normalised */

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p, pointer
+from ctypes import POINTER, Structure, byref, c_double, c_float, c_int64, c_void_p, pointer
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,20 +21,24 @@ from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.step_kernel import load_library
 from motionkit.models.step_weights import Floats
 from motionkit.motion.skeleton import JOINT_COUNT, PARENTS
-from motionkit.synthesis import foot_lock
+from motionkit.synthesis import foot_lock, grip
 
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 5  # of frame_kernel.c
+VERSION = 6  # of frame_kernel.c
 
 
 class _Draw(Structure):
     _fields_ = (
         *((n, c_int64) for n in "features contacts yaw xz gaussian_stride logit_stride".split()),
+        ("feet", c_int64 * 4),
+        ("floor", c_double),
+        *((n, c_double * 4) for n in ("reaches", "shares")),
+        *((n, c_double) for n in ("ease", "stiffness", "enough", "limit")),
         *(
             (n, c_void_p)
-            for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inertia before".split()
+            for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inertia grip before".split()
         ),
         *((n, c_float) for n in "rho fresh_share smoothing noise_share temperature fps".split()),
         *((n, c_void_p) for n in "x seen denormalised ground".split()),
@@ -89,6 +93,7 @@ class DrawArrays:
     noise: Floats
     smooth: Floats
     inertia: Floats
+    grip: Floats
     before: Floats
     x: Floats
     contacts: Floats
@@ -99,24 +104,28 @@ class DrawArrays:
 def bind_draw(
     library: ctypes.CDLL,
     arrays: DrawArrays,
-    columns: tuple[int, int],
+    columns: tuple[int, int, NDArray[np.intp]],
     noise: tuple[float, float, float, float, float],
     fps: float,
 ) -> Callable[[], None]:
     """What draws the next frame of all characters.
 
     Args:
-        columns: of the root's yaw velocity and of the first of its ground velocities.
+        columns: of the root's yaw velocity, of the first of its ground velocities, and of the foot joints (4, 3).
         noise: Noise.filters and the temperature.
     """
     a = arrays
     strides = [array.strides[0] // 4 for array in (a.mean, a.logits)]
-    followed = (a.noise, a.smooth, a.inertia, a.before)
+    followed = (a.noise, a.smooth, a.inertia, a.grip, a.before)
     whole = (a.scaling_mean, a.scaling_std, *followed, a.x, a.contacts, a.features, a.ground)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
     assert a.log_sigma.strides == a.mean.strides
+    yaw, xz, feet = columns
+    four = c_double * 4
     draw = _Draw(
-        FEATURE_COUNT, CONTACT_COUNT, *columns, *strides,
+        FEATURE_COUNT, CONTACT_COUNT, yaw, xz, *strides,
+        (c_int64 * 4)(*feet[:, 0].tolist()), grip.FLOOR, four(*grip.REACHES), four(*grip.SHARES),
+        grip.EASE, grip.STIFFNESS, grip.ENOUGH, grip.LIMIT,
         *(_address(v) for v in (a.mean, a.log_sigma, a.logits, a.scaling_mean, a.scaling_std)),
         *(_address(v) for v in (a.fresh, *followed)),
         *noise, fps,

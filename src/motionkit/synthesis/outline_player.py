@@ -24,7 +24,10 @@ EVENT_CANDIDATES = 4
 LEAST_SECONDS = 1.5
 BEFORE_EVENT = 15
 # Where the way is given, every so many frames another place is gone over to that suits it clearly better.
-RECONSIDERED, CLEARLY = 20, 0.9
+RECONSIDERED, CLEARLY = 20, 0.4
+# A recording's feet stand where it went itself. Of types with a grip (synthesis/grip.py), which go where their feet let
+# them, so much of the way shown is the recording's, the rest the one asked for.
+OWN_WAY = 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,7 +36,8 @@ class Signals:
 
     Attributes:
         guide, guided: (T, 72), and (T,) how many times larger than it is it is shown, 0 for not.
-        trajectory, given: (T, 24) of a recorded performance, and (T,) 1 where it counts.
+        trajectory, given: (T, 24) the way to show, and (T,) 1 where there is one: that of a recorded performance,
+            or where a way is asked for, one between it and the recording's.
         progress: (T,) through a performance, negative for none.
     """
 
@@ -137,7 +141,9 @@ class OutlinePlayer:
                 left = self.outline
                 self.begin(self.kind, way=None if self._strikes() else way)
                 if left.performed:
-                    parts.append(self._between(left, frames - played))
+                    parts.append(
+                        self._between(left, frames - played, None if ways is None else ways[played:])
+                    )
                     played += len(parts[-1].progress)
                     continue
             elif way is not None and self._since >= RECONSIDERED:
@@ -147,7 +153,7 @@ class OutlinePlayer:
                 count = min(count, len(self.outline) - self.at)
             if ways is not None:
                 count = min(count, max(1, RECONSIDERED - self._since))
-            parts.append(self._stretch(count))
+            parts.append(self._stretch(count, None if ways is None else ways[played : played + count]))
             self.at += count
             self._since += count
             played += count
@@ -175,24 +181,15 @@ class OutlinePlayer:
             self._places[self.kind] = Places(self.model.outlines[self.kind])
         return self._places[self.kind]
 
-    def _stretch(self, count: int) -> Signals:
+    def _stretch(self, count: int, ways: Tensor | None) -> Signals:
         outline = self.outline
         zeros = torch.zeros(count)
         if outline is None:
+            way = torch.zeros(count, TRAJECTORY_COUNT) if ways is None else ways
             return Signals(
-                torch.zeros(count, GUIDE_COUNT),
-                zeros,
-                torch.zeros(count, TRAJECTORY_COUNT),
-                zeros,
-                zeros - 1.0,
+                torch.zeros(count, GUIDE_COUNT), zeros, way, zeros + float(ways is not None), zeros - 1.0
             )
         frames = torch.arange(self.at, self.at + count)
-        # A cartwheel to the left is as good as one to the right; the way of the recorded one decides.
-        way = (
-            future_trajectory(outline.ground, frames)
-            if outline.performed
-            else torch.zeros(count, TRAJECTORY_COUNT)
-        )
         guide = guide_signal(outline.poses, frames)
         if self.left is not None:
             # The poses that follow the recording that was left go over into those of this one.
@@ -200,24 +197,33 @@ class OutlinePlayer:
             since = frames - entered
             before = guide_signal(left.poses, place + since)
             guide = torch.lerp(before, guide, (since / BLEND).clamp(max=1.0)[:, None])
-        return Signals(
-            guide,
-            torch.full((count,), self._strength()),
-            way,
-            torch.full((count,), float(outline.performed)),
-            outline.phases[frames],
-        )
+        way, given = self._way(outline, frames, ways)
+        strength = torch.full((count,), self._strength())
+        return Signals(guide, strength, way, zeros + given, outline.phases[frames])
 
-    def _between(self, left: Outline, frames: int) -> Signals:
+    def _way(self, outline: Outline, frames: Tensor, ways: Tensor | None) -> tuple[Tensor, float]:
+        """The trajectories (T, 24) to show at frames of an outline, and whether they count."""
+        if ways is None and not outline.performed:
+            return torch.zeros(len(frames), TRAJECTORY_COUNT), 0.0
+        own = future_trajectory(outline.ground, frames)
+        if ways is None:
+            # A cartwheel to the left is as good as one to the right; the way of the recorded one decides.
+            return own, 1.0
+        return torch.lerp(ways, own, OWN_WAY * (self.model.grip.get(self.kind, 0.0) > 0.0)), 1.0
+
+    def _between(self, left: Outline, frames: int, ways: Tensor | None) -> Signals:
         """From the end of a performance to the beginning of the next one, in no more than so many frames."""
         assert self.outline is not None
         count = min(PAUSE, frames)
         share = (torch.arange(1, count + 1) / PAUSE)[:, None]
         end, start = torch.tensor([len(left) - 1]), torch.tensor([0])
         guide = torch.lerp(guide_signal(left.poses, end), guide_signal(self.outline.poses, start), share)
-        way = torch.lerp(
-            future_trajectory(left.ground, end), future_trajectory(self.outline.ground, start), share
-        )
+        if ways is None:
+            way = torch.lerp(
+                future_trajectory(left.ground, end), future_trajectory(self.outline.ground, start), share
+            )
+        else:
+            way = ways[:count]
         ones = torch.ones(count)
         return Signals(guide, self._strength() * ones, way, ones, -ones)
 

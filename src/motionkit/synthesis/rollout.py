@@ -18,6 +18,7 @@ from motionkit.models.step import NetworkStep
 from motionkit.models.step_weights import Floats
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.synthesis import grip
 from motionkit.synthesis.frame_kernel import DrawArrays, bind_draw, frame_library
 from motionkit.synthesis.stepping import TorchStep, stepper
 
@@ -115,6 +116,8 @@ class RolloutState:
         self._layout = model.controls
         self._noise_shares = np.array([model.noise.get(kind, 1.0) for kind in model.types], np.float32)
         self._inertias = np.array([model.inertia.get(kind, 0.0) for kind in model.types], np.float32)
+        self._grips = np.array([model.grip.get(kind, 0.0) for kind in model.types], np.float32)
+        self._feet = grip.foot_columns(model.config.layout)
         guides = model.guide_map
         self._guide_gains, self._guide_matrix, self._guide_constant = (
             g.numpy() for g in vars(guides).values()
@@ -123,6 +126,7 @@ class RolloutState:
         self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._before = np.zeros((batch, FEATURE_COUNT), np.float32)  # the frame before
         self._inertia = np.zeros((batch, 1), np.float32)
+        self._grip = np.zeros((batch, 1), np.float32)
         self._contacts = np.zeros((batch, CONTACT_COUNT), np.float32)
         self._ground = np.zeros((batch, 3), np.float32)
         self._features = np.zeros((batch, FEATURE_COUNT), np.float32)
@@ -218,6 +222,7 @@ class RolloutState:
         controls[:, layout.type] = weights
         self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
         np.matmul(weights, self._inertias, out=self._inertia[:, 0])
+        np.matmul(weights, self._grips, out=self._grip[:, 0])
         given = asked.given.numpy()
         shown = controls[:, layout.trajectory]
         np.subtract(asked.trajectory.numpy(), self._trajectory_mean, out=shown)
@@ -260,11 +265,12 @@ class RolloutState:
         fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
         arrays = DrawArrays(
             network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
-            self._noise_state, self._smooth_noise, self._inertia, self._before, self._x, self._contacts,
-            self._features, self._ground,
+            self._noise_state, self._smooth_noise, self._inertia, self._grip, self._before, self._x,
+            self._contacts, self._features, self._ground,
         )  # fmt: skip
         noise = (*self.noise.filters, self.noise.temperature)
-        call = bind_draw(library, arrays, (self._yaw, self._xz.start), noise, self.model.fps)
+        columns = (self._yaw, self._xz.start, self._feet)
+        call = bind_draw(library, arrays, columns, noise, self.model.fps)
 
         def draw() -> None:
             if fresh is not None:
@@ -290,12 +296,26 @@ class RolloutState:
         self._contacts[:] = 1.0 / (1.0 + np.exp(-network.contact_logits, dtype=np.float64))
         features = np.multiply(self._x, self._std, out=self._features)
         features += self._mean
+        if self._grip.any():
+            self._hold_ground()
         ground, fps = self._ground, np.float32(self.model.fps)
         ground[:, 2] += features[:, self._yaw] / fps
         sine, cosine = (f(ground[:, 2], dtype=np.float64).astype(np.float32) for f in (np.sin, np.cos))
         velocity = features[:, self._xz] / fps
         ground[:, 0] += cosine * velocity[:, 0] + sine * velocity[:, 1]
         ground[:, 1] += cosine * velocity[:, 1] - sine * velocity[:, 0]
+
+    def _hold_ground(self) -> None:
+        """Take out of the root's velocities, in part, what feet on the ground would slide."""
+        features, fps, feet = self._features, np.float32(self.model.fps), self._feet
+        before = self._before[:, feet] * self._std[feet] + self._mean[feet]
+        turn, step = features[:, self._yaw] / fps, features[:, self._xz] / fps
+        angle, move = grip.standing_move(features[:, feet], before, turn, step)
+        share = self._grip.astype(np.float64) * self.model.fps
+        moved = (np.concatenate([angle[:, None], move], axis=1) * share).astype(np.float32)
+        for columns, by in ((slice(self._yaw, self._yaw + 1), moved[:, :1]), (self._xz, moved[:, 1:])):
+            features[:, columns] += by
+            self._x[:, columns] += by / self._std[columns]
 
     def step(self, asked: FrameControls) -> tuple[Tensor, Tensor, Tensor]:
         """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3)."""

@@ -34,14 +34,17 @@ class Manner:
             asked for, less so in what is sharp: strikes and flips. Who jumps has to leave the ground; gaits would fly.
         inertia: share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and
             moves less.
+        grip: share of what standing feet slide that is taken out of the root's way. Who is guided by a recording
+            made on another way slides most; gaits are to keep the speed that is asked for.
     """
 
     guidance: float
     inertia: float
+    grip: float
 
 
-GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2), Manner(1.6, 0.5), Manner(1.6, 0.4)
-JUMP, OTHER = Manner(2.3, 0.35), Manner(2.0, 0.4)
+GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.0), Manner(1.6, 0.5, 0.0), Manner(1.6, 0.55, 0.1)
+JUMP, OTHER = Manner(2.3, 0.35, 0.0), Manner(1.8, 0.5, 0.3)
 
 
 def bundle_model(
@@ -67,6 +70,7 @@ def bundle_model(
         {kind: manner.guidance for kind, manner in manners.items()},
         noise_shares(dataset),
         {kind: manner.inertia for kind, manner in manners.items()},
+        {kind: manner.grip for kind, manner in manners.items()},
         card,
     )
 

@@ -33,7 +33,7 @@ class TrainOptions:
     outlier: float = 3.0  # deviations beyond which the Gaussian loss is linear (paper: never)
     evenness: float = 0.5  # of the Gaussian loss between what is easy and what is hard to predict (paper: 0)
     slip_weight: float = 10.0  # of the slip of touching feet in the FK loss (paper: 1)
-    step_weight: float = 50.0  # there, of how low feet move from the frame given (paper: 0)
+    step_weight: float = 0.0  # there, of how low feet move from the frame given; docs/results-log.md tries 50
     seed: int = 0
     precision: str = "auto"  # "auto", "float32" or "bfloat16"
     checkpoint_seconds: float = 40.0

@@ -45,7 +45,6 @@ def train_options(
             outlier=1e9,
             evenness=0.0,
             slip_weight=1.0,
-            step_weight=0.0,
             self_feed=SelfFeedOptions(share=0.0),
         )
     sampler = options.sampler
