@@ -180,3 +180,18 @@ def test_a_foot_that_stands_holds_more_than_one_that_swings() -> None:
         feet.numpy(), there.numpy(), np.zeros(1, np.float32), np.zeros((1, 2), np.float32)
     )
     assert 0.0 > float(move[0, 0]) > -1.0
+
+
+def test_controls_say_how_much_of_the_grip_counts() -> None:
+    model = load_bundled_model()
+    weights = torch.zeros(2, len(model.types))
+    weights[:, model.type_id("dance-salsa")] = 1.0
+    state, _ = started(replace(model, grip={"dance-salsa": 0.5}), {}, True)
+    free, _ = started(model, {}, True)
+    free._grips[:] = 0.0
+    state._grips[model.type_id("dance-salsa")] = 0.5
+    for _ in range(3):
+        held, _, _ = state.step(replace(asked(model, weights), grip=torch.tensor([0.0, 1.0])))
+        loose, _, _ = free.step(asked(model, weights))
+    assert torch.equal(held[0], loose[0])
+    assert not torch.equal(held[1, :3], loose[1, :3])

@@ -154,7 +154,9 @@ class Driver:
         weights = self._blend(asked.kind, asked.weights)
         given = torch.tensor([0.0 if asked.trajectory is None else 1.0])
         trajectory = torch.zeros(1, TRAJECTORY_COUNT) if asked.trajectory is None else asked.trajectory
-        return FrameControls(weights[None], trajectory, given, asked.progress, asked.guide, asked.guided)
+        grip = None if self._follower is None else torch.zeros(1)
+        signals = (asked.progress, asked.guide, asked.guided, grip)
+        return FrameControls(weights[None], trajectory, given, *signals)
 
     def _take_turns(self, frame: int) -> None:
         """End a performance that is over, begin the one that waits, and repeat one the wish holds on to."""
@@ -246,7 +248,7 @@ class Driver:
 
 def together(asked: list[FrameControls]) -> FrameControls:
     """The controls of several characters as those of one batch."""
-    none, never = torch.zeros(1, GUIDE_COUNT), torch.zeros(1)
+    none, never, all_of_it = torch.zeros(1, GUIDE_COUNT), torch.zeros(1), torch.ones(1)
     return FrameControls(
         torch.cat([a.type_weights for a in asked]),
         torch.cat([a.trajectory for a in asked]),
@@ -254,4 +256,5 @@ def together(asked: list[FrameControls]) -> FrameControls:
         torch.cat([a.progress for a in asked]),
         torch.cat([none if a.guide is None else a.guide for a in asked]),
         torch.cat([never if a.guided is None else a.guided for a in asked]),
+        torch.cat([all_of_it if a.grip is None else a.grip for a in asked]),
     )

@@ -101,9 +101,9 @@ class PathFollower:
             self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
             self.entered = part
         asked = self.player.play(1, trajectory[None])
-        return FrameControls(
-            weights, asked.trajectory, asked.given, asked.progress, asked.guide, asked.guided
-        )
+        # On a path the way comes first, wherever the feet of the recording went.
+        loose, shown = torch.zeros(1), (asked.progress, asked.guide, asked.guided)
+        return FrameControls(weights, trajectory[None], torch.ones(1), *shown, loose)
 
     def _project(self, point: Tensor) -> float:
         first = max(0, int((self.arc - SEARCH_BACK) / SPACING))

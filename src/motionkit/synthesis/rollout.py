@@ -61,7 +61,7 @@ class FrameControls:
     type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
     the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative. guide:
     (B, 72), and guided: (B,) how many times larger than it is it is shown, 0 where it does not count; None for no guide
-    at all.
+    at all. grip: (B,) the share of the types' grip that counts, None for all of it.
     """
 
     type_weights: Tensor
@@ -70,6 +70,7 @@ class FrameControls:
     progress: Tensor
     guide: Tensor | None = None
     guided: Tensor | None = None
+    grip: Tensor | None = None
 
 
 # Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
@@ -223,6 +224,8 @@ class RolloutState:
         self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
         np.matmul(weights, self._inertias, out=self._inertia[:, 0])
         np.matmul(weights, self._grips, out=self._grip[:, 0])
+        if asked.grip is not None:
+            self._grip[:, 0] *= asked.grip.numpy()
         given = asked.given.numpy()
         shown = controls[:, layout.trajectory]
         np.subtract(asked.trajectory.numpy(), self._trajectory_mean, out=shown)
