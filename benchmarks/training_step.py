@@ -129,6 +129,9 @@ def main() -> None:
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(0)
     network = PartTransformer(preset(arguments.preset), ControlLayout(TYPES).size)
+    with torch.no_grad():  # an untrained head is zero and hides what comes before it
+        for parameter in network.parameters():
+            parameter.add_(0.02 * torch.randn_like(parameter))
     plain = with_plain_attention(network)
     batch = random_batch(arguments.batch, arguments.window)
     difference = largest_difference(network, plain, batch)
