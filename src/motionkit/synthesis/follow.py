@@ -63,7 +63,7 @@ class PathFollower:
     def __init__(self, model: MotionModel, path: Path2D, choice: int = 0, behind: int = 0) -> None:
         """behind: frames of the first part's performance that lie behind already."""
         self.path, self.fps = path, model.fps
-        self.player, self.behind = OutlinePlayer(model, choice), behind
+        self.player, self.behind = OutlinePlayer(model, choice, own_way=0.0), behind
         self.types = torch.tensor([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
         gaits = [model.gaits.get(part.type) for part in path.parts]

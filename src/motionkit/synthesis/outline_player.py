@@ -77,8 +77,9 @@ class OutlinePlayer:
     are sought that go such a way.
     """
 
-    def __init__(self, model: MotionModel, choice: int = 0) -> None:
-        self.model, self.choice = model, choice
+    def __init__(self, model: MotionModel, choice: int = 0, own_way: float = OWN_WAY) -> None:
+        """own_way: how much of a way asked for gives way to the recording's, in types with a grip."""
+        self.model, self.choice, self.own_way = model, choice, own_way
         self.random = random.Random(choice)
         self.kind = ""
         self.outline: Outline | None = None
@@ -205,11 +206,11 @@ class OutlinePlayer:
         """The trajectories (T, 24) to show at frames of an outline, and whether they count."""
         if ways is None and not outline.performed:
             return torch.zeros(len(frames), TRAJECTORY_COUNT), 0.0
+        if ways is not None and not (self.own_way and self.model.grip.get(self.kind)):
+            return ways, 1.0
+        # A cartwheel to the left is as good as one to the right; the way of the recorded one decides.
         own = future_trajectory(outline.ground, frames)
-        if ways is None:
-            # A cartwheel to the left is as good as one to the right; the way of the recorded one decides.
-            return own, 1.0
-        return torch.lerp(ways, own, OWN_WAY * (self.model.grip.get(self.kind, 0.0) > 0.0)), 1.0
+        return (own if ways is None else torch.lerp(ways, own, self.own_way)), 1.0
 
     def _between(self, left: Outline, frames: int, ways: Tensor | None) -> Signals:
         """From the end of a performance to the beginning of the next one, in no more than so many frames."""

@@ -41,11 +41,7 @@ def train_options(
         )
         options = replace(options, batch=56, rate=1e-4, sampler=paper, weights=dict(WEIGHTS))
         options = replace(
-            options,
-            outlier=1e9,
-            evenness=0.0,
-            slip_weight=1.0,
-            self_feed=SelfFeedOptions(share=0.0),
+            options, outlier=1e9, evenness=0.0, slip_weight=1.0, self_feed=SelfFeedOptions(share=0.0)
         )
     sampler = options.sampler
     if window is not None:
