@@ -25,7 +25,7 @@ pytest.importorskip("onnxruntime")
 from motionkit.apps.onnx_export import OnnxStep, build_graph, check_export, export_onnx
 from motionkit.apps.onnx_graph import OPSET
 from motionkit.apps.onnx_network import present_name
-from motionkit.apps.onnx_small import spread_channels
+from motionkit.apps.onnx_small import spread_channels, whole_numbers
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
 
@@ -91,9 +91,9 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     proto = onnx.load(str(tmp_path / "small.onnx"))
     onnx.checker.check_model(proto, full_check=True)
     assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
-    # Four products a layer, and the controls.
+    # Four products a layer, the controls, and what the deep module takes of the shallow one.
     products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
-    assert len(products) == 4 * 2 * tiny_model.config.layers + 1
+    assert len(products) == 4 * 2 * tiny_model.config.layers + 2
 
 
 def test_other_weights_are_refused(tiny_model: MotionModel) -> None:
@@ -114,6 +114,20 @@ def test_a_rotation_of_channels_changes_nothing(tiny_model: MotionModel) -> None
             step.step(*frame)
         np.testing.assert_allclose(steps[0].out, steps[1].out, atol=1e-4)
         np.testing.assert_allclose(steps[0].contact_logits, steps[1].contact_logits, atol=1e-4)
+
+
+@pytest.mark.parametrize("rows", [7, 8])
+def test_two_neighbouring_products_of_8_bits_fit_into_16(rows: int) -> None:
+    random = np.random.default_rng(3)
+    weight = (random.standard_normal((rows, 400)) * 0.01 ** random.random(400)).astype(np.float32)
+    whole, scales = whole_numbers(weight)
+    assert (np.abs(whole * scales - weight) <= 0.501 * scales).all()
+    pairs = np.concatenate([whole, np.zeros((rows % 2, 400), np.int8)]).astype(int).reshape(-1, 2, 400)
+    highest = 255 * pairs.clip(min=0).sum(axis=1).max()
+    lowest = 255 * pairs.clip(max=0).sum(axis=1).min()
+    assert -(2**15) <= lowest and highest < 2**15
+    # Nor are steps given away.
+    assert (np.abs(pairs).sum(axis=1).max(axis=0) >= 126).all()
 
 
 def test_steps_take_turns_between_two_places_of_state(exported: Path) -> None:

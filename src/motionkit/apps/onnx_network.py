@@ -19,7 +19,7 @@ import numpy as np
 
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_grip import hold_ground
-from motionkit.apps.onnx_small import spread_channels
+from motionkit.apps.onnx_small import spread_channels, whole_numbers
 from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel
@@ -70,8 +70,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     g.slice(recent, [INPUT_COUNT], [INPUT_COUNT + past], [1], out="present_frames")
     shallow = step.module(0, step.embed_frames(recent), blocks[0])
     # What the deep module and the feet take of the shallow features, in one product; all further layers hang on it.
-    taken = g.add(
-        "Gemm",
+    taken = step.product(
         shallow,
         np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
         np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
@@ -178,14 +177,15 @@ class _Step:
         """The first convolution: (P, D) without its bias, from the last frames (1, 280 each) and the present one."""
         columns, config = self.weights.columns, self.config
         P, N = columns.shape
-        # Short parts are filled up with any column, on weights of zero.
-        used = columns < INPUT_COUNT
-        first = max(2 - config.kernel, 0)  # one frame more than a kernel of one takes in is kept
-        place = np.where(used, columns, 0)[:, None]
-        place = place + INPUT_COUNT * np.arange(first, first + config.kernel)[:, None]
-        embed = self.weights.shallow.embed.reshape(P, config.kernel, N, -1) * used[:, None, :, None]
-        inputs = self.g.gather(recent, place.reshape(P, 1, -1), axis=1)
-        embedded = self.g.add("MatMul", inputs, embed.reshape(P, config.kernel * N, -1))
+        # Rows of zeros for what a part does not see cost less than to gather what it does. One frame more than a
+        # kernel of one takes in is kept.
+        frames = max(config.kernel, 2)
+        maps = np.zeros((frames, INPUT_COUNT, P, config.width), np.float32)
+        embed = self.weights.shallow.embed.reshape(P, config.kernel, N, -1)
+        for p in range(P):
+            used = columns[p] < INPUT_COUNT  # short parts are filled up
+            maps[frames - config.kernel :, columns[p][used], p] = embed[p][:, used]
+        embedded = self.g.add("MatMul", recent, maps.reshape(frames * INPUT_COUNT, -1))
         return self.g.reshape(embedded, P, config.width)
 
     def module(self, index: int, motion: str, controls: list[str]) -> str:
@@ -211,8 +211,9 @@ class _Step:
         """Rows (P, P F), each with zeros but in its own columns, of the hidden layer with bias (P, F)."""
         P, F = bias.shape
         if self.small:
-            hidden = self.product(x, weight, bias.reshape(-1))
-            return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F))
+            # The scales of the columns are brought back along with the zeros: what is cut off below zero stays so.
+            hidden, size = self._small_product(x, weight, bias.reshape(-1))
+            return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F) * size)
         # A bias far below zero wipes out as well.
         biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
         return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
@@ -223,10 +224,9 @@ class _Step:
 
     def product(self, x: str, weight: Floats, bias: Floats | None = None) -> str:
         """Rows times a matrix (K, N) plus a bias (N,)."""
-        if not self.small:
-            return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
-        made = self._small_product(x, weight)
-        return made if bias is None else self.g.add("Add", made, bias)
+        if self.small:
+            return self.g.add("Mul", *self._small_product(x, weight, bias))
+        return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
 
     def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
         """x plus rows y times a matrix, plus more."""
@@ -234,19 +234,21 @@ class _Step:
             return self.g.add("Gemm", y, weight, x)
         return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
 
-    def _small_product(self, x: str, weight: Floats) -> str:
-        """Rows in 8 bits with a common scale, times columns in 8 bits with a scale of their own.
+    def _small_product(self, x: str, weight: Floats, bias: Floats | None) -> tuple[str, Floats]:
+        """The same product in 8 bits, and what its columns are to be multiplied with.
 
-        Weights are symmetric around 128: unsigned, since some processors cut off sums of products of unsigned
-        with signed numbers.
+        Runtimes take twice as long over a product with a scale for every column as over one that has only that of
+        the rows, and a node of its own.
         """
         g = self.g
-        scale = np.maximum(np.abs(weight).max(axis=0), 1e-12) / 127
-        whole = g.constant(np.rint(weight / scale) + 128, np.uint8)
+        whole, scales = whole_numbers(weight)
+        common = scales.max()
+        size = scales / common
         value, step, zero = g.quantized(x)
-        product = g.add("MatMulInteger", value, whole, zero, g.constant(128, np.uint8))
+        product = g.add("MatMulInteger", value, g.constant(whole, np.int8), zero, g.constant(0, np.int8))
         product = g.add("Cast", product, to=g.onnx.TensorProto.FLOAT)
-        return g.add("Mul", product, g.add("Mul", step, scale))
+        product = g.add("Mul", product, g.add("Mul", step, common))
+        return (product if bias is None else g.add("Add", product, bias / size)), size
 
     def _attend(self, layer: int, query: str, key: str, value: str) -> str:
         """Attention (P, H, 1, E) over the ring of a layer, into which key and value go."""

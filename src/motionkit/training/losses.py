@@ -33,13 +33,15 @@ WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency
 class LossOptions:
     """How the terms are measured, by default as in the paper.
 
-    outlier and evenness are those of gaussian_loss, both weights those of fk_loss.
+    outlier and evenness are those of gaussian_loss, both weights those of fk_loss; step_except names the types in
+    whose frames step_weight does not count.
     """
 
     outlier: float = math.inf
     evenness: float = 0.0
     slip_weight: float = 1.0
     step_weight: float = 0.0
+    step_except: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +139,7 @@ def fk_loss(
     layout: str,
     fps: float,
     slip_weight: float = 1.0,
-    step_weight: float = 0.0,
+    step_weight: float | Tensor = 0.0,
 ) -> Tensor:
     """Feet by forward kinematics near the true ones, and still on the ground while in contact (L_FK).
 
@@ -146,8 +148,8 @@ def fk_loss(
     slips counts slip_weight times; it teaches feet to stand still, not contacts to be denied.
 
     Both of the paper's terms look at predictions alone, but a roll-out goes from the frame it was given to the
-    one predicted from it. step_weight times counts how far that movement of a foot over the ground is off the true
-    one, the more the lower the foot is.
+    one predicted from it. step_weight times, a number or one for each frame (B, T), counts how far that movement of a
+    foot over the ground is off the true one, the more the lower the foot is.
     """
     features, truth = scaling.denormalize(prediction.mean), scaling.denormalize(batch.targets)
     predicted = foot_positions(features, batch.offsets, references, layout)
@@ -161,7 +163,7 @@ def fk_loss(
         touching = torch.sigmoid(prediction.contact_logits.detach())
         both = touching[:, 1:] * touching[:, :-1]
         loss = loss + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
-    if step_weight:
+    if isinstance(step_weight, Tensor) or step_weight:
         with torch.no_grad():
             given = scaling.denormalize(batch.inputs[:, 1:])
             start = (foot_positions(given, batch.offsets, references, layout), root_height(given, layout))
@@ -170,7 +172,8 @@ def fk_loss(
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
         moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, layout, fps)
         off = (moves - wanted).abs().sum(-1) / FOOT_UNIT
-        loss = loss + step_weight * _mean((low * off).sum(-1), batch.mask[:, 1:])
+        weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
+        loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
     return loss
 
 
@@ -215,11 +218,19 @@ def training_losses(
     references: Tensor,
     fps: float,
     options: LossOptions | None = None,
+    step_share: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """All six terms by name, unweighted."""
+    """All six terms by name, unweighted.
+
+    Args:
+        step_share: (C,) what each control counts in how much of step_weight a frame gets; all of it by default.
+    """
     options = options or LossOptions()
     rules = (options.outlier, options.evenness)
-    feet = (options.slip_weight, options.step_weight)
+    step_weight = (
+        options.step_weight if step_share is None else options.step_weight * (batch.controls @ step_share)
+    )
+    feet = (options.slip_weight, step_weight)
     zero = torch.zeros((), device=prediction.mean.device)
     consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
     return {

@@ -34,6 +34,7 @@ class TrainOptions:
     evenness: float = 0.5  # of the Gaussian loss between what is easy and what is hard to predict (paper: 0)
     slip_weight: float = 10.0  # of the slip of touching feet in the FK loss (paper: 1)
     step_weight: float = 0.0  # there, of how low feet move from the frame given; docs/results-log.md tries 50
+    step_except: tuple[str, ...] = ()  # types in whose frames it does not count
     seed: int = 0
     precision: str = "auto"  # "auto", "float32" or "bfloat16"
     checkpoint_seconds: float = 40.0
@@ -53,7 +54,7 @@ class TrainOptions:
     @property
     def losses(self) -> LossOptions:
         """Those of how the losses are measured."""
-        return LossOptions(self.outlier, self.evenness, self.slip_weight, self.step_weight)
+        return LossOptions(self.outlier, self.evenness, self.slip_weight, self.step_weight, self.step_except)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for logs and model cards."""

@@ -58,6 +58,7 @@ class TrainingModule(nn.Module):
         self.fps, self.options = dataset.fps, options
         self.scaling = dataset.scaling
         self.references = dataset.references
+        self.step_share = _step_share(dataset.types, options)
 
     def to_device(self, device: torch.device) -> TrainingModule:
         """Weights, scaling and references moved to a device."""
@@ -66,6 +67,7 @@ class TrainingModule(nn.Module):
             self.scaling, mean=self.scaling.mean.to(device), std=self.scaling.std.to(device)
         )
         self.references = self.references.to(device)
+        self.step_share = None if self.step_share is None else self.step_share.to(device)
         return self
 
     def forward(self, batch: Batch, autocast: bool) -> dict[str, Tensor]:
@@ -83,7 +85,21 @@ class TrainingModule(nn.Module):
             self.references,
             self.fps,
             self.options,
+            self.step_share,
         )
+
+
+def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
+    """(C,) that gives of a frame's controls the share of the types step_weight counts for; None for all of them."""
+    if not options.step_weight or not options.step_except:
+        return None
+    unknown = set(options.step_except) - set(types)
+    if unknown:
+        raise DatasetError(f"step_except: no type {min(unknown)!r}, expected some of {', '.join(types)}")
+    layout = ControlLayout(types)
+    share = torch.zeros(layout.size)
+    share[layout.type] = torch.tensor([float(name not in options.step_except) for name in types])
+    return share
 
 
 @dataclass(frozen=True)
