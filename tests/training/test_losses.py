@@ -194,6 +194,16 @@ def test_steps_from_the_frame_given_are_those_of_the_recording() -> None:
     assert steps(prediction(standing(6)), data) == pytest.approx(expected, rel=1e-3)
 
 
+def test_steps_count_in_frames_by_their_weights() -> None:
+    walking = standing(6)
+    walking[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])
+    data, stays = batch(walking), prediction(standing(6))
+    weights = torch.tensor([[1.0, 1.0, 0.0, 0.5, 0.0, 0.0]])  # there is no step into the first frame
+    args = (stays, data, PLAIN, REFERENCES, "sixd-root-1", 60.0, 0.0)
+    some = float(losses.fk_loss(*args, weights)) - float(losses.fk_loss(*args, 0.0))
+    assert some == pytest.approx(1.5 / 5.0 * steps(stays, data), rel=1e-4)
+
+
 def test_steps_begin_at_the_frame_given_not_at_the_one_predicted_before() -> None:
     truth = standing(6)
     blocks = feature_layout().blocks

@@ -206,6 +206,26 @@ def test_a_run_may_begin_from_a_model(dataset_folder: Path, tmp_path: Path, tiny
         train(dataset_folder, second, tiny_options(steps=1, preset="ebtn", init=str(first)), device="cpu")
 
 
+def test_types_may_be_spared_the_loss_of_steps(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+    kinds = Dataset(dataset_folder).types
+    path = tmp_path / "m.safetensors"
+
+    def footing(**options) -> float:
+        train(dataset_folder, path, tiny_options(steps=1, **options), device="cpu")
+        return losses_of(path)[-1]["fk"]
+
+    plain, all_types, none = (
+        footing(),
+        footing(step_weight=50.0),
+        footing(step_weight=50.0, step_except=tuple(kinds)),
+    )
+    assert none == pytest.approx(plain, rel=1e-6) and all_types > 1.01 * plain
+    one_less = footing(step_weight=50.0, step_except=(kinds[-1],))
+    assert plain < one_less < all_types
+    with pytest.raises(DatasetError, match="no type 'flying', expected some of"):
+        footing(step_weight=1.0, step_except=("flying",))
+
+
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_signal_ends_the_run_after_a_whole_step(
     dataset_folder: Path, tmp_path: Path, tiny_options, how: int

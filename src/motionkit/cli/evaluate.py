@@ -78,7 +78,7 @@ def command(
         QUICK if quick else EvaluationSettings(), seed=seed, noise=make_noise(noise, temperature)
     )
     settings = settings if seeds is None else replace(settings, seeds=seeds)
-    loaded = open_model(None if model == "bundled" else model)
+    loaded = open_model(model)
     with progress_bar() as bar:
         task = bar.add_task("reading", total=100)
         board = evaluate_model(

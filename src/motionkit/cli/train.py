@@ -42,8 +42,8 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 @click.option("--resume", is_flag=True, help="Go on from the run folder's checkpoint.")
 @click.option(
     "--init",
-    type=click.Path(exists=True, dir_okay=False),
-    help="Begin from the weights of this model file, trained on the same dataset.",
+    type=click.Path(),
+    help="Begin from the weights of this model file, trained on the same dataset, or of the bundled model: bundled.",
 )
 @click.option(
     "--batch",

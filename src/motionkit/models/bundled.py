@@ -7,6 +7,7 @@ from pathlib import Path
 from motionkit.errors import ModelError
 from motionkit.models.checkpoint import MotionModel, load_model
 
+BUNDLED = "bundled"  # in place of a path
 BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-free.safetensors"
 
 
@@ -20,5 +21,5 @@ def load_bundled_model() -> MotionModel:
 
 
 def open_model(path: str | Path | None) -> MotionModel:
-    """The model in a file, or the bundled one for None."""
-    return load_bundled_model() if path is None else load_model(path)
+    """The model in a file, or the bundled one for None and for the word bundled."""
+    return load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)
