@@ -163,15 +163,16 @@ class _Step:
         counts = np.arange(2 * W - 1)
         count = g.add("Cast", "frames_seen", to=g.onnx.TensorProto.INT64)
         g.add("Gather", np.append(counts[1:], W - 1), count, axis=0, out="present_frames_seen")
-        count = g.reshape(count, 1)
-        slot = np.stack(np.broadcast_arrays(*np.ogrid[:P, : config.heads, : 2 * W - 1]), axis=-1)
-        slot[..., 2] %= W
-        self.slot = g.gather(g.constant(slot, np.int64), count, axis=2)  # (P, H, 1, 3)
+        count = g.add("Squeeze", count)
+        # What is looked up lies in one piece for each count.
+        part, head = np.ogrid[:P, : config.heads]
+        slot = np.stack(np.broadcast_arrays(part, head, counts[:, None, None] % W), axis=-1)[:, :, :, None]
+        self.slot = g.gather(g.constant(slot, np.int64), count, axis=0)  # (P, H, 1, 3)
         distance = (counts[:, None] - np.arange(W)) % W
         position = np.concatenate([weights.shallow.position, weights.deep.position])  # (2 L, P, H, W)
         bias = np.where(distance <= counts[:, None], position[..., distance], np.float32(-1e9))
-        bias = bias.reshape(-1, config.heads, 2 * W - 1, W)
-        self.biases = g.split(g.gather(bias, count, axis=2), [P] * (2 * config.layers), axis=0)
+        bias = bias.reshape(-1, config.heads, 2 * W - 1, W).transpose(2, 0, 1, 3)[:, :, :, None]
+        self.biases = g.split(g.gather(bias, count, axis=0), [P] * (2 * config.layers), axis=0)
 
     def embed_frames(self, recent: str) -> str:
         """The first convolution: (P, D) without its bias, from the last frames (1, 280 each) and the present one."""
@@ -193,14 +194,13 @@ class _Step:
         g, config = self.g, self.config
         weights = (self.weights.shallow, self.weights.deep)[index]
         P, D, H = len(self.weights.columns), config.width, config.heads
-        own_map = np.arange(P)[:, None, None] * (P + 1) * 3 * H + np.arange(3 * H)[:, None]
         # The deep module's bias is in the product before.
         constant = [g.constant(weights.embed_bias)] if index == 0 else []
         x = g.add("Sum", motion, controls[0], *constant)
         for i in range(config.layers):
             layer = index * config.layers + i
             qkv = self.product(self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1))
-            heads = g.gather(g.reshape(qkv, P * P * 3 * H, D // H), own_map, axis=0)
+            heads = g.gather(g.reshape(qkv, P * P, 3 * H, 1, D // H), np.arange(P) * (P + 1), axis=0)
             mixed = self._attend(layer, *g.split(heads, [H, H, H], axis=1))
             x = self._add_product(x, self.own_columns(mixed, P, D), _below(weights.out[i]))
             hidden = self._hidden(self._norm(x), _beside(weights.inner[i]), weights.inner_bias[i])
