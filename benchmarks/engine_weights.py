@@ -51,7 +51,7 @@ def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> torch.Ten
     graph = OnnxStep(path)
     start = seed_start(model, kind, 1)
     graph.values["type_weights"][0, model.type_id(kind)] = 1.0
-    graph.values["progress"][:] = -1.0
+    graph.values["progress"][:], graph.values["grip"][:] = -1.0, 1.0
     poses, contacts = model.scaling.normalize(start.features)[0].numpy(), start.contacts[0].numpy()
     for t in range(len(poses)):
         graph.values["pose"][:], graph.values["contacts"][:] = poses[t], contacts[t]

@@ -73,6 +73,22 @@ def test_feet_hold_the_root_as_in_motionkit(tiny_model: MotionModel, tmp_path: P
     assert check_export(replace(model, grip={}), path, "default", frames=120).positions > 1.0
 
 
+def test_the_grip_counts_as_much_as_is_asked_for(tiny_model: MotionModel, tmp_path: Path) -> None:
+    def features(share: float, asked: float) -> np.ndarray:
+        path = tmp_path / f"{share}.onnx"
+        export_onnx(replace(tiny_model, grip=dict.fromkeys(tiny_model.types, share)), path)
+        graph = OnnxStep(path)
+        graph.values["type_weights"][0, 0], graph.values["progress"][:] = 1.0, -1.0
+        graph.values["grip"][:] = asked
+        graph.values["pose"][:] = np.random.default_rng(5).standard_normal((1, FEATURE_COUNT))
+        return graph.step()["features"].copy()
+
+    free, half, full = features(0.6, 0.0), features(0.6, 0.5), features(0.6, 1.0)
+    assert np.abs(full - free).max() > 0.5  # cm/s
+    np.testing.assert_allclose(half, features(0.3, 1.0), rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(free, features(0.0, 1.0))
+
+
 def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
     tall = {**tiny_model.characters, "tall": 1.2 * tiny_model.characters["default"]}
     check = export_onnx(replace(tiny_model, characters=tall), tmp_path / "tall.onnx", "tall")

@@ -40,7 +40,7 @@ from motionkit.synthesis.start import seed_start
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMAT = "motionkit-onnx-3"
+FORMAT = "motionkit-onnx-4"
 WEIGHTS = ("float32", "int8")
 OUTLINE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
 
@@ -63,6 +63,7 @@ CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
         f"outlines of a recording {_listed(GUIDE_OFFSETS)} frames ahead, one after another",
     ),
     "guided": ((1, 1), "how many times larger than it is the guide is shown, 0 where it does not count"),
+    "grip": ((1, 1), "how much of a type's grip counts: 1, or 0 on a path, where the way comes first"),
     "noise": ((1, FEATURE_COUNT), "standard normal numbers times a temperature; zeros give the mean"),
 }
 OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
@@ -259,7 +260,7 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     state.start(start.features, start.contacts, weights)
     graph = OnnxStep(path)
     graph.values["type_weights"][:] = weights.numpy()
-    graph.values["progress"][:] = -1.0
+    graph.values["progress"][:], graph.values["grip"][:] = -1.0, 1.0
     x = model.scaling.normalize(start.features).numpy()
     for t in range(x.shape[1]):
         graph.values["pose"][:], graph.values["contacts"][:] = x[:, t], start.contacts[:, t].numpy()

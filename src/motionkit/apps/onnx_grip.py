@@ -19,6 +19,7 @@ def hold_ground(g: Graph, model: MotionModel, features: str, pose: str) -> str:
     yaw, xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start
     grips = np.array([[model.grip.get(kind, 0.0)] for kind in model.types], np.float32)
     share = g.add("MatMul", "type_weights", grips * np.float32(model.fps))
+    share = g.add("Mul", share, "grip")
     by = g.add("Mul", _standing_move(g, model, features, (yaw, xz)), share)
     # What comes is a turn the other way, and a step.
     columns = np.zeros((3, FEATURE_COUNT), np.float32)
