@@ -34,6 +34,7 @@ def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Pat
         (["--resume"], "no checkpoint to resume from"),
         (["--device", "cuda:77"], "device 'cuda:77' is not there"),
         (["--device", "toaster"], "unknown device 'toaster'"),
+        (["--type-weights", "walking=1,flying=2"], "no type 'flying' to weigh"),
         (["--preset", "tptn-paper"], "run preprocess with --layout expmap-root-1"),
     ],
 )
@@ -41,6 +42,12 @@ def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str
     said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, *words)
     assert said.failed_with(complaint)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", ["walking", "walking=", "=2", "walking=much", "walking=-1", "walking=nan"])
+def test_weights_of_types_that_say_nothing(motionkit, dataset_folder: Path, text: str) -> None:
+    said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--type-weights", text)
+    assert said.code == 2 and f"{text!r}: expected a type, '=' and a number from 0 to 1000" in said.err
 
 
 def test_a_folder_that_is_no_dataset(motionkit, tmp_path: Path) -> None:

@@ -91,6 +91,23 @@ def test_types_that_turn_over_are_drawn_more_often(dataset: Dataset) -> None:
     assert float(made[cartwheel] / made[walking]) == pytest.approx(3.0)
 
 
+def test_types_are_drawn_as_often_as_they_weigh(dataset: Dataset) -> None:
+    plain = sampler(dataset).probabilities
+    made = sampler(dataset, type_weights={"walking": 4.0, "running": 0.0}).probabilities
+    walking, running, others = (
+        dataset.types.index("walking"),
+        dataset.types.index("running"),
+        [i for i, n in enumerate(dataset.types) if n not in ("walking", "running")],
+    )
+    assert float(made[running]) == 0.0 and float(made.sum()) == pytest.approx(1.0)
+    for i in others:
+        assert float(made[walking] / made[i]) == pytest.approx(4.0 * float(plain[walking] / plain[i]))
+    with pytest.raises(DatasetError, match="no type 'flying' to weigh, expected some of"):
+        sampler(dataset, type_weights={"flying": 2.0})
+    with pytest.raises(DatasetError, match="no type is left to train on"):
+        sampler(dataset, type_weights=dict.fromkeys(dataset.types, 0.0))
+
+
 def test_test_clips_are_never_drawn(dataset: Dataset) -> None:
     made = sampler(dataset)
     assert all(clip.split == "train" for clip in made.clips)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,20 @@ if TYPE_CHECKING:
     from motionkit.training.trainer import TrainEvent
 
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
+
+
+def _type_weights(context: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
+    """How many times as often each type is to be shown, from "kicking=2,idle=0.5"."""
+    weights = {}
+    for word in filter(None, (word.strip() for word in (text or "").split(","))):
+        name, _, times = word.rpartition("=")
+        try:
+            weights[name.strip()] = float(times)
+        except ValueError:
+            weights[name.strip()] = math.nan
+        if not name.strip() or not 0.0 <= weights[name.strip()] <= 1000.0:
+            raise click.BadParameter(f"{word!r}: expected a type, '=' and a number from 0 to 1000")
+    return weights
 
 
 @click.command("train")
@@ -57,6 +72,12 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 )
 @click.option("--rate", type=click.FloatRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
+    "--type-weights",
+    metavar="TYPE=TIMES,...",
+    callback=_type_weights,
+    help="Show some types more or less often than the preset does: kicking=2,idle=0.5.",
+)
+@click.option(
     "--splices",
     type=click.IntRange(0, 100_000),
     help="Spliced transitions to make; the preset's 2000 (tptn-paper none) by default.",
@@ -95,6 +116,7 @@ def command(
     batch: int | None,
     window: int | None,
     rate: float | None,
+    type_weights: dict[str, float],
     splices: int | None,
     run_folder: Path | None,
     device: str,
@@ -122,6 +144,7 @@ def command(
         batch=batch,
         window=window,
         rate=rate,
+        type_weights=type_weights,
         splices=splices,
         seed=seed,
         precision=precision,

@@ -19,6 +19,7 @@ def train_options(
     window: int | None = None,
     splices: int | None = None,
     rate: float | None = None,
+    type_weights: dict[str, float] | None = None,
     **changes: Any,
 ) -> TrainOptions:
     """The options of a preset with some fields changed; None leaves a field as the preset has it.
@@ -48,6 +49,8 @@ def train_options(
         sampler = replace(sampler, window=window)
     if splices is not None:
         sampler = replace(sampler, splices=splices)
+    if type_weights:
+        sampler = replace(sampler, type_weights=type_weights)
     changes = {key: value for key, value in changes.items() if value is not None}
     if rate is not None:
         changes["rate"] = rate

@@ -6,7 +6,7 @@ be resumed, or spread over processes, and see the same windows.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -38,6 +38,7 @@ class SamplerOptions:
     window: int = 96  # frames of a window (paper: 300)
     balance: float = 0.75  # 0: types as often as they are recorded; 1: all equally often (paper)
     phase_weight: float = 3.0  # more often for types that turn over (the paper favours hard types too)
+    type_weights: dict[str, float] = field(default_factory=dict)  # times as often, for types named
     splices: int = 2000  # spliced transitions made before training; 0 for none
     splice_share: float = 0.4  # of windows
     trajectory_dropout: float = 0.5  # windows without a trajectory
@@ -95,6 +96,15 @@ class WindowSampler:
         weights = torch.where(frames > 0, frames ** (1.0 - self.options.balance), 0.0)
         for name in self.dataset.phase_seconds:
             weights[self.dataset.types.index(name)] *= self.options.phase_weight
+        for name, times in self.options.type_weights.items():
+            if name not in self.dataset.types:
+                known = ", ".join(self.dataset.types)
+                raise DatasetError(
+                    f"{self.dataset.folder}: no type {name!r} to weigh, expected some of {known}"
+                )
+            weights[self.dataset.types.index(name)] *= times
+        if not bool(weights.sum() > 0):
+            raise DatasetError(f"{self.dataset.folder}: no type is left to train on, all weigh nothing")
         return weights / weights.sum()
 
     def make_splices(self) -> None:
@@ -106,7 +116,7 @@ class WindowSampler:
         for kind in usable:
             weights[kind] = self.probabilities[kind]
         bodies = []
-        for _ in range(self.options.splices if usable else 0):
+        for _ in range(self.options.splices if bool(weights.sum() > 0) else 0):
             first, second = (self._random_span(usable, weights, generator) for _ in range(2))
             clip_a, clip_b = self.clips[first.source], self.clips[second.source]
             if clip_a.body != clip_b.body:
