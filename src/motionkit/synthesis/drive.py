@@ -75,7 +75,7 @@ class _Performance:
 class _Asked:
     """Controls on their way: a kind, or for a path its type weights; trajectory (1, 24) if one is given.
 
-    progress (1,); guide (1, 72) and guided (1,) if one is given.
+    progress (1,); guide (1, 72) and guided (1,) if one is given; grip (1,), the share of it that counts, None for all.
     """
 
     kind: str
@@ -84,6 +84,7 @@ class _Asked:
     weights: Tensor | None = None
     guide: Tensor | None = None
     guided: Tensor | None = None
+    grip: Tensor | None = None
 
 
 class Driver:
@@ -154,8 +155,7 @@ class Driver:
         weights = self._blend(asked.kind, asked.weights)
         given = torch.tensor([0.0 if asked.trajectory is None else 1.0])
         trajectory = torch.zeros(1, TRAJECTORY_COUNT) if asked.trajectory is None else asked.trajectory
-        grip = None if self._follower is None else torch.zeros(1)
-        signals = (asked.progress, asked.guide, asked.guided, grip)
+        signals = (asked.progress, asked.guide, asked.guided, asked.grip)
         return FrameControls(weights[None], trajectory, given, *signals)
 
     def _take_turns(self, frame: int) -> None:
@@ -211,18 +211,18 @@ class Driver:
         if follower.arc >= follower.path.length - SPACING:
             self._follower, self.wish = None, Wish()
         weights = asked.type_weights[0]
-        return _Asked("", asked.trajectory, asked.progress, weights, asked.guide, asked.guided)
+        return _Asked("", asked.trajectory, asked.progress, weights, asked.guide, asked.guided, asked.grip)
 
     def _show(self, shown: _Performance, frame: int, otherwise: _Asked) -> _Asked:
         """What a performance asks for; before its first frame is due and in its last ones, only in part."""
         at = frame - shown.begins
         half = self.options.blend_frames // 2
         if at < 0:
-            return _Asked(shown.type, otherwise.trajectory)
+            return _Asked(shown.type, otherwise.trajectory, grip=otherwise.grip)
         still = at < shown.frames - half
         kind, weights = (shown.type, None) if still else (otherwise.kind, otherwise.weights)
         now, asked = slice(at, at + 1), shown.signals
-        signals = (asked.progress[now], weights, asked.guide[now], asked.guided[now])
+        signals = (asked.progress[now], weights, asked.guide[now], asked.guided[now], otherwise.grip)
         if bool(asked.given[at]):
             return _Asked(kind, asked.trajectory[now], *signals)
         # Who stands and kicks is not to be held in place; who goes or follows a path goes on.
