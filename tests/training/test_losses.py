@@ -206,18 +206,26 @@ def test_steps_count_in_frames_by_their_weights() -> None:
 
 def test_steps_begin_at_the_frame_given_not_at_the_one_predicted_before() -> None:
     truth = standing(6)
-    blocks = feature_layout().blocks
-    raised = truth.clone()
-    raised[:, 3:, blocks["joint_positions"].start] += (
-        2.0  # a body that was drawn 2 cm too high, and stays there
-    )
+    turned = truth.clone()  # a body that was drawn turned in the hips, and stays so
+    turned[:, 3:, feature_layout().blocks["root_rotation"]] = quat_to_sixd(quat_from_yaw(torch.tensor(0.2)))
     data = batch(truth)
-    fed = Batch(**{**vars(data), "inputs": raised})
-    # Frame t is predicted from input t: it stands still if it keeps the height of the input.
-    assert steps(prediction(raised), fed) < 1e-4
-    once = float(lowness(data).sum()) * 2.0 / losses.FOOT_UNIT / 5
+    fed = Batch(**{**vars(data), "inputs": turned})
+    # Frame t is predicted from input t: it stands still if it keeps the feet of the input.
+    assert steps(prediction(turned), fed) < 1e-4
+    feet = losses.foot_positions(turned, data.offsets, REFERENCES, "sixd-root-1")
+    away = (feet[0, 3] - feet[0, 0])[:, [0, 2]].abs().sum(-1)
+    once = float((away * lowness(data)).sum()) / losses.FOOT_UNIT / 5
+    assert once > 0.01
     assert steps(prediction(truth), fed) == pytest.approx(3 * once, rel=1e-3)
-    assert steps(prediction(raised), data) == pytest.approx(3 * once, rel=1e-3)
+    assert steps(prediction(turned), data) == pytest.approx(3 * once, rel=1e-3)
+
+
+def test_a_body_that_comes_back_to_its_height_takes_no_step() -> None:
+    truth = standing(6)
+    raised = truth.clone()
+    raised[:, 3:, feature_layout().blocks["joint_positions"].start] += 2.0
+    fed = Batch(**{**vars(batch(truth)), "inputs": raised})
+    assert steps(prediction(truth), fed) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_steps_take_the_turn_of_the_heading_out() -> None:

@@ -171,7 +171,8 @@ def fk_loss(
             wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], layout, fps)
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
         moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, layout, fps)
-        off = (moves - wanted).abs().sum(-1) / FOOT_UNIT
+        # Not upwards: a body that is too high or too low is to come back.
+        off = (moves - wanted)[..., [0, 2]].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
         loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
     return loss
