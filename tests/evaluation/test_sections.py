@@ -10,7 +10,13 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation.body import body_of
-from motionkit.evaluation.endurance import endurance_section, frozen_seconds, height_drift, random_plan
+from motionkit.evaluation.endurance import (
+    endurance_section,
+    foot_height,
+    frozen_seconds,
+    height_drift,
+    random_plan,
+)
 from motionkit.evaluation.likeness import held_out_clips, likeness_section
 from motionkit.evaluation.paths import path_trials, paths_section
 from motionkit.evaluation.real import RealMotion
@@ -78,6 +84,14 @@ def test_a_frozen_and_a_sinking_body_are_told() -> None:
     assert height_drift(body_of(sinking)) == pytest.approx(-20.0, abs=0.5)
 
 
+def test_feet_of_who_floats_are_higher(real: RealMotion) -> None:
+    bodies = [stretch.body for stretch in real.of_type("walking")]
+    raised = [replace(body, positions=body.positions + torch.tensor([0.0, 6.0, 0.0])) for body in bodies]
+    assert foot_height(raised) == pytest.approx(foot_height(bodies) + 6.0, abs=1e-3)
+    half = [body.cut(0, len(body) // 2) for body in raised]  # leaps do not hide that the rest stands
+    assert foot_height([*bodies, *half]) < foot_height(bodies) + 3.0
+
+
 def test_random_plans_fill_the_time_and_repeat(tiny_model: MotionModel) -> None:
     kinds = list(tiny_model.types)
     plan = random_plan(tiny_model, kinds, 20.0, 3)
@@ -88,7 +102,9 @@ def test_random_plans_fill_the_time_and_repeat(tiny_model: MotionModel) -> None:
 
 def test_endurance_measures_every_type_and_the_changes(tiny_model: MotionModel, real: RealMotion) -> None:
     section = endurance_section(tiny_model, real, TINY, quiet)
-    rows = section.tables[0].rows
+    rows, columns = section.tables[0].rows, section.tables[0].columns
+    heights = [row[columns.index("feet over recorded, cm")] for row in rows]
+    assert None not in heights[:-1]
     assert [row[0] for row in rows] == [*tiny_model.types, "random changes"]
     assert all(goal.value is not None and 0.0 <= goal.value <= 1.0 for goal in section.goals)
 

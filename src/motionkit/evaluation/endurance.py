@@ -21,6 +21,7 @@ FREEZE_SECONDS = 5.0
 FROZEN_SHARE = 0.5
 EDGE_SHARE = 1 / 3  # of the time: the first and last part between which the root's height must not drift
 DRIFT_LIMIT = 5.0  # cm
+FLOAT_LIMIT = 3.0  # cm that feet may be higher or lower over the floor than recorded ones
 DISTANCE_LIMIT, JERK_LIMIT = 1.5, 1.5  # times real
 CHANGE_SECONDS = (3.0, 8.0)  # a type of the mixed run lasts so long
 
@@ -37,6 +38,20 @@ def height_drift(body: Body) -> float:
     edge = max(1, int(EDGE_SHARE * len(body)))
     heights = body.positions[:, 0, 1]
     return float(heights[-edge:].mean() - heights[:edge].mean())
+
+
+def foot_height(bodies: list[Body]) -> float:
+    """How far the lower foot is off the floor in cm: the lower quartile of all frames, in which who jumps stands."""
+    return float(torch.quantile(torch.cat([body.lifts.amin(dim=-1) for body in bodies]), 0.25))
+
+
+def _floating(body: Body, real: RealMotion, parts: tuple[TypePart, ...]) -> float | None:
+    """foot_height over that of a type's recordings; None for a mixture, whose stretches go over into one another."""
+    kinds = {part.type for part in parts}
+    if len(kinds) > 1:
+        return None
+    found = [stretch.body for stretch in real.of_type(kinds.pop())]
+    return foot_height([body]) - foot_height(found) if found else None
 
 
 def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
@@ -92,6 +107,7 @@ def _row(
         "finite": True,
         "frozen, s": frozen_seconds(body, slowest),
         "height drift, cm": height_drift(body),
+        "feet over recorded, cm": _floating(body, real, parts),
         "lowest root, cm": float(heights.min()),
         "highest root, cm": float(heights.max()),
         "pose distance, cm": near,
@@ -144,7 +160,8 @@ def endurance_section(
     ]
     notes = [
         f"frozen: seconds in windows of {FREEZE_SECONDS:g} s with joints slower than {FROZEN_SHARE:g} times the lower "
-        "limit of the type's manner; height drift: last third of the time against the first",
+        "limit of the type's manner; height drift: last third of the time against the first; feet over recorded: "
+        "how far the lower foot is off the floor (lower quartile) against the type's recordings",
         "pose distance: mean distance a joint to the nearest training pose of any type, over the same figure for "
         "held-out recordings of the type (without any: of training recordings against other clips)",
         "jerk: of 60 fps positions, over that of the type's recordings; of the random changes: over that of recordings "
@@ -158,6 +175,12 @@ def _goals(rows: list[dict], settings: EvaluationSettings) -> list[Goal]:
         ("no NaN", "finite", 1.0, None),
         ("not frozen", "frozen, s", None, 0.0),
         (f"height drift within {DRIFT_LIMIT:g} cm", "height drift, cm", -DRIFT_LIMIT, DRIFT_LIMIT),
+        (
+            f"feet within {FLOAT_LIMIT:g} cm of recorded height",
+            "feet over recorded, cm",
+            -FLOAT_LIMIT,
+            FLOAT_LIMIT,
+        ),
         (f"pose distance ≤ {DISTANCE_LIMIT:g} times real", "/ held-out real", None, DISTANCE_LIMIT),
         (f"jerk ≤ {JERK_LIMIT:g} times real", "jerk / real", None, JERK_LIMIT),
     ]
