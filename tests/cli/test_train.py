@@ -35,6 +35,7 @@ def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Pat
         (["--device", "cuda:77"], "device 'cuda:77' is not there"),
         (["--device", "toaster"], "unknown device 'toaster'"),
         (["--type-weights", "walking=1,flying=2"], "no type 'flying' to weigh"),
+        (["--step-weight", "9", "--step-except", "walking, flying"], "no type 'flying' to spare"),
         (["--preset", "tptn-paper"], "run preprocess with --layout expmap-root-1"),
     ],
 )

@@ -222,7 +222,7 @@ def test_types_may_be_spared_the_loss_of_steps(dataset_folder: Path, tmp_path: P
     assert none == pytest.approx(plain, rel=1e-6) and all_types > 1.01 * plain
     one_less = footing(step_weight=50.0, step_except=(kinds[-1],))
     assert plain < one_less < all_types
-    with pytest.raises(DatasetError, match="no type 'flying', expected some of"):
+    with pytest.raises(DatasetError, match="no type 'flying' to spare the loss of steps"):
         footing(step_weight=1.0, step_except=("flying",))
 
 

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
 
 
+def _names(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
+    return tuple(filter(None, (word.strip() for word in (text or "").split(","))))
+
+
 def _type_weights(context: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
     """How many times as often each type is to be shown, from "kicking=2,idle=0.5"."""
     weights = {}
@@ -78,6 +82,17 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     help="Show some types more or less often than the preset does: kicking=2,idle=0.5.",
 )
 @click.option(
+    "--step-weight",
+    type=click.FloatRange(0.0, 1000.0),
+    help="How much feet count that slide against the recording from the frame given; 35 for firm feet, 0 by default.",
+)
+@click.option(
+    "--step-except",
+    metavar="TYPE,...",
+    callback=_names,
+    help="Types in which --step-weight does not count.",
+)
+@click.option(
     "--splices",
     type=click.IntRange(0, 100_000),
     help="Spliced transitions to make; the preset's 2000 (tptn-paper none) by default.",
@@ -117,6 +132,8 @@ def command(
     window: int | None,
     rate: float | None,
     type_weights: dict[str, float],
+    step_weight: float | None,
+    step_except: tuple[str, ...],
     splices: int | None,
     run_folder: Path | None,
     device: str,
@@ -145,6 +162,8 @@ def command(
         window=window,
         rate=rate,
         type_weights=type_weights,
+        step_weight=step_weight,
+        step_except=step_except,
         splices=splices,
         seed=seed,
         precision=precision,

@@ -91,11 +91,13 @@ class TrainingModule(nn.Module):
 
 def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
     """(C,) that gives of a frame's controls the share of the types step_weight counts for; None for all of them."""
-    if not options.step_weight or not options.step_except:
-        return None
     unknown = set(options.step_except) - set(types)
     if unknown:
-        raise DatasetError(f"step_except: no type {min(unknown)!r}, expected some of {', '.join(types)}")
+        raise DatasetError(
+            f"no type {min(unknown)!r} to spare the loss of steps, expected some of {', '.join(types)}"
+        )
+    if not options.step_weight or not options.step_except:
+        return None
     layout = ControlLayout(types)
     share = torch.zeros(layout.size)
     share[layout.type] = torch.tensor([float(name not in options.step_except) for name in types])
