@@ -1,0 +1,52 @@
+"""Writes the contact sheets in docs/sheets: every type as the network draws it, and paths with feet held.
+
+python docs/make_sheets.py [MODEL] [FOLDER]
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from motionkit.apps.contact_sheet import write_contact_sheet
+from motionkit.evaluation.paths import path_trials
+from motionkit.models.bundled import BUNDLED, open_model
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.synthesis.follow import follow_path
+from motionkit.synthesis.plan import parse_types
+from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
+
+SECONDS = 6.0
+EACH = 6  # motions on a sheet of types
+PATHS = 5  # the last ones of the scoreboard's, those with corners and changes of type
+POSES, WIDTH = 10, 1100
+
+
+def type_motions(model: MotionModel) -> list[tuple[str, Motion]]:
+    """Six seconds of every type; what is performed once, between two walks."""
+    performed = {kind for kind in model.types if any(outline.performed for outline in model.outlines[kind])}
+    out = []
+    for kind in model.types:
+        once = f"walking:1.5,{kind}:{model.phase_seconds(kind):.2f},walking:1.5"
+        text = once if kind in performed else f"{kind}:{SECONDS}"
+        parts = parse_types(text, SECONDS, model.phase_seconds)
+        made = synthesize(model, [parts], SynthesisOptions(ik=False))
+        out.append((", ".join(part.type for part in parts), made.motions[0].motion))
+    return out
+
+
+def main(model: str = BUNDLED, folder: str = str(Path(__file__).resolve().parent / "sheets")) -> None:
+    loaded = open_model(model)
+    Path(folder).mkdir(parents=True, exist_ok=True)
+    types = type_motions(loaded)
+    for first in range(0, len(types), EACH):
+        some = types[first : first + EACH]
+        write_contact_sheet(Path(folder) / f"types-{first // EACH + 1}.png", some, POSES, WIDTH)
+    held = SynthesisOptions(ik=True)
+    paths = [(t.name, follow_path(loaded, t.path, held).motion) for t in path_trials()[-PATHS:]]
+    write_contact_sheet(Path(folder) / "paths.png", paths, POSES, WIDTH)
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])
