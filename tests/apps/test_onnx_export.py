@@ -47,6 +47,8 @@ def test_both_make_the_same_motion_in_closed_loop(tiny_model: MotionModel, expor
 VARIANTS: list[dict] = [
     {"fusion": "none"},
     {"kernel": 1},
+    {"kernel": 2},
+    {"kernel": 5},
     {"layer_controls": False},
     {"partition": "one"},
     {"partition": "five"},
@@ -107,9 +109,9 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     proto = onnx.load(str(tmp_path / "small.onnx"))
     onnx.checker.check_model(proto, full_check=True)
     assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
-    # Four products a layer, the controls, and what the deep module takes of the shallow one.
+    # Four products a layer, the controls, what the deep module takes of the shallow one, and deviations with feet.
     products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
-    assert len(products) == 4 * 2 * tiny_model.config.layers + 2
+    assert len(products) == 4 * 2 * tiny_model.config.layers + 3
 
 
 def test_other_weights_are_refused(tiny_model: MotionModel) -> None:

@@ -67,7 +67,12 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     blocks = _control_blocks(step, model)
     recent = g.add("Concat", "past_frames", "pose", "contacts", axis=1)
     past = state_shapes(weights)["past_frames"][1]
-    g.slice(recent, [INPUT_COUNT], [INPUT_COUNT + past], [1], out="present_frames")
+    # The oldest frame goes, others stay; before is the pose of the last one.
+    stay = past - INPUT_COUNT
+    older = [size for size in (INPUT_COUNT, stay - INPUT_COUNT) if size > 0] if stay else []
+    pieces = g.split("past_frames", [*older, FEATURE_COUNT, CONTACT_COUNT], axis=1)
+    before = pieces[-2]
+    g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
     shallow = step.module(0, step.embed_frames(recent), blocks[0])
     # What the deep module and the feet take of the shallow features, in one product; all further layers hang on it.
     taken = step.product(
@@ -77,14 +82,15 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     )
     deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
     deep = step.module(1, g.reshape(deep_input, P, D), blocks[1])
-    head = g.add("Gemm", deep, weights.head, weights.head_bias)
-    mean, sigma, feet_too = g.split(head, [FEATURE_COUNT, FEATURE_COUNT, hidden], axis=1)
+    # The mean is never in 8 bits: it goes straight into the pose.
+    mean = g.add("Gemm", deep, weights.head[:, :FEATURE_COUNT], weights.head_bias[:FEATURE_COUNT])
+    rest = step.product(deep, weights.head[:, FEATURE_COUNT:], weights.head_bias[FEATURE_COUNT:])
+    sigma, feet_too = g.split(rest, [FEATURE_COUNT, hidden], axis=1)
     feet = g.add("Relu", g.add("Add", feet, feet_too))
     g.add("Sigmoid", g.add("Gemm", feet, weights.contact, weights.contact_bias), out="present_contacts")
     low, high = np.float32(config.log_sigma_min), np.float32(config.log_sigma_max)
     drawn = g.add("Mul", "noise", g.add("Exp", g.add("Clip", sigma, low, high)))
     terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head_leak))]
-    before = g.slice("past_frames", [past - INPUT_COUNT], [past - CONTACT_COUNT], [1])
     # Nothing has moved yet at the first frame.
     moved = g.add("Mul", g.add("Sub", "pose", before), g.add("Min", "frames_seen", np.float32(1.0)))
     if weights.momentum is not None:
