@@ -43,8 +43,8 @@ class Manner:
     grip: float
 
 
-GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.0), Manner(1.6, 0.5, 0.0), Manner(1.6, 0.55, 0.1)
-JUMP, OTHER = Manner(2.3, 0.35, 0.0), Manner(1.8, 0.5, 0.3)
+GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.0), Manner(1.6, 0.5, 0.0), Manner(1.6, 0.55, 0.15)
+JUMP, OTHER = Manner(2.3, 0.35, 0.0), Manner(1.8, 0.5, 0.4)
 
 
 def bundle_model(
