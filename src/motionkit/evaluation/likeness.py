@@ -192,17 +192,16 @@ def likeness_section(
     if not clips:
         note = f"left out: the dataset has no held-out clips of at least {INIT_FRAMES + SHORTEST_REST} frames"
         return Section("likeness", "Likeness to held-out clips", [], [], [note])
-    rolled = roll_like(model, dataset, clips, settings, lambda share: progress(0.5 * share))
+    drawn = clips * settings.few
+    rolled = roll_like(model, dataset, drawn, settings, lambda share: progress(0.5 * share))
     nearest = NearestClip(model, dataset, real)
     sums: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
-    for number, (clip, made) in enumerate(zip(clips, rolled, strict=True)):
+    for number, (clip, made) in enumerate(zip(drawn, rolled, strict=True)):
         motion = made.motion(model).cut(0, clip.frames)
-        candidates = {
-            "model": motion,
-            "model with IK": lock_feet(motion, made.contacts[: clip.frames]),
-            "last frame": _frozen(clip),
-            "nearest clip": nearest.continues(clip, body_of(clip.motion.cut(0, INIT_FRAMES))),
-        }
+        candidates = {"model": motion, "model with IK": lock_feet(motion, made.contacts[: clip.frames])}
+        if number < len(clips):
+            candidates["last frame"] = _frozen(clip)
+            candidates["nearest clip"] = nearest.continues(clip, body_of(clip.motion.cut(0, INIT_FRAMES)))
         for way, candidate in candidates.items():
             report = evaluate_motion(candidate, clip.rest)
             for row in report.rows:
@@ -214,7 +213,7 @@ def likeness_section(
                         sums[group, "ground truth"][row.id].append(
                             (row.ground_truth.value, float(clip.frames))
                         )
-        progress(0.5 + 0.5 * (number + 1) / len(clips))
+        progress(0.5 + 0.5 * (number + 1) / len(drawn))
     groups = ["all", *sorted({clip.type for clip in clips})]
     means = {key: {m: _mean(values) for m, values in found.items()} for key, found in sums.items()}
     rows = [
@@ -233,8 +232,8 @@ def likeness_section(
     ]
     notes = [
         f"the first {INIT_FRAMES} frames of each held-out clip, then its types, trajectory and phase as controls; at "
-        f"most {settings.likeness:g} s of the rest are rolled out; means over frames; metrics: docs/metrics.md, cm "
-        "and degrees a frame at 60 fps",
+        f"most {settings.likeness:g} s of the rest are rolled out, {settings.few} times; means over frames; metrics: "
+        "docs/metrics.md, cm and degrees a frame at 60 fps",
         "floors: the last given frame held, and the training clip whose last half second is nearest, played on",
         "with IK: foot locks at the predicted contacts (`--ik`)",
     ]

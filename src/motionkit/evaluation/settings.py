@@ -15,7 +15,7 @@ class EvaluationSettings:
     Attributes:
         seeds: roll-outs of each type (obedience).
         seconds: that each of them lasts from the command on.
-        few: roll-outs of each path, response and transition.
+        few: roll-outs of each path, response, transition and held-out clip.
         endurance: seconds of one type, mixed: seconds of random changes of type.
         likeness: seconds of a held-out clip that are compared at most.
         seed: of all random numbers; the same seed, model and dataset give the same scoreboard.
