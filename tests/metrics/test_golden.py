@@ -14,12 +14,12 @@ CLIPS = Path(__file__).resolve().parents[2] / "examples" / "data"
 RUNS = {
     "bm-euler": (100.1124, 92.7465),
     "bm-geodesic": (60.6284, 55.7048),
-    "afs": (0.36685, 0.17528),
+    "afs": (0.396898, 0.188757),
     "skate-ratio": (0.103448, 0.083333),
     "jerk": (553.535, 449.721),
-    "penetration-mean": (0.0012712, 0.0016769),
-    "penetration-max": (0.088986, 0.117386),
-    "floor-height": (2.534824, 1.948135),
+    "penetration-mean": (0.0113231, 0.0089338),
+    "penetration-max": (0.317699, 0.270329),
+    "floor-height": (2.763537, 2.101078),
     "ssim-channel": (0.898063, 1.0),
     "ssim-window": (0.968946, 1.0),
     "mpjpe": (6.30459, 0.0),
@@ -32,12 +32,12 @@ RUNS = {
 CARTWHEEL = {
     "bm-euler": 45.79780,
     "bm-geodesic": 30.36268,
-    "afs": 0.0615995,
+    "afs": 0.0689024,
     "skate-ratio": 0.0,
     "jerk": 1075.5246,
-    "penetration-mean": 0.0188740,
-    "penetration-max": 0.8321249,
-    "floor-height": 0.5281141,
+    "penetration-mean": 0.0549252,
+    "penetration-max": 1.1490798,
+    "floor-height": 0.8450689,
 }
 
 

@@ -15,6 +15,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.models.step_kernel import load_library
 from motionkit.synthesis.character import CharacterStream
 from motionkit.synthesis.foot_lock import FootLock
+from motionkit.synthesis.footing import Footing
 from motionkit.synthesis.frame_kernel import PoseKernel, frame_library
 from motionkit.synthesis.pose import BodyKinematics, PoseDecoder
 from motionkit.synthesis.rollout import FrameControls, Noise
@@ -82,7 +83,8 @@ def test_poses_feet_and_floors_of_every_kind(layout: str) -> None:
     library = frame_library()
     assert library is not None
     feet = FootLock(count), FootLock(count)
-    kernel = PoseKernel(library, decoder, offsets, scale, feet[0])
+    footings = Footing(layout, count), Footing(layout, count)
+    kernel = PoseKernel(library, decoder, offsets, scale, footings[0], feet[0])
     body = BodyKinematics(offsets)
     apart = []
     for frame in range(20):
@@ -92,13 +94,19 @@ def test_poses_feet_and_floors_of_every_kind(layout: str) -> None:
         ours = kernel.pose(features, contacts, ground)
         rotations, root = decoder.decode(features, ground)
         root *= scale[:, None]
-        positions = feet[1].apply(rotations, root, body.forward(rotations, root), contacts, scale)
+        world = body.forward(rotations, root)
+        rise = scale * footings[1].follow(features, world[..., 1, 3] / scale[:, None])
+        root[:, 1] += rise
+        world[..., 1, 3] += rise[:, None]
+        positions = feet[1].apply(rotations, root, world, contacts, scale)
         apart.append(np.abs(ours[2] - positions).max(axis=(1, 2)))
         assert np.median(np.abs(ours[0] - rotations)) < 1e-6
         assert np.array_equal(feet[0].locked, feet[1].locked)
+        assert np.median(np.abs(footings[0].rise - footings[1].rise)) < 1e-5
         assert np.median(np.abs(ours[1] - root)) < 1e-5
         assert frame > 0 or feet[0].locked.any()
     assert np.mean(np.array(apart) < 1e-3) > 0.95
+    assert footings[0].rise.max() > 0.5
 
 
 def test_a_library_of_another_version_is_not_used() -> None:

@@ -151,6 +151,6 @@ def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
     walking, jumping, kicking, cartwheel, dance = (manner.guidance for manner in manners)
     assert 1.0 == walking < kicking == cartwheel < dance < jumping
     walking, jumping, kicking, cartwheel, dance = (manner.inertia for manner in manners)
-    assert 0.0 < walking < jumping < cartwheel == dance < kicking < 1.0
+    assert 0.0 < walking < jumping < dance < kicking < cartwheel < 1.0
     walking, jumping, kicking, cartwheel, dance = (manner.grip for manner in manners)
-    assert 0.0 == walking == jumping == cartwheel < kicking < dance < 1.0
+    assert 0.0 < walking == jumping == cartwheel < kicking < dance < 1.0

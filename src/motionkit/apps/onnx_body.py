@@ -7,14 +7,18 @@ stand for sums, signs and exchanges of columns.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motionkit.apps.onnx_graph import Graph
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel
-from motionkit.motion.skeleton import JOINT_COUNT, leg_length
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS, leg_length
+from motionkit.synthesis import footing
+from motionkit.synthesis.grip import foot_columns
 from motionkit.synthesis.pose import FROM_CONSTANT, FROM_MATRIX, LEFT, TO_MATRIX, BodyKinematics
 
 QUARTER = 0.5 * np.pi
+PER_PACE = footing.PACE * footing.DOUBT**2
 # A cross product: products of columns [1, 2, 0, 2, 0, 1] and [2, 0, 1, 1, 2, 0], the first three minus the others.
 FORWARD, BACKWARD = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]
 MINUS = np.concatenate([np.eye(3), -np.eye(3)])
@@ -45,7 +49,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     g.reshape(rotations, 1, JOINT_COUNT, 4, out="rotations")
     up, across = np.zeros((1, 3)), np.zeros((3, 3))
     up[0, 1] = across[0, 0] = across[1, 2] = share
-    place = g.add("Gemm", "present_ground", across, g.add("Mul", at, up), out="root_positions")
+    place = g.add("Gemm", "present_ground", across, g.add("Mul", at, up))
     # Local transforms (24, 4, 4), the last an identity, multiplied up the chains in three rounds.
     outer = g.add("Mul", rotations, g.reshape(rotations, JOINT_COUNT, 4, 1))
     to_transform = np.zeros((16, 4, 4), np.float32)
@@ -59,8 +63,39 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     for ancestors in BodyKinematics.ROUNDS:
         whole = g.add("MatMul", g.gather(whole, ancestors, axis=0), whole)
     last = g.slice(whole, [0, 0, 3], [JOINT_COUNT, 3, 4], [0, 1, 2])
+    columns = foot_columns(layout.version)[:, 1]
+    rise = _write_rise(g, features, (height, columns), g.reshape(last, 1, 3 * JOINT_COUNT), share)
+    place = g.add("Gemm", rise, up, place, out="root_positions")
     # The root comes last, which keeps digits far from the origin.
     g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), place, out="positions")
+
+
+def _write_rise(
+    g: Graph, features: str, heights: tuple[int, NDArray[np.intp]], positions: str, share: np.float32
+) -> str:
+    """Writes and answers present_rise (1, 1), by which the body is raised, as synthesis/footing.py has it.
+
+    heights: columns of the root's and of the foot joints' heights; positions: (1, 69) of joints beside the root,
+    share times the canonical body's.
+    """
+    root, feet = heights
+    # How far each foot joint is above where it stands: as the frame says, and as rotations show without the root.
+    of_features, of_positions = np.zeros((FEATURE_COUNT, 8)), np.zeros((3 * JOINT_COUNT, 8))
+    of_features[feet, np.arange(4)] = of_features[root, 4:] = 1.0
+    of_positions[3 * np.array(FOOT_JOINTS) + 1, 4 + np.arange(4)] = 1.0 / share
+    above = g.add("Gemm", features, of_features, -np.tile(STANDING_HEIGHTS, 2))
+    above = g.reshape(g.add("Gemm", positions, of_positions, above), 2, 4)
+    lowest = g.add("ReduceMin", above, axes=[1], keepdims=0)
+    # What is missing, and how low the feet are.
+    both = g.add("Gemm", g.reshape(lowest, 1, 2), [[1.0, 0.0], [-1.0, -1.0 / footing.REACH]], [0.0, 1.0])
+    both = g.add("Max", both, np.float32(0.0))
+    missing, low = g.split(both, [1, 1], axis=1)
+    doubted = g.add(
+        "Gemm", missing, missing, np.full(1, footing.DOUBT**2), alpha=1.0 / PER_PACE, beta=1.0 / PER_PACE
+    )
+    pace = g.add("Div", g.add("Min", low, np.float32(1.0)), doubted)
+    further = g.add("Mul", pace, g.add("Sub", missing, "rise"))
+    return g.add("Add", "rise", further, out="present_rise")
 
 
 def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_velocity: str) -> str:

@@ -31,6 +31,7 @@ from motionkit.models.step import NetworkStep
 from motionkit.models.step_weights import pack
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
 from motionkit.synthesis.character import model_first_type
+from motionkit.synthesis.footing import Footing
 from motionkit.synthesis.outline_player import last_poses
 from motionkit.synthesis.plan import TypePart, plan_signals
 from motionkit.synthesis.pose import BodyKinematics, PoseDecoder
@@ -40,7 +41,7 @@ from motionkit.synthesis.start import seed_start
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMAT = "motionkit-onnx-4"
+FORMAT = "motionkit-onnx-5"
 WEIGHTS = ("float32", "int8")
 OUTLINE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
 
@@ -266,11 +267,12 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
         graph.values["pose"][:], graph.values["contacts"][:] = x[:, t], start.contacts[:, t].numpy()
         if t + 1 < x.shape[1]:
             graph.step()
-    graph.values["ground"][:] = 0.0
+    graph.values["ground"][:] = graph.values["rise"][:] = 0.0
     decoder = PoseDecoder(model.config.layout, model.references.numpy())
     skeleton = model.character(character)
     share = leg_length(skeleton) / leg_length(model.character("default"))
     body = BodyKinematics(skeleton.offsets.numpy()[None])
+    footing = Footing(model.config.layout, 1)
     near = last_poses(model, start.features[0])
     played = plan_signals(model, [TypePart(kind, frames / model.fps)], near)
     way, given, none = torch.zeros(1, TRAJECTORY_COUNT), torch.zeros(1), torch.full((1,), -1.0)
@@ -281,6 +283,7 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
         ours, _, ground = state.advance(FrameControls(weights, way, given, none, guide, guided))
         rotations, root = decoder.decode(ours, ground)
         positions = body.forward(rotations, np.float32(share) * root)[..., :3, 3]
+        positions[..., 1] += np.float32(share) * footing.follow(ours, positions[..., 1] / np.float32(share))
         made = graph.step()
         apart = max(apart, float(np.linalg.norm(made["positions"] - positions, axis=-1).max()))
         features = max(features, float(np.abs(made["present_pose"] - state.normalised).max()))

@@ -25,6 +25,7 @@ from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel
 from motionkit.models.step_weights import NORM_EPS, Floats, StepWeights
 from motionkit.motion.skeleton import canonical_skeleton
+from motionkit.synthesis.rollout import inert_columns
 
 INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
 
@@ -40,6 +41,7 @@ def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
         "pose": (1, FEATURE_COUNT),
         "contacts": (1, CONTACT_COUNT),
         "ground": (1, 3),
+        "rise": (1, 1),
         "past_frames": (1, max(config.kernel - 1, 1) * INPUT_COUNT),
         "frames_seen": (1, 1),
     }
@@ -56,7 +58,7 @@ def present_name(name: str) -> str:
 
 
 def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: bool) -> str:
-    """Nodes from controls and state to all state but the ground; answers the unnormalised features (1, 276).
+    """Nodes from controls and state to all state but ground and rise; answers the unnormalised features (1, 276).
 
     small: products of the layers in 8 bits.
     """
@@ -97,6 +99,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
         terms.append(g.add("Mul", moved, weights.momentum))
     drawn = g.add("Sum", *terms)
     inertias = np.array([[model.inertia.get(kind, 0.0)] for kind in model.types], np.float32)
+    inertias = inertias * inert_columns(config.layout)
     late = g.add("Sub", g.add("Add", "pose", moved), drawn)
     late = g.add("Mul", late, g.add("MatMul", "type_weights", inertias))
     grips = any(model.grip.values())

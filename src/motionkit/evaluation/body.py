@@ -17,7 +17,7 @@ from motionkit.metrics.body_movement import euler_movement, geodesic_movement
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate, quat_to_expmap
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton
 
 _AT = JOINT_NAMES.index
 LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE = (
@@ -27,8 +27,7 @@ HEAD, CHEST, HIPS = _AT("Head"), _AT("Spine1"), 0
 ARMS = tuple((_AT(f"{s}Arm"), _AT(f"{s}ForeArm"), _AT(f"{s}Hand")) for s in ("Left", "Right"))
 HANDS = tuple(hand for _, _, hand in ARMS)
 
-# Heights in cm of ankle and toe joint of a foot that stands flat.
-STANDING_ANKLE, STANDING_TOE = 10.5, 4.1
+STANDING_ANKLE, STANDING_TOE = STANDING_HEIGHTS[:2]
 OFF_GROUND = 1.5  # cm that both feet are lifted by in a jump
 # In the flight of a run both feet are this far (cm) above where the lower one is otherwise, and move
 # along the ground at least this fast (cm/s). The clip's own level counts: runs are short and their floors uncertain.

@@ -18,6 +18,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 from motionkit.synthesis.drive import together
+from motionkit.synthesis.footing import raised
 from motionkit.synthesis.outline_player import Signals, last_poses
 from motionkit.synthesis.plan import TypePart, plan_signals, plan_weights
 from motionkit.synthesis.rollout import (
@@ -168,4 +169,5 @@ def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Tensor, Tensor]:
     rotations = torch.cat([root[..., None, :], rotations[..., 1:, :]], dim=-2)
     rotations = torch.stack([quat_continuous(each) for each in rotations])
     height = root_height(rollout.features, layout)
-    return rotations, torch.stack([rollout.ground[..., 0], height, rollout.ground[..., 1]], dim=-1)
+    roots = torch.stack([rollout.ground[..., 0], height, rollout.ground[..., 1]], dim=-1)
+    return rotations, raised(rollout.features, rotations, roots, model.character("default"), layout)

@@ -14,7 +14,7 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 
 TOES = (1, 3)  # of the four foot joints
 STANCE_SPEED = 30.0  # cm/s below which the lowest foot joint counts as standing
-STANCE_QUANTILE = 0.05  # of the standing heights: low, yet a few sunken frames cannot move it
+STANCE_QUANTILE = 0.25  # of the standing heights: low, yet a body that sinks now and then cannot move it
 STANCE_FRAMES = 10  # with fewer standing frames, all frames are taken
 SINK_MARGIN = 0.5  # cm below the floor that measuring noise alone reaches
 
@@ -25,7 +25,7 @@ def foot_positions(global_positions: Tensor) -> Tensor:
 
 
 def floor_height(feet: Tensor, fps: float = FRAME_RATE) -> float:
-    """Height in cm of the clip's own floor: the 5 % quantile of the lowest foot joint while it stands still.
+    """Height in cm of the clip's own floor: the lower quartile of the lowest foot joint while it stands still.
 
     The level is that of the joints at rest, not of the soles under them.
 

@@ -100,6 +100,7 @@ PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(p) if p else -1 for _, p, _ i
 FOOT_JOINTS: tuple[int, ...] = tuple(
     JOINT_NAMES.index(name) for name in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase")
 )
+STANDING_HEIGHTS = (10.5, 4.1, 10.5, 4.1)  # cm above the floor, of these joints of a foot that stands flat
 # Thigh plus shin as a share of standing height (anthropometric tables; also the CMU subjects).
 LEG_TO_STATURE = 0.491
 

@@ -15,6 +15,7 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.models.step_weights import Floats
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
 from motionkit.synthesis.foot_lock import FootLock
+from motionkit.synthesis.footing import Footing
 from motionkit.synthesis.frame_kernel import PoseKernel, frame_library
 from motionkit.synthesis.pose import BodyKinematics, PoseDecoder
 from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState
@@ -75,9 +76,12 @@ class CharacterStream:
         self.decoder = PoseDecoder(model.config.layout, model.references.numpy())
         self.offsets = np.zeros((count, JOINT_COUNT, 3), np.float32)
         self.body = BodyKinematics(self.offsets)
+        self.footing = Footing(model.config.layout, count)
         self.feet = FootLock(count) if ik else None
         library = frame_library() if compiled else None
-        kernel = library and PoseKernel(library, self.decoder, self.offsets, self.scale, self.feet)
+        kernel = library and PoseKernel(
+            library, self.decoder, self.offsets, self.scale, self.footing, self.feet
+        )
         self._pose = kernel.pose if kernel else self._pose_in_numpy
         for index in range(count):
             self._take_body(index, characters[index % len(characters)])
@@ -92,6 +96,7 @@ class CharacterStream:
         self._scaled = bool((self.scale != 1.0).any())
         self.offsets[index] = skeleton.offsets.numpy()
         self.body.set_offsets(index, self.offsets[index])
+        self.footing.rise[index] = 0.0
         if self.feet is not None:
             self.feet.reset(index)
 
@@ -151,6 +156,9 @@ class CharacterStream:
         rotations, root = self.decoder.decode(features, ground)
         root *= self.scale[:, None]
         world = self.body.forward(rotations, root)
+        rise = self.scale * self.footing.follow(features, world[..., 1, 3] / self.scale[:, None])
+        root[:, 1] += rise
+        world[..., 1, 3] += rise[:, None]
         if self.feet is not None:
             positions = self.feet.apply(rotations, root, world, contacts, self.scale)
         else:

@@ -94,15 +94,17 @@ class PathFollower:
         weights = self._type_weights()[None]
         part = int(self.path.part_at(torch.tensor(self.arc)))
         kind = self.path.parts[part].type
+        # On a path the way comes first, wherever feet stand or those of a recording went.
+        loose = torch.zeros(1)
         if kind in STEERED_TYPES:
             self.entered = part
-            return FrameControls(weights, trajectory[None], torch.ones(1), torch.full((1,), -1.0))
+            no_phase = torch.full((1,), -1.0)
+            return FrameControls(weights, trajectory[None], torch.ones(1), no_phase, grip=loose)
         if part != self.entered:
             self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
             self.entered = part
         asked = self.player.play(1, trajectory[None])
-        # On a path the way comes first, wherever the feet of the recording went.
-        loose, shown = torch.zeros(1), (asked.progress, asked.guide, asked.guided)
+        shown = (asked.progress, asked.guide, asked.guided)
         return FrameControls(weights, trajectory[None], torch.ones(1), *shown, loose)
 
     def _project(self, point: Tensor) -> float:

@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 6; }
+int64_t frame_kernel_version(void) { return 7; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -29,7 +29,7 @@ static void draw_pose(const Draw *d, int64_t row) {
         /* Where the last movement would go on to. */
         const float now = x[n], onwards = now + (now - before[n]);
         before[n] = now;
-        x[n] = drawn + (onwards - drawn) * inertia;
+        x[n] = drawn + (onwards - drawn) * (inertia * d->inert[n]);
         out[n] = x[n] * d->scaling_std[n] + d->scaling_mean[n];
     }
 }
@@ -192,6 +192,19 @@ static void forward_kinematics(const Pose *p, const Quat *rotations, Vec3 root, 
     for (int64_t j = 0; j < JOINTS; j++) positions[j] = plus(positions[j], root);
 }
 
+/* Raises a body whose rotations put its feet lower than the frame says they are: Footing in footing.py. */
+static void raise_body(const Footing *f, int64_t row, const float *features, float scale, Vec3 *positions) {
+    float said = INFINITY, shown = INFINITY;
+    for (int i = 0; i < 4; i++) {
+        said = fminf(said, features[f->columns[i]] - f->standing[i]);
+        shown = fminf(shown, positions[f->joints[i]].y / scale - f->standing[i]);
+    }
+    const float missing = said > shown ? said - shown : 0, low = 1 - clip(shown / f->reach, 0, 1);
+    const float doubted = missing / f->doubt, pace = f->pace * low / (1 + doubted * doubted);
+    f->rise[row] += pace * (missing - f->rise[row]);
+    for (int64_t j = 0; j < JOINTS; j++) positions[j].y += scale * f->rise[row];
+}
+
 void pose_frames(const Pose *p, int64_t rows) {
     for (int64_t row = 0; row < rows; row++) {
         const float *features = p->frame + row * p->features, *ground = p->ground + 3 * row, scale = p->scale[row];
@@ -203,6 +216,7 @@ void pose_frames(const Pose *p, int64_t rows) {
             rotations[j] = joint_rotation(features + p->joints + 3 * (j - 1), p->references + 16 * (j - 1));
         const Vec3 root = {scale * ground[0], scale * features[p->height], scale * ground[1]};
         forward_kinematics(p, rotations, root, (const Vec3 *)p->offsets + row * JOINTS, world, positions);
+        raise_body(&p->footing, row, features, scale, positions);
         if (p->feet) lock_feet(p->feet, row, p->contacts + 4 * row, scale, world, rotations, positions);
         ((Vec3 *)p->root_places)[row] = positions[0];
     }

@@ -16,6 +16,7 @@ typedef struct {
     const float *scaling_mean, *scaling_std; /* (features,) */
     const float *fresh;                      /* (B, features) standard normal; NULL takes the mean */
     float *noise, *smooth;                   /* (B, features), follow themselves and each other */
+    const float *inert;                      /* (features,) how much of the inertia each takes */
     const float *inertia, *grip;             /* (B,) */
     float *before;                           /* (B, features) the frame before, normalised */
     float rho, fresh_share, smoothing, noise_share, temperature, fps;
@@ -37,10 +38,18 @@ typedef struct {
     float *drop;                               /* (B,) */
 } Feet;
 
-/* From a frame to a body: PoseDecoder, BodyKinematics and FootLock. */
+/* How far all characters are raised, and the numbers of footing.py. */
+typedef struct {
+    int64_t joints[4], columns[4]; /* of the foot joints, and of their heights */
+    float standing[4], reach, pace, doubt;
+    float *rise; /* (B,) */
+} Footing;
+
+/* From a frame to a body: PoseDecoder, BodyKinematics, Footing and FootLock. */
 typedef struct {
     int64_t features, root, joints, height, sixd; /* columns */
     int64_t parents[JOINTS];
+    Footing footing;
     const float *references;                    /* (22, 4, 4) */
     const float *offsets;                       /* (B, 23, 3) */
     const float *scale;                         /* (B,) */

@@ -20,13 +20,13 @@ from numpy.typing import NDArray
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.step_kernel import load_library
 from motionkit.models.step_weights import Floats
-from motionkit.motion.skeleton import JOINT_COUNT, PARENTS
-from motionkit.synthesis import foot_lock, grip
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
+from motionkit.synthesis import foot_lock, footing, grip
 
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 6  # of frame_kernel.c
+VERSION = 7  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -38,7 +38,9 @@ class _Draw(Structure):
         *((n, c_double) for n in ("ease", "stiffness", "enough", "limit")),
         *(
             (n, c_void_p)
-            for n in "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inertia grip before".split()
+            for n in (
+                "mean log_sigma logits scaling_mean scaling_std fresh noise smooth inert inertia grip before"
+            ).split()
         ),
         *((n, c_float) for n in "rho fresh_share smoothing noise_share temperature fps".split()),
         *((n, c_void_p) for n in "x seen denormalised ground".split()),
@@ -59,10 +61,20 @@ class _Feet(Structure):
     )
 
 
+class _Footing(Structure):
+    _fields_ = (
+        *((n, c_int64 * 4) for n in ("joints", "columns")),
+        ("standing", c_float * 4),
+        *((n, c_float) for n in ("reach", "pace", "doubt")),
+        ("rise", c_void_p),
+    )
+
+
 class _Pose(Structure):
     _fields_ = (
         *((n, c_int64) for n in "features root joints height sixd".split()),
         ("parents", c_int64 * JOINT_COUNT),
+        ("footing", _Footing),
         *((n, c_void_p) for n in "references offsets scale frame contacts ground".split()),
         *((n, c_void_p) for n in "rotations root_places positions".split()),
         ("feet", POINTER(_Feet)),
@@ -92,6 +104,7 @@ class DrawArrays:
     fresh: Floats | None
     noise: Floats
     smooth: Floats
+    inert: Floats
     inertia: Floats
     grip: Floats
     before: Floats
@@ -116,7 +129,7 @@ def bind_draw(
     """
     a = arrays
     strides = [array.strides[0] // 4 for array in (a.mean, a.logits)]
-    followed = (a.noise, a.smooth, a.inertia, a.grip, a.before)
+    followed = (a.noise, a.smooth, a.inert, a.inertia, a.grip, a.before)
     whole = (a.scaling_mean, a.scaling_std, *followed, a.x, a.contacts, a.features, a.ground)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
     assert a.log_sigma.strides == a.mean.strides
@@ -135,7 +148,7 @@ def bind_draw(
 
 
 class PoseKernel:
-    """PoseDecoder, BodyKinematics and FootLock of N characters in one call."""
+    """PoseDecoder, BodyKinematics, Footing and FootLock of N characters in one call."""
 
     def __init__(
         self,
@@ -143,11 +156,12 @@ class PoseKernel:
         decoder: PoseDecoder,
         offsets: Floats,
         scale: Floats,
+        rises: footing.Footing,
         feet: foot_lock.FootLock | None,
     ) -> None:
-        """offsets (N, 23, 3) in cm, scale (N,), and feet, None to leave them alone, are looked at anew at each call."""
+        """offsets (N, 23, 3) in cm, scale (N,), rises, and feet, None to leave them alone, are read at each call."""
         count = len(offsets)
-        self._library, self._decoder, self._feet = library, decoder, feet
+        self._library, self._decoder, self._rises, self._feet = library, decoder, rises, feet
         self._bodies = (offsets, scale)
         self._posed = tuple(
             np.zeros((count, *n), np.float32) for n in ((JOINT_COUNT, 4), (3,), (JOINT_COUNT, 3))
@@ -176,11 +190,18 @@ class PoseKernel:
         assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in arrays)
         pose = _Pose(
             FEATURE_COUNT, decoder.root.start, decoder.joints.start, decoder.height, decoder.continuous,
-            (c_int64 * JOINT_COUNT)(*PARENTS),
+            (c_int64 * JOINT_COUNT)(*PARENTS), _footing(self._rises),
             *(_address(array) for array in arrays),
             None if self._feet is None else pointer(_feet(self._feet)),
         )  # fmt: skip
-        return _call(self._library.pose_frames, pose, len(self._posed[0]), (arrays, self._feet))
+        return _call(self._library.pose_frames, pose, len(self._posed[0]), (arrays, self._rises, self._feet))
+
+
+def _footing(rises: footing.Footing) -> _Footing:
+    four = c_int64 * 4
+    numbers = (footing.REACH, footing.PACE, footing.DOUBT, _address(rises.rise))
+    joints, columns = four(*FOOT_JOINTS), four(*rises.columns.tolist())
+    return _Footing(joints, columns, (c_float * 4)(*STANDING_HEIGHTS), *numbers)
 
 
 def _feet(feet: foot_lock.FootLock) -> _Feet:

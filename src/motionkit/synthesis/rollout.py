@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -19,6 +19,7 @@ from motionkit.models.step_weights import Floats
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.synthesis import grip
+from motionkit.synthesis.footing import raised
 from motionkit.synthesis.frame_kernel import DrawArrays, bind_draw, frame_library
 from motionkit.synthesis.stepping import TorchStep, stepper
 
@@ -95,6 +96,13 @@ def progress_at(frame: float, phase_frames: float) -> float:
     return (frame / phase_frames) % 1.0 if phase_frames > 0 else -1.0
 
 
+def inert_columns(layout: str) -> Floats:
+    """How much of a type's inertia each feature takes (276,): heights none, for the floor stops a fall at once."""
+    columns = feature_layout(layout).columns
+    upright = [c.block in ("joint_positions", "joint_velocities") and c.component == 1 for c in columns]
+    return 1.0 - np.array(upright, np.float32)
+
+
 class RolloutState:
     """B characters in motion: step() moves all of them on by one frame.
 
@@ -119,6 +127,7 @@ class RolloutState:
         self._inertias = np.array([model.inertia.get(kind, 0.0) for kind in model.types], np.float32)
         self._grips = np.array([model.grip.get(kind, 0.0) for kind in model.types], np.float32)
         self._feet = grip.foot_columns(model.config.layout)
+        self._inert = inert_columns(model.config.layout)
         guides = model.guide_map
         self._guide_gains, self._guide_matrix, self._guide_constant = (
             g.numpy() for g in vars(guides).values()
@@ -268,8 +277,8 @@ class RolloutState:
         fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
         arrays = DrawArrays(
             network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
-            self._noise_state, self._smooth_noise, self._inertia, self._grip, self._before, self._x,
-            self._contacts, self._features, self._ground,
+            self._noise_state, self._smooth_noise, self._inert, self._inertia, self._grip, self._before,
+            self._x, self._contacts, self._features, self._ground,
         )  # fmt: skip
         noise = (*self.noise.filters, self.noise.temperature)
         columns = (self._yaw, self._xz.start, self._feet)
@@ -295,7 +304,7 @@ class RolloutState:
             self._x *= self._next_noise()
             self._x += network.mean
         onwards -= self._x
-        self._x += onwards * self._inertia
+        self._x += onwards * (self._inertia * self._inert)
         self._contacts[:] = 1.0 / (1.0 + np.exp(-network.contact_logits, dtype=np.float64))
         features = np.multiply(self._x, self._std, out=self._features)
         features += self._mean
@@ -359,15 +368,13 @@ def run(
 
 
 def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton) -> Motion:
-    """One character's motion by forward integration on a skeleton."""
-    return decode_motion(
-        rollout.features[index],
-        skeleton,
-        model.fps,
-        rollout.ground[index, 0],
-        model.references,
-        model.config.layout,
+    """One character's motion by forward integration on a skeleton, raised to where its feet are."""
+    features, layout = rollout.features[index], model.config.layout
+    motion = decode_motion(features, skeleton, model.fps, rollout.ground[index, 0], model.references, layout)
+    roots = raised(
+        features[None], motion.local_rotations[None], motion.root_positions[None], skeleton, layout
     )
+    return replace(motion, root_positions=roots[0])
 
 
 def seed_batch(seeds: list[Seed]) -> tuple[Tensor, Tensor]:

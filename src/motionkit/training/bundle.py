@@ -20,7 +20,7 @@ from motionkit.synthesis.steering import STEERED_TYPES
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
 # Noise shakes a body that a guide keeps moving; who stands nearly still sways. Quiet types turn slower (rad/s).
-NOISE, NOISE_OF_QUIET, QUIET = 0.4, 1.05, 0.3
+NOISE, NOISE_OF_QUIET, QUIET = 0.2, 1.15, 0.3
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
 OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 40.0, 6.0, 1.0
 
@@ -43,8 +43,8 @@ class Manner:
     grip: float
 
 
-GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.0), Manner(1.6, 0.5, 0.0), Manner(1.6, 0.55, 0.15)
-JUMP, OTHER = Manner(2.3, 0.35, 0.0), Manner(1.8, 0.5, 0.4)
+GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.2), Manner(1.6, 0.6, 0.2), Manner(1.6, 0.45, 0.3)
+JUMP, OTHER = Manner(2.3, 0.35, 0.2), Manner(1.8, 0.4, 0.5)
 
 
 def bundle_model(

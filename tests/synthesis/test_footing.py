@@ -1,0 +1,102 @@
+"""Footing: bodies are raised to where a frame says their feet are, and only those that need it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+from motionkit.features.decode import root_height
+from motionkit.features.layout import FEATURE_COUNT
+from motionkit.metrics.ground import foot_positions
+from motionkit.models.bundled import load_bundled_model
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS
+from motionkit.synthesis import footing
+from motionkit.synthesis.character import CharacterStream
+from motionkit.synthesis.footing import Footing
+from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, rollout_motion
+
+MODEL = load_bundled_model()
+LAYOUT = MODEL.config.layout
+
+
+def frame(said: float, shown: float) -> tuple[np.ndarray, np.ndarray]:
+    """Features and heights of one body whose feet are so far above where they stand; the right toe is lowest."""
+    follower = Footing(LAYOUT, 1)
+    features = np.zeros((1, FEATURE_COUNT), np.float32)
+    heights = np.full((1, JOINT_COUNT), 90.0, np.float32)
+    features[0, follower.columns] = np.array(STANDING_HEIGHTS) + 20.0
+    heights[0, list(FOOT_JOINTS)] = np.array(STANDING_HEIGHTS) + 20.0
+    features[0, follower.columns[3]] = STANDING_HEIGHTS[3] + said
+    heights[0, FOOT_JOINTS[3]] = STANDING_HEIGHTS[3] + shown
+    return features, heights
+
+
+def test_a_body_is_raised_by_what_its_feet_miss_bit_by_bit() -> None:
+    follower = Footing(LAYOUT, 1)
+    features, heights = frame(0.0, -2.0)
+    first = float(follower.follow(features, heights)[0])
+    assert first == pytest.approx(2.0 * footing.PACE / (1.0 + (2.0 / footing.DOUBT) ** 2), rel=1e-5)
+    for _ in range(300):
+        last = float(follower.follow(features, heights)[0])
+    assert last == pytest.approx(2.0, abs=1e-3)
+    # Where nothing is missing any more it comes back down.
+    for _ in range(300):
+        last = float(follower.follow(*frame(0.0, 0.0))[0])
+    assert last == pytest.approx(0.0, abs=1e-3)
+
+
+def test_feet_that_are_shown_higher_than_said_are_left_there() -> None:
+    assert Footing(LAYOUT, 1).follow(*frame(-3.0, 0.0))[0] == 0.0
+
+
+def test_feet_in_the_air_tell_nothing() -> None:
+    assert Footing(LAYOUT, 1).follow(*frame(14.0, 12.0))[0] == 0.0
+
+
+def test_what_is_far_off_is_hardly_believed() -> None:
+    near, far = (float(Footing(LAYOUT, 1).follow(*frame(0.0, -depth))[0]) for depth in (4.0, 40.0))
+    assert 0.0 < far < 0.3 * near
+
+
+def rolled(frames: int = 120) -> tuple[Rollout, list[torch.Tensor]]:
+    """A dance, and where a live character without foot locks has its joints in each of its frames."""
+    stream = CharacterStream(MODEL, noise=Noise("mean"), ik=False)
+    stream.reset(0, type="dance-indian")
+    weights = torch.zeros(1, len(MODEL.types))
+    weights[0, MODEL.type_id("dance-indian")] = 1.0
+    asked = FrameControls(weights, torch.zeros(1, 24), torch.zeros(1), torch.full((1,), -1.0))
+    features, ground, positions = [], [], []
+    for _ in range(frames):
+        positions.append(stream.step(asked).positions[0])
+        features.append(torch.from_numpy(stream.state._features.copy()))
+        ground.append(stream.state.ground)
+    contacts = torch.zeros(1, frames, 4)
+    return Rollout(torch.stack(features, 1), contacts, torch.stack(ground, 1)), positions
+
+
+def test_whole_motions_are_raised_as_live_characters_are() -> None:
+    rollout, positions = rolled()
+    motion = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
+    assert torch.allclose(motion_kinematics(motion)[1], torch.stack(positions), atol=0.01)
+    low = rollout.features[0, :, Footing(LAYOUT, 1).columns] - torch.tensor(STANDING_HEIGHTS)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(footing, "PACE", 0.0)
+        sunk = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
+
+    def missing(motion: Motion) -> torch.Tensor:
+        feet = foot_positions(motion_kinematics(motion)[1])[..., 1] - torch.tensor(STANDING_HEIGHTS)
+        return low.amin(dim=-1) - feet.amin(dim=-1)
+
+    assert float(missing(motion).clamp(min=0.0).mean()) < 0.8 * float(missing(sunk).clamp(min=0.0).mean())
+
+
+def test_recorded_motion_stays_where_it_is() -> None:
+    for kind in MODEL.types:
+        seed = MODEL.seeds[kind][0]
+        rollout = Rollout(seed.features[None], seed.contacts[None], seed.ground[None])
+        motion = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
+        rise = motion.root_positions[:, 1] - root_height(seed.features, LAYOUT)
+        assert float(rise.abs().max()) < 0.1
