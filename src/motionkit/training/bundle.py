@@ -19,8 +19,9 @@ from motionkit.synthesis.steering import STEERED_TYPES
 
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
-# Noise shakes a body that a guide keeps moving; who stands nearly still sways. Quiet types turn slower (rad/s).
-NOISE, NOISE_OF_QUIET, QUIET = 0.2, 1.15, 0.3
+# Noise shakes a body that a guide keeps moving; who stands nearly still sways, and on one leg more so. Quiet types turn
+# slower (rad/s).
+NOISE, NOISE_OF_STANDING, NOISE_OF_QUIET, QUIET = 0.2, 1.0, 1.15, 0.3
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
 OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 40.0, 6.0, 1.0
 
@@ -44,7 +45,7 @@ class Manner:
 
 
 GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.2), Manner(1.6, 0.6, 0.2), Manner(1.6, 0.45, 0.3)
-JUMP, OTHER = Manner(2.3, 0.35, 0.2), Manner(1.8, 0.4, 0.5)
+JUMP, OTHER = Manner(2.3, 0.37, 0.2), Manner(1.85, 0.45, 0.5)
 
 
 def bundle_model(
@@ -193,7 +194,9 @@ def noise_shares(dataset: Dataset) -> dict[str, float]:
         turns.index_add_(0, data.types, speeds.double())
         frames += torch.bincount(data.types, minlength=len(frames))
     quiet = (turns / frames < QUIET).tolist()
-    return {k: NOISE_OF_QUIET if still else NOISE for k, still in zip(dataset.types, quiet, strict=True)}
+    sways = [NOISE_OF_STANDING if kind in STEERED_TYPES else NOISE_OF_QUIET for kind in dataset.types]
+    found = zip(dataset.types, sways, quiet, strict=True)
+    return {kind: sway if still else NOISE for kind, sway, still in found}
 
 
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
