@@ -27,7 +27,7 @@ def started(
     model: MotionModel, inertia: dict[str, float], compiled: bool, noise: Noise | None = None
 ) -> tuple[RolloutState, torch.Tensor]:
     """Two walkers and their normalised seed frames, the second of them half asked for a cartwheel."""
-    model = replace(model, inertia=inertia)
+    model = replace(model, inertia=inertia, grip={})
     seed = model.seeds["walking"][0]
     state = RolloutState(model, 2, noise or Noise("mean"), compiled=compiled)
     features = torch.stack([seed.features, seed.features])
