@@ -44,7 +44,9 @@ def main(model: str = BUNDLED, folder: str = str(Path(__file__).resolve().parent
         some = types[first : first + EACH]
         write_contact_sheet(Path(folder) / f"types-{first // EACH + 1}.png", some, POSES, WIDTH)
     held = SynthesisOptions(ik=True)
-    paths = [(t.name, follow_path(loaded, t.path, held).motion) for t in path_trials()[-PATHS:]]
+    # The sheets' font has no arrows.
+    names = [(trial.name.replace(" →", ","), trial) for trial in path_trials()[-PATHS:]]
+    paths = [(name, follow_path(loaded, trial.path, held).motion) for name, trial in names]
     write_contact_sheet(Path(folder) / "paths.png", paths, POSES, WIDTH)
 
 
