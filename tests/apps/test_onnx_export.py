@@ -102,8 +102,9 @@ def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
 def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Path) -> None:
     import onnx
 
-    check = export_onnx(tiny_model, tmp_path / "small.onnx", weights="int8")
-    assert check is not None and 1e-4 < check.features < 0.3
+    # Without a grip, which sums up over 600 frames where feet stand.
+    check = export_onnx(replace(tiny_model, grip={}), tmp_path / "small.onnx", weights="int8")
+    assert check is not None and 1e-4 < check.features < 0.05
     assert (tmp_path / "small.onnx").stat().st_size < 0.7 * exported.stat().st_size
     assert json.loads((tmp_path / "small.json").read_text())["weights"] == "int8"
     proto = onnx.load(str(tmp_path / "small.onnx"))

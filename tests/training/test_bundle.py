@@ -17,6 +17,8 @@ from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
 from motionkit.training.bundle import (
     LONGEST_OUTLINE,
+    NOISE_OF_QUIET,
+    NOISE_OF_STANDING,
     OUTLINE_SECONDS,
     SEED_FRAMES,
     SEEDS_PER_TYPE,
@@ -103,9 +105,12 @@ def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
 def test_quiet_types_take_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     shares = noise_shares(dataset)
     assert set(shares) == set(dataset.types)
-    assert shares["idle"] >= 1.0 > shares["running"]
+    assert shares["idle"] == NOISE_OF_STANDING >= 1.0 > shares["running"]
     monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
     assert max(noise_shares(dataset).values()) < 1.0
+    monkeypatch.setattr("motionkit.training.bundle.QUIET", float("inf"))
+    swaying = noise_shares(dataset)
+    assert swaying["walking"] == NOISE_OF_STANDING < swaying["cartwheel"] == NOISE_OF_QUIET
 
 
 def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:

@@ -270,7 +270,7 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     graph.values["ground"][:] = graph.values["rise"][:] = 0.0
     decoder = PoseDecoder(model.config.layout, model.references.numpy())
     skeleton = model.character(character)
-    share = leg_length(skeleton) / leg_length(model.character("default"))
+    share = np.array([leg_length(skeleton) / leg_length(model.character("default"))], np.float32)
     body = BodyKinematics(skeleton.offsets.numpy()[None])
     footing = Footing(model.config.layout, 1)
     near = last_poses(model, start.features[0])
@@ -282,10 +282,11 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
         graph.values["guide"][:], graph.values["guided"][:] = guide.numpy(), guided[:, None].numpy()
         ours, _, ground = state.advance(FrameControls(weights, way, given, none, guide, guided))
         rotations, root = decoder.decode(ours, ground)
-        positions = body.forward(rotations, np.float32(share) * root)[..., :3, 3]
-        positions[..., 1] += np.float32(share) * footing.follow(ours, positions[..., 1] / np.float32(share))
+        root *= share
+        world = body.forward(rotations, root)
+        footing.apply(ours, root, world, share)
         made = graph.step()
-        apart = max(apart, float(np.linalg.norm(made["positions"] - positions, axis=-1).max()))
+        apart = max(apart, float(np.linalg.norm(made["positions"] - world[..., :3, 3], axis=-1).max()))
         features = max(features, float(np.abs(made["present_pose"] - state.normalised).max()))
     # Timed by itself: side by side each pushes the other's weights out of the cache.
     began = time.perf_counter()

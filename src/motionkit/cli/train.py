@@ -20,13 +20,14 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 
 
 def _names(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
+    """The words between commas."""
     return tuple(filter(None, (word.strip() for word in (text or "").split(","))))
 
 
 def _type_weights(context: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
     """How many times as often each type is to be shown, from "kicking=2,idle=0.5"."""
     weights = {}
-    for word in filter(None, (word.strip() for word in (text or "").split(","))):
+    for word in _names(context, parameter, text):
         name, _, times = word.rpartition("=")
         try:
             weights[name.strip()] = float(times)

@@ -27,11 +27,11 @@ from motionkit.motion.rotations import (
     quat_rotate,
     quat_slerp,
 )
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 
 # Height of the toe joint (ball of the foot) above the floor while the foot stands on it, in cm: the
 # median over the CMU subjects whose floor is level.
-TOE_HEIGHT = 4.1
+TOE_HEIGHT = STANDING_HEIGHTS[1]
 
 TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
 

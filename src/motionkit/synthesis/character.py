@@ -156,9 +156,7 @@ class CharacterStream:
         rotations, root = self.decoder.decode(features, ground)
         root *= self.scale[:, None]
         world = self.body.forward(rotations, root)
-        rise = self.scale * self.footing.follow(features, world[..., 1, 3] / self.scale[:, None])
-        root[:, 1] += rise
-        world[..., 1, 3] += rise[:, None]
+        self.footing.apply(features, root, world, self.scale)
         if self.feet is not None:
             positions = self.feet.apply(rotations, root, world, contacts, self.scale)
         else:

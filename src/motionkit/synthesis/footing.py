@@ -47,6 +47,17 @@ class Footing:
         self.rise += pace * (missing - self.rise)
         return self.rise
 
+    def apply(self, features: Floats, root_positions: Floats, world: Floats, scale: Floats) -> None:
+        """Raise the bodies of a frame: changes root_positions (N, 3) and their world transforms (N, 23, 4, 4) in place.
+
+        Args:
+            features: (N, 276) unnormalised.
+            scale: (N,) size of each character against the canonical body.
+        """
+        rise = scale * self.follow(features, world[..., 1, 3] / scale[:, None])
+        root_positions[:, 1] += rise
+        world[..., 1, 3] += rise[:, None]
+
 
 def raised(features: Tensor, rotations: Tensor, roots: Tensor, skeleton: Skeleton, layout: str) -> Tensor:
     """Root positions (B, T, 3) of whole motions, raised frame by frame.

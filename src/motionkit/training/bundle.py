@@ -36,7 +36,7 @@ class Manner:
         inertia: share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and
             moves less.
         grip: share of what standing feet slide that is taken out of the root's way. Who is guided by a recording
-            made on another way slides most; gaits are to keep the speed that is asked for.
+            made on another way slides most; with much of it gaits are slow to take the speed that is asked for.
     """
 
     guidance: float
