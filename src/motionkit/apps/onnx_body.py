@@ -62,9 +62,11 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     whole = g.reshape(g.add("Concat", local, np.eye(4).reshape(1, 16), axis=0), JOINT_COUNT + 1, 4, 4)
     for ancestors in BodyKinematics.ROUNDS:
         whole = g.add("MatMul", g.gather(whole, ancestors, axis=0), whole)
-    last = g.slice(whole, [0, 0, 3], [JOINT_COUNT, 3, 4], [0, 1, 2])
+    # x, y and z of each in the last column, by their places: runtimes take long over a slice of three axes.
+    at_last = 16 * np.arange(JOINT_COUNT)[:, None] + [3, 7, 11]
+    last = g.gather(g.reshape(whole, 1, -1), at_last.reshape(-1), axis=1)
     columns = foot_columns(layout.version)[:, 1]
-    rise = _write_rise(g, features, (height, columns), g.reshape(last, 1, 3 * JOINT_COUNT), share)
+    rise = _write_rise(g, features, (height, columns), last, share)
     place = g.add("Gemm", rise, up, place, out="root_positions")
     # The root comes last, which keeps digits far from the origin.
     g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), place, out="positions")
@@ -85,9 +87,9 @@ def _write_rise(
     of_positions[3 * np.array(FOOT_JOINTS) + 1, 4 + np.arange(4)] = 1.0 / share
     above = g.add("Gemm", features, of_features, -np.tile(STANDING_HEIGHTS, 2))
     above = g.reshape(g.add("Gemm", positions, of_positions, above), 2, 4)
-    lowest = g.add("ReduceMin", above, axes=[1], keepdims=0)
+    lowest = g.add("ReduceMin", above, axes=[1], keepdims=1)
     # What is missing, and how low the feet are.
-    both = g.add("Gemm", g.reshape(lowest, 1, 2), [[1.0, 0.0], [-1.0, -1.0 / footing.REACH]], [0.0, 1.0])
+    both = g.add("Gemm", lowest, [[1.0, 0.0], [-1.0, -1.0 / footing.REACH]], [0.0, 1.0], transA=1)
     both = g.add("Max", both, np.float32(0.0))
     missing, low = g.split(both, [1, 1], axis=1)
     doubted = g.add(
@@ -100,7 +102,7 @@ def _write_rise(
 
 def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_velocity: str) -> str:
     """Writes present_ground (1, 3); answers sines (1, 8), of which the last four are the heading's quaternion."""
-    turned = g.add("Add", "ground", g.add("Mul", yaw_velocity, [[0.0, 0.0, 1.0 / fps]]))
+    turned = g.add("Gemm", yaw_velocity, [[0.0, 0.0, 1.0 / fps]], "ground")
     # Sines of the heading h plus something: cos h, cos h, sin h, -sin h, then cos h/2, 0, sin h/2, 0.
     of_yaw = np.zeros((3, 8))
     of_yaw[2] = [1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.5, 0.0]

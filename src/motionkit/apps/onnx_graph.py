@@ -64,13 +64,6 @@ class Graph:
         at = indices if isinstance(indices, str) else self.constant(indices, np.int64)
         return self.add("Gather", value, at, axis=axis)
 
-    def slice(
-        self, value: str, starts: list[int], ends: list[int], axes: list[int], out: str | None = None
-    ) -> str:
-        """A block of a value."""
-        bounds = (self.constant(numbers, np.int64) for numbers in (starts, ends, axes))
-        return self.add("Slice", value, *bounds, out=out)
-
     def _node(self, kind: str, inputs: Any, outs: list[str], attributes: dict[str, Any]) -> list[str]:
         names = [i if isinstance(i, str) else self.constant(i) for i in inputs]
         self.nodes.append(self.onnx.helper.make_node(kind, names, outs, **attributes))

@@ -10,26 +10,22 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.synthesis import grip
 
 
-def hold_ground(g: Graph, model: MotionModel, features: str, pose: str) -> str:
-    """Nodes from drawn features (1, 276), unnormalised, and pose (1, 276) to those with the way that feet allow.
-
-    Writes present_pose and answers the features.
-    """
+def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
+    """Nodes from a drawn pose (1, 276) to the one with the way that feet allow; writes and answers present_pose."""
     blocks = feature_layout(model.config.layout).blocks
     yaw, xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start
     grips = np.array([[model.grip.get(kind, 0.0)] for kind in model.types], np.float32)
     share = g.add("MatMul", "type_weights", grips * np.float32(model.fps))
     share = g.add("Mul", share, "grip")
-    by = g.add("Mul", _standing_move(g, model, features, (yaw, xz)), share)
+    by = g.add("Mul", _standing_move(g, model, drawn, (yaw, xz)), share)
     # What comes is a turn the other way, and a step.
     columns = np.zeros((3, FEATURE_COUNT), np.float32)
     columns[[0, 1, 2], [yaw, xz, xz + 1]] = -1.0, 1.0, 1.0
     std = model.scaling.std.numpy()
-    g.add("Gemm", by, columns / std, pose, out="present_pose")
-    return g.add("Gemm", by, columns, features, out="features")
+    return g.add("Gemm", by, columns / std, drawn, out="present_pose")
 
 
-def _standing_move(g: Graph, model: MotionModel, features: str, velocities: tuple[int, int]) -> str:
+def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[int, int]) -> str:
     """What to take off the turn and to add to the step of the root (1, 3)."""
     x, y, z = grip.foot_columns(model.config.layout).T
     yaw, xz = velocities
@@ -44,7 +40,8 @@ def _standing_move(g: Graph, model: MotionModel, features: str, velocities: tupl
     of_frame[xz, :4] = of_frame[xz + 1, 4:8] = of_frame[yaw, 20:] = 1.0 / model.fps
     of_frame[y, 16 + feet], plus[16:20] = -shares / reaches, shares * (1.0 + grip.FLOOR / reaches)
     plus[21] = 0.5 * np.pi
-    here, low, turns = g.split(g.add("Gemm", features, of_frame, plus), [16, 4, 2], axis=1)
+    unscaled = g.add("Gemm", drawn, std[:, None] * of_frame, mean @ of_frame + plus)
+    here, low, turns = g.split(unscaled, [16, 4, 2], axis=1)
     # Where they were, turned into the heading frame of now: sine and cosine times x, z, z and x.
     factors = np.zeros((2, 16))
     factors[0, 4:8], factors[0, 12:], factors[1, :4], factors[1, 8:12] = -1.0, 1.0, 1.0, 1.0
@@ -59,10 +56,11 @@ def _standing_move(g: Graph, model: MotionModel, features: str, velocities: tupl
     both = g.reshape(g.add("Gemm", turned, away, here), 4, 4)
     # How much each foot joint holds.
     low = g.add("Min", g.add("Max", low, np.float32(0.0)), shares)
-    squares = g.add("MatMul", np.array([[1.0, 1.0, 0.0, 0.0]]), g.add("Mul", both, both))
-    weight = g.add("Div", low, g.add("Add", g.add("Sqrt", squares), np.float32(grip.EASE)))
+    moves = g.add("Mul", both, np.array([[1.0], [1.0], [0.0], [0.0]]))
+    moved = g.add("ReduceL2", moves, axes=[0], keepdims=1)
+    weight = g.add("Div", low, g.add("Add", moved, np.float32(grip.EASE)))
     weight = g.add("Div", weight, g.add("Gemm", weight, np.ones((4, 4)), np.full(4, 1e-9)))
-    means = g.add("MatMul", both, g.reshape(weight, 4, 1))
+    means = g.add("Gemm", both, weight, transB=1)
     off = g.add("Sub", both, means)
     shared = g.add("Gemm", g.add("Mul", off, weight), off, transB=1)
     # How far all turn about their middle, and how far from it they stand.

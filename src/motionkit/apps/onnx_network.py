@@ -67,7 +67,6 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     weights = spread_channels(weights) if small else weights
     step = _Step(g, weights, small)
     blocks = _control_blocks(step, model)
-    recent = g.add("Concat", "past_frames", "pose", "contacts", axis=1)
     past = state_shapes(weights)["past_frames"][1]
     # The oldest frame goes, others stay; before is the pose of the last one.
     stay = past - INPUT_COUNT
@@ -75,7 +74,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     pieces = g.split("past_frames", [*older, FEATURE_COUNT, CONTACT_COUNT], axis=1)
     before = pieces[-2]
     g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
-    shallow = step.module(0, step.embed_frames(recent), blocks[0])
+    shallow = step.module(0, step.embed_frames(blocks[0][0]), blocks[0])
     # What the deep module and the feet take of the shallow features, in one product; all further layers hang on it.
     taken = step.product(
         shallow,
@@ -83,7 +82,8 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
         np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
     )
     deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
-    deep = step.module(1, g.reshape(deep_input, P, D), blocks[1])
+    deep_input = g.add("Add", g.reshape(deep_input, P, D), blocks[1][0])
+    deep = step.module(1, deep_input, blocks[1])
     # The mean is never in 8 bits: it goes straight into the pose.
     mean = g.add("Gemm", deep, weights.head[:, :FEATURE_COUNT], weights.head_bias[:FEATURE_COUNT])
     rest = step.product(deep, weights.head[:, FEATURE_COUNT:], weights.head_bias[FEATURE_COUNT:])
@@ -104,9 +104,11 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     late = g.add("Mul", late, g.add("MatMul", "type_weights", inertias))
     grips = any(model.grip.values())
     pose = g.add("Add", drawn, late, out=None if grips else "present_pose")
-    std, middle = model.scaling.std.numpy(), model.scaling.mean.numpy()
-    features = g.add("Add", g.add("Mul", pose, std), middle, out=None if grips else "features")
-    return hold_ground(g, model, features, pose) if grips else features
+    if grips:
+        pose = hold_ground(g, model, pose)
+    return g.add(
+        "Add", g.add("Mul", pose, model.scaling.std.numpy()), model.scaling.mean.numpy(), out="features"
+    )
 
 
 def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
@@ -129,8 +131,9 @@ def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
     differences = g.add("Mul", g.add("Sub", "guide", seen), "guided")
     # The sine and, a quarter of a turn ahead, the cosine.
     turns = g.add("Gemm", "progress", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
-    has_phase = g.add("GreaterOrEqual", "progress", np.float32(0.0))
-    turns = g.add("Where", has_phase, g.add("Sin", turns), np.float32(0.0))
+    # One with a phase, of which the least is zero, and zero at -1; cheaper than a comparison.
+    has_phase = g.add("Min", g.add("Add", "progress", np.float32(1.0)), np.float32(1.0))
+    turns = g.add("Mul", g.add("Sin", turns), has_phase)
     shown = g.add(
         "Concat",
         "type_weights",
@@ -183,29 +186,32 @@ class _Step:
         bias = bias.reshape(-1, config.heads, 2 * W - 1, W).transpose(2, 0, 1, 3)[:, :, :, None]
         self.biases = g.split(g.gather(bias, count, axis=0), [P] * (2 * config.layers), axis=0)
 
-    def embed_frames(self, recent: str) -> str:
-        """The first convolution: (P, D) without its bias, from the last frames (1, 280 each) and the present one."""
-        columns, config = self.weights.columns, self.config
-        P, N = columns.shape
-        # Rows of zeros for what a part does not see cost less than to gather what it does. One frame more than a
-        # kernel of one takes in is kept.
+    def embed_frames(self, controls: str) -> str:
+        """The first convolution, over the last frames and the present one, plus what the controls add: (P, D)."""
+        g, columns, config = self.g, self.weights.columns, self.config
+        # One frame more than a kernel of one takes in is kept. The one at the end is what biases are multiplied with.
         frames = max(config.kernel, 2)
-        maps = np.zeros((frames, INPUT_COUNT, P, config.width), np.float32)
-        embed = self.weights.shallow.embed.reshape(P, config.kernel, N, -1)
-        for p in range(P):
-            used = columns[p] < INPUT_COUNT  # short parts are filled up
-            maps[frames - config.kernel :, columns[p][used], p] = embed[p][:, used]
-        embedded = self.g.add("MatMul", recent, maps.reshape(frames * INPUT_COUNT, -1))
-        return self.g.reshape(embedded, P, config.width)
+        recent = g.add("Concat", "past_frames", "pose", "contacts", g.constant([[1.0]]), axis=1)
+        first = INPUT_COUNT * (frames - config.kernel + np.arange(config.kernel))
+        places, maps = [], []
+        for p, mine in enumerate(columns):
+            used = mine < INPUT_COUNT  # short parts are filled up
+            places.append(np.append((first[:, None] + mine[used]).reshape(-1), INPUT_COUNT * frames))
+            taps = self.weights.shallow.embed[p].reshape(config.kernel, len(mine), -1)[:, used]
+            bias = self.weights.shallow.embed_bias[p][None]
+            maps.append(np.concatenate([taps.reshape(-1, taps.shape[-1]), bias]))
+        own = np.zeros((len(columns), sum(map(len, places))), np.float32)
+        own[np.repeat(np.arange(len(places)), [len(place) for place in places]), np.arange(own.shape[1])] = (
+            1.0
+        )
+        seen = g.add("Mul", g.gather(recent, np.concatenate(places), axis=1), own)
+        return g.add("Gemm", seen, np.concatenate(maps), controls)
 
-    def module(self, index: int, motion: str, controls: list[str]) -> str:
-        """Features (1, P D) without their sqrt(D) of a module from its embedded input (P, D)."""
+    def module(self, index: int, x: str, controls: list[str]) -> str:
+        """Features (1, P D) without their sqrt(D) of a module from the input (P, D) of its first layer."""
         g, config = self.g, self.config
         weights = (self.weights.shallow, self.weights.deep)[index]
         P, D, H = len(self.weights.columns), config.width, config.heads
-        # The deep module's bias is in the product before.
-        constant = [g.constant(weights.embed_bias)] if index == 0 else []
-        x = g.add("Sum", motion, controls[0], *constant)
         for i in range(config.layers):
             layer = index * config.layers + i
             qkv = self.product(self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1))
@@ -234,7 +240,8 @@ class _Step:
     def product(self, x: str, weight: Floats, bias: Floats | None = None) -> str:
         """Rows times a matrix (K, N) plus a bias (N,)."""
         if self.small:
-            return self.g.add("Mul", *self._small_product(x, weight, bias))
+            product, size = self._small_product(x, weight, bias)
+            return product if size is None else self.g.add("Mul", product, size)
         return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
 
     def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
@@ -243,16 +250,16 @@ class _Step:
             return self.g.add("Gemm", y, weight, x)
         return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
 
-    def _small_product(self, x: str, weight: Floats, bias: Floats | None) -> tuple[str, Floats]:
-        """The same product in 8 bits, and what its columns are to be multiplied with.
+    def _small_product(self, x: str, weight: Floats, bias: Floats | None) -> tuple[str, Floats | None]:
+        """The same product in 8 bits, and what its columns are to be multiplied with, None for nothing.
 
-        Runtimes take twice as long over a product with a scale for every column as over one that has only that of
-        the rows, and a node of its own.
+        Runtimes take half as long again over a product with a bias and a scale for every column as over one that
+        has only that of the rows, and a node of its own.
         """
         g = self.g
         whole, scales = whole_numbers(weight)
-        common = scales.max()
-        size = scales / common
+        common = scales if bias is None else scales.max()
+        size = None if bias is None else scales / common
         value, step, zero = g.quantized(x)
         product = g.add("MatMulInteger", value, g.constant(whole, np.int8), zero, g.constant(0, np.int8))
         product = g.add("Cast", product, to=g.onnx.TensorProto.FLOAT)
