@@ -118,6 +118,8 @@ def test_likeness_has_the_truth_at_one_and_floors_beside_the_model(
     # Alike to itself, no joint off, and on its own way.
     assert truth[2:] == (1.0, 1.0, 0.0, 0.0)
     assert still[0] == pytest.approx(0.0, abs=1e-3) and truth[0] > 1.0
+    late, later = rows["all", "3 frames late"], rows["all", "20 frames late"]
+    assert 1.0 > late[3] > later[3] and 0.0 < late[4] < later[4]
     for way in ("nearest clip", "model"):
         assert rows["all", way][4] > 0.0 and rows["all", way][5] > 0.0
     assert len(held_out_clips(tiny_model, dataset, 0.6)) == 1

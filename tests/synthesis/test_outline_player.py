@@ -133,24 +133,24 @@ def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> Non
     assert torch.allclose(last_poses(tiny_model, features[:2]), tiny_model.outline.of(features[[1, 0]]))
 
 
-def test_a_way_asked_for_is_met_by_the_recordings_own_where_feet_have_a_grip(tiny_model: MotionModel) -> None:
+@pytest.mark.parametrize("share", [0.0, OWN_WAY])
+def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, share: float) -> None:
     outline = recording(200)
     outline.ground[:, 1] = torch.arange(200.0)  # straight ahead, 1 cm a frame
     asked = torch.zeros(40, 24)
     asked[:, 12:] = torch.tensor([0.0, 1.0]).repeat(6)
     asked[:, 0:12:2] = torch.arange(10.0, 70.0, 10.0)  # to the side
-    for grip, share in (({}, 0.0), ({"walking": 0.0}, 0.0), ({"walking": 0.2}, OWN_WAY)):
-        player = OutlinePlayer(replace(tiny_model, outlines={"walking": [outline]}, grip=grip))
-        player.begin("walking", NEAR, way=asked[0])
-        shown = player.play(40, asked)
-        own = future_trajectory(outline.ground, torch.arange(player.at - 40, player.at))
-        assert torch.allclose(shown.trajectory, torch.lerp(asked, own, share), atol=1e-4)
-        assert shown.given.tolist() == [1.0] * 40
+    player = OutlinePlayer(replace(tiny_model, outlines={"walking": [outline]}), own_way=share)
+    player.begin("walking", NEAR, way=asked[0])
+    shown = player.play(40, asked)
+    own = future_trajectory(outline.ground, torch.arange(player.at - 40, player.at))
+    assert torch.allclose(shown.trajectory, torch.lerp(asked, own, share), atol=1e-4)
+    assert shown.given.tolist() == [1.0] * 40
     assert player.play(3).given.tolist() == [0.0] * 3
 
 
 def test_a_performance_goes_the_way_asked_for(flips: MotionModel) -> None:
-    player = OutlinePlayer(replace(flips, grip=dict.fromkeys(flips.types, 0.5)))
+    player = OutlinePlayer(flips)
     player.begin("cartwheel")
     length = len(flips.outlines["cartwheel"][0])
     asked = torch.rand(2 * length, 24, generator=torch.Generator().manual_seed(0))

@@ -30,7 +30,9 @@ from motionkit.synthesis.synthesize import inner_threads
 SHORTEST_REST = 30  # frames after the first INIT_FRAMES that a clip needs to be compared
 METRICS = ("bm-euler", "afs", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
 MATCH_FRAMES = (0, 10, 20, 30)  # before the roll-out begins: poses the nearest clip is sought by
-WAYS = ("ground truth", "model", "model with IK", "last frame", "nearest clip")
+# What the recording itself would get if it were played so many frames too late: what a score of similarity asks for.
+LATE = {"3 frames late": 3, "20 frames late": 20}
+WAYS = ("ground truth", "model", "model with IK", *LATE, "last frame", "nearest clip")
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +92,9 @@ def roll_like(
     frames = max(clip.frames for clip in clips)
     places = torch.tensor([model.type_id(k) if k in model.types else 0 for k in dataset.types])
     weights, trajectories, clocks = [], [], []
-    guides = [clip_guides(model, dataset, clip, frames) for clip in clips]
+    # A clip that is rolled out several times has its guides once.
+    guides_of = {clip: clip_guides(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
+    guides = [guides_of[clip] for clip in clips]
     for clip in clips:
         wanted = (torch.arange(frames) + INIT_FRAMES).clamp(max=len(clip.data.types) - 1)
         weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
@@ -200,6 +204,10 @@ def likeness_section(
         motion = made.motion(model).cut(0, clip.frames)
         candidates = {"model": motion, "model with IK": lock_feet(motion, made.contacts[: clip.frames])}
         if number < len(clips):
+            candidates |= {
+                way: clip.motion.cut(INIT_FRAMES - late, INIT_FRAMES - late + clip.frames)
+                for way, late in LATE.items()
+            }
             candidates["last frame"] = _frozen(clip)
             candidates["nearest clip"] = nearest.continues(clip, body_of(clip.motion.cut(0, INIT_FRAMES)))
         for way, candidate in candidates.items():
@@ -234,6 +242,7 @@ def likeness_section(
         f"the first {INIT_FRAMES} frames of each held-out clip, then its types, trajectory and phase as controls; at "
         f"most {settings.likeness:g} s of the rest are rolled out, {settings.few} times; means over frames; metrics: "
         "docs/metrics.md, cm and degrees a frame at 60 fps",
+        "late: the recording itself, played so many frames too late",
         "floors: the last given frame held, and the training clip whose last half second is nearest, played on",
         "with IK: foot locks at the predicted contacts (`--ik`)",
     ]

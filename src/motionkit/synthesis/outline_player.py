@@ -25,8 +25,8 @@ LEAST_SECONDS = 1.5
 BEFORE_EVENT = 15
 # Where the way is given, every so many frames another place is gone over to that suits it clearly better.
 RECONSIDERED, CLEARLY = 20, 0.4
-# A recording's feet stand where it went itself. Of types with a grip (synthesis/grip.py), which go where their feet let
-# them, so much of the way shown is the recording's, the rest the one asked for.
+# A recording's feet stand where it went itself. Where characters go where their feet let them (synthesis/grip.py), so
+# much of the way shown is the recording's, the rest the one asked for.
 OWN_WAY = 0.5
 
 
@@ -78,7 +78,7 @@ class OutlinePlayer:
     """
 
     def __init__(self, model: MotionModel, choice: int = 0, own_way: float = OWN_WAY) -> None:
-        """own_way: how much of a way asked for gives way to the recording's, in types with a grip."""
+        """own_way: how much of a way asked for gives way to the recording's."""
         self.model, self.choice, self.own_way = model, choice, own_way
         self.random = random.Random(choice)
         self.kind = ""
@@ -206,7 +206,7 @@ class OutlinePlayer:
         """The trajectories (T, 24) to show at frames of an outline, and whether they count."""
         if ways is None and not outline.performed:
             return torch.zeros(len(frames), TRAJECTORY_COUNT), 0.0
-        if ways is not None and not (self.own_way and self.model.grip.get(self.kind)):
+        if ways is not None and not self.own_way:
             return ways, 1.0
         # A cartwheel to the left is as good as one to the right; the way of the recorded one decides.
         own = future_trajectory(outline.ground, frames)
