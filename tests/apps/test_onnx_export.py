@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ pytest.importorskip("onnxruntime")
 from motionkit.apps.onnx_export import OnnxStep, build_graph, check_export, export_onnx
 from motionkit.apps.onnx_graph import OPSET
 from motionkit.apps.onnx_network import present_name
-from motionkit.apps.onnx_small import spread_channels, whole_numbers
+from motionkit.apps.onnx_small import balance_heads, spread_channels, whole_numbers
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
 
@@ -120,10 +121,11 @@ def test_other_weights_are_refused(tiny_model: MotionModel) -> None:
         build_graph(tiny_model, weights="int4")
 
 
-def test_a_rotation_of_channels_changes_nothing(tiny_model: MotionModel) -> None:
+@pytest.mark.parametrize("made_ready", [spread_channels, balance_heads])
+def test_weights_made_ready_for_8_bits_do_the_same(tiny_model: MotionModel, made_ready: Callable) -> None:
     weights = pack(tiny_model.network)
-    turned = spread_channels(weights)
-    assert not np.allclose(turned.head, weights.head, atol=0.1)
+    turned = made_ready(weights)
+    assert not np.allclose(turned.shallow.qkv, weights.shallow.qkv, atol=0.1)
     steps = [NetworkStep(w, 1) for w in (weights, turned)]
     random = np.random.default_rng(0)
     sizes = (FEATURE_COUNT, CONTACT_COUNT, tiny_model.controls.size)
@@ -133,6 +135,20 @@ def test_a_rotation_of_channels_changes_nothing(tiny_model: MotionModel) -> None
             step.step(*frame)
         np.testing.assert_allclose(steps[0].out, steps[1].out, atol=1e-4)
         np.testing.assert_allclose(steps[0].contact_logits, steps[1].contact_logits, atol=1e-4)
+
+
+def test_one_scale_suits_queries_keys_and_values(tiny_model: MotionModel) -> None:
+    weights = balance_heads(pack(tiny_model.network))
+    for maps in (weights.shallow.qkv, weights.deep.qkv):
+        for layer in maps:
+            kinds = np.split(layer, 3, axis=-1)  # (P, D, H E) each
+            sizes = [max(whole_numbers(part)[1].max() for part in kind) for kind in kinds]
+            assert max(sizes) < 1.01 * min(sizes)
+            whole, scales = whole_numbers(layer[0], even=True)
+            assert (
+                len(set(scales.tolist())) == 1
+                and np.abs(whole * scales - layer[0]).max() <= 0.501 * scales[0]
+            )
 
 
 @pytest.mark.parametrize("rows", [7, 8])

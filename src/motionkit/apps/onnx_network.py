@@ -19,7 +19,7 @@ import numpy as np
 
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_grip import hold_ground
-from motionkit.apps.onnx_small import spread_channels, whole_numbers
+from motionkit.apps.onnx_small import balance_heads, spread_channels, whole_numbers
 from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel
@@ -64,7 +64,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     """
     config, P, D = weights.config, len(weights.columns), weights.config.width
     hidden = config.contact_hidden
-    weights = spread_channels(weights) if small else weights
+    weights = balance_heads(spread_channels(weights)) if small else weights
     step = _Step(g, weights, small)
     blocks = _control_blocks(step, model)
     past = state_shapes(weights)["past_frames"][1]
@@ -214,7 +214,9 @@ class _Step:
         P, D, H = len(self.weights.columns), config.width, config.heads
         for i in range(config.layers):
             layer = index * config.layers + i
-            qkv = self.product(self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1))
+            qkv = self.product(
+                self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1), even=True
+            )
             heads = g.gather(g.reshape(qkv, P * P, 3 * H, 1, D // H), np.arange(P) * (P + 1), axis=0)
             mixed = self._attend(layer, *g.split(heads, [H, H, H], axis=1))
             x = self._add_product(x, self.own_columns(mixed, P, D), _below(weights.out[i]))
@@ -237,10 +239,10 @@ class _Step:
         """Rows (count, count width), each with its own columns and zeros, from rows of any shape."""
         return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
 
-    def product(self, x: str, weight: Floats, bias: Floats | None = None) -> str:
-        """Rows times a matrix (K, N) plus a bias (N,)."""
+    def product(self, x: str, weight: Floats, bias: Floats | None = None, even: bool = False) -> str:
+        """Rows times a matrix (K, N) plus a bias (N,); even: the columns are about as large as each other."""
         if self.small:
-            product, size = self._small_product(x, weight, bias)
+            product, size = self._small_product(x, weight, bias, even)
             return product if size is None else self.g.add("Mul", product, size)
         return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
 
@@ -250,21 +252,25 @@ class _Step:
             return self.g.add("Gemm", y, weight, x)
         return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
 
-    def _small_product(self, x: str, weight: Floats, bias: Floats | None) -> tuple[str, Floats | None]:
+    def _small_product(
+        self, x: str, weight: Floats, bias: Floats | None, even: bool = False
+    ) -> tuple[str, Floats | None]:
         """The same product in 8 bits, and what its columns are to be multiplied with, None for nothing.
 
         Runtimes take half as long again over a product with a bias and a scale for every column as over one that
         has only that of the rows, and a node of its own.
         """
         g = self.g
-        whole, scales = whole_numbers(weight)
+        whole, scales = whole_numbers(weight, even)
         common = scales if bias is None else scales.max()
-        size = None if bias is None else scales / common
+        size = None if bias is None or even else scales / common
         value, step, zero = g.quantized(x)
         product = g.add("MatMulInteger", value, g.constant(whole, np.int8), zero, g.constant(0, np.int8))
         product = g.add("Cast", product, to=g.onnx.TensorProto.FLOAT)
         product = g.add("Mul", product, g.add("Mul", step, common))
-        return (product if bias is None else g.add("Add", product, bias / size)), size
+        if bias is not None:
+            product = g.add("Add", product, bias if size is None else bias / size)
+        return product, size
 
     def _attend(self, layer: int, query: str, key: str, value: str) -> str:
         """Attention (P, H, 1, E) over the ring of a layer, into which key and value go."""

@@ -44,18 +44,60 @@ def spread_channels(weights: StepWeights) -> StepWeights:
     )
 
 
-def whole_numbers(weight: Floats) -> tuple[NDArray[np.int8], Floats]:
-    """A map (K, N) in 8 bits, and the scales (N,) of its columns.
+def balance_heads(weights: StepWeights) -> StepWeights:
+    """The same network with queries, keys and values (L, P, D, 3 H E) that one scale suits, heads on other axes.
+
+    Keys are four times as large as queries. What the ones are multiplied with the others can be divided by, and both
+    may be turned alike; and what values are multiplied with, or turned by, the map behind them takes back.
+    """
+    heads = weights.config.heads
+    size = weights.config.width // heads
+    turns = np.random.default_rng(1).standard_normal((heads, size, size))
+    turns = np.linalg.qr(turns)[0]
+
+    def module(m: ModuleWeights) -> ModuleWeights:
+        layers, parts, width, _ = m.qkv.shape
+        maps = m.qkv.astype(np.float64).reshape(layers, parts, width, 3, heads, size)
+        maps = np.einsum("lpdche,hef->lpdchf", maps, turns)
+        biases = m.qkv_bias.astype(np.float64).reshape(layers, parts, 3, heads, size)
+        biases = np.einsum("lpche,hef->lpchf", biases, turns)
+        out = m.out.astype(np.float64).reshape(layers, parts, heads, size, width)
+        out = np.einsum("hef,lphed->lphfd", turns, out)
+        # The largest column of each head (L, P, 3, H), and what it is to become.
+        largest = _column_sizes(maps.transpose(0, 1, 3, 4, 2, 5)).max(axis=-1)
+        both = np.sqrt(largest[:, :, 0] * largest[:, :, 1])
+        values = np.broadcast_to(both.max(axis=(1, 2), keepdims=True), both.shape)
+        factors = np.stack([both, both, values], axis=2) / largest
+        maps *= factors[:, :, None, :, :, None]
+        biases *= factors[..., None]
+        out /= factors[:, :, 2, :, None, None]
+        found = (maps.reshape(m.qkv.shape), biases.reshape(m.qkv_bias.shape), out.reshape(m.out.shape))
+        qkv, qkv_bias, out = (array.astype(np.float32) for array in found)
+        return replace(m, qkv=qkv, qkv_bias=qkv_bias, out=out)
+
+    return replace(weights, shallow=module(weights.shallow), deep=module(weights.deep))
+
+
+def whole_numbers(weight: Floats, even: bool = False) -> tuple[NDArray[np.int8], Floats]:
+    """A map (K, N) in 8 bits, and the scales (N,) of its columns, the same for all if even.
 
     Processors without instructions of their own for 8 bits add the products of two neighbouring rows in 16 bits, and
     cut off what is beyond. Values being up to 255, two neighbours may come to 128 on either side of zero.
     """
-    padded = np.concatenate([weight, np.zeros((len(weight) % 2, weight.shape[1]), np.float32)])
-    pairs = padded.reshape(-1, 2, weight.shape[1])
-    sums = np.maximum(pairs.clip(min=0.0).sum(axis=1), -pairs.clip(max=0.0).sum(axis=1)).max(axis=0)
-    # Rounding may add half a step to each of two.
-    scale = np.maximum(np.maximum(sums / 127, np.abs(weight).max(axis=0) / 127), 1e-12).astype(np.float32)
+    scale = _column_sizes(weight)
+    scale = np.full_like(scale, scale.max()) if even else scale
     return np.rint(weight / scale).astype(np.int8), scale
+
+
+def _column_sizes(weight: NDArray) -> Floats:
+    """The scales (..., N) in which the columns of maps (..., K, N) fit into 8 bits."""
+    rest = [(0, 0)] * (weight.ndim - 2)
+    padded = np.pad(weight, [*rest, (0, weight.shape[-2] % 2), (0, 0)])
+    pairs = padded.reshape(*weight.shape[:-2], -1, 2, weight.shape[-1])
+    sums = np.maximum(pairs.clip(min=0.0).sum(axis=-2), -pairs.clip(max=0.0).sum(axis=-2)).max(axis=-2)
+    # Rounding may add half a step to each of two.
+    sizes = np.maximum(np.maximum(sums / 127, np.abs(weight).max(axis=-2) / 127), 1e-12)
+    return sizes.astype(np.float32)
 
 
 def _rotation(size: int) -> Doubles:
