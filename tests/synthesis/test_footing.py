@@ -27,8 +27,8 @@ def frame(said: float, shown: float) -> tuple[np.ndarray, np.ndarray]:
     follower = Footing(LAYOUT, 1)
     features = np.zeros((1, FEATURE_COUNT), np.float32)
     heights = np.full((1, JOINT_COUNT), 90.0, np.float32)
-    features[0, follower.columns] = np.array(STANDING_HEIGHTS) + 20.0
-    heights[0, list(FOOT_JOINTS)] = np.array(STANDING_HEIGHTS) + 20.0
+    features[0, follower.columns] = np.array(STANDING_HEIGHTS) + 60.0
+    heights[0, list(FOOT_JOINTS)] = np.array(STANDING_HEIGHTS) + 60.0
     features[0, follower.columns[3]] = STANDING_HEIGHTS[3] + said
     heights[0, FOOT_JOINTS[3]] = STANDING_HEIGHTS[3] + shown
     return features, heights
@@ -57,8 +57,19 @@ def test_feet_in_the_air_tell_nothing() -> None:
 
 
 def test_what_is_far_off_is_hardly_believed() -> None:
-    near, far = (float(Footing(LAYOUT, 1).follow(*frame(0.0, -depth))[0]) for depth in (4.0, 40.0))
+    near, far = (float(Footing(LAYOUT, 1).follow(*frame(depth, 0.0))[0]) for depth in (4.0, 40.0))
     assert 0.0 < far < 0.3 * near
+
+
+def test_what_is_deeper_than_feet_are_is_raised_whatever_is_said() -> None:
+    follower, sunk = Footing(LAYOUT, 1), frame(-12.0, -12.0)
+    too_deep = 12.0 - footing.DEEPEST
+    slowly = footing.PACE * too_deep / (1.0 + (too_deep / footing.DOUBT) ** 2)
+    assert follower.follow(*sunk)[0] == pytest.approx(slowly + footing.LIFT * (too_deep - slowly))
+    for _ in range(60):
+        follower.follow(*sunk)
+    assert float(follower.rise[0]) == pytest.approx(too_deep, abs=0.01)
+    assert Footing(LAYOUT, 1).follow(*frame(-footing.DEEPEST, -footing.DEEPEST))[0] == 0.0
 
 
 def rolled(frames: int = 120) -> tuple[Rollout, list[torch.Tensor]]:
@@ -99,4 +110,11 @@ def test_recorded_motion_stays_where_it_is() -> None:
         rollout = Rollout(seed.features[None], seed.contacts[None], seed.ground[None])
         motion = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
         rise = motion.root_positions[:, 1] - root_height(seed.features, LAYOUT)
-        assert float(rise.abs().max()) < 0.1
+        # Some recordings were made on a floor that their feet sink into.
+        feet = (
+            foot_positions(motion_kinematics(motion)[1])[..., 1]
+            - rise[:, None]
+            - torch.tensor(STANDING_HEIGHTS)
+        )
+        too_deep = max(0.0, -float(feet.min()) - footing.DEEPEST)
+        assert float(rise.abs().max()) < 0.1 + too_deep

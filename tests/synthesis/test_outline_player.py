@@ -11,9 +11,10 @@ from motionkit.features.control import future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, OUTLINE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
 from motionkit.synthesis.outline_player import BEFORE_EVENT, BLEND, OWN_WAY, PAUSE, OutlinePlayer, last_poses
+from motionkit.synthesis.places import STATE_FRAMES
 from motionkit.synthesis.plan import TypePart, plan_signals
 
-NEAR = torch.zeros(2, OUTLINE_COUNT)
+NEAR = torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT)
 
 
 @pytest.fixture
@@ -89,7 +90,7 @@ def test_a_recording_is_entered_where_its_pose_is_most_alike(tiny_model: MotionM
     model = replace(tiny_model, outlines={"walking": [recording(200), recording(200, first=1000.0)]})
     player = OutlinePlayer(model, choice=3)
     near = NEAR.clone()
-    near[:, 0] = torch.tensor([1050.0, 1045.0])
+    near[:, 0] = 1050.0 - torch.tensor(STATE_FRAMES)
     player.begin("walking", near)
     assert player.outline is model.outlines["walking"][1]
     assert abs(player.at - 50) < 20, "one of a few places drawn"
@@ -129,8 +130,11 @@ def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
 
 def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> None:
     features = tiny_model.seeds["walking"][0].features
-    assert torch.allclose(last_poses(tiny_model, features), tiny_model.outline.of(features[[-1, -6]]))
-    assert torch.allclose(last_poses(tiny_model, features[:2]), tiny_model.outline.of(features[[1, 0]]))
+    features = torch.cat([features, features.flip(0)])
+    before = [-1 - frames for frames in STATE_FRAMES]
+    assert torch.allclose(last_poses(tiny_model, features), tiny_model.outline.of(features[before]))
+    first = tiny_model.outline.of(features[[1, 0, 0, 0]])
+    assert STATE_FRAMES[:2] == (0, 5) and torch.allclose(last_poses(tiny_model, features[:2]), first)
 
 
 @pytest.mark.parametrize("share", [0.0, OWN_WAY])

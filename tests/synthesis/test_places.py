@@ -11,7 +11,7 @@ from motionkit.features.control import future_trajectory
 from motionkit.features.guide import OUTLINE_COUNT
 from motionkit.models.checkpoint import MotionModel, Outline
 from motionkit.synthesis.outline_player import CLEARLY, RECONSIDERED, OutlinePlayer
-from motionkit.synthesis.places import Places, pose_state
+from motionkit.synthesis.places import STATE_FRAMES, Places, pose_state
 
 
 def walk(speed: float, frames: int = 200) -> Outline:
@@ -40,7 +40,7 @@ def test_the_place_that_goes_the_way_is_found(outlines: list[Outline]) -> None:
 def test_poses_count_beside_the_way(outlines: list[Outline]) -> None:
     outlines[1].poses[:, 3] = 9.0
     places = Places(outlines)
-    state = torch.zeros(2, OUTLINE_COUNT)
+    state = torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT)
     state[:, 3] = 9.0
     assert places.nearest(state, way_of(outlines[2]), least=60)[0] == 1
 
@@ -57,7 +57,7 @@ def test_a_player_goes_over_to_what_suits_the_way(tiny_model: MotionModel, outli
     for number, outline in enumerate(outlines):
         outline.poses[:, 0] = 0.01 * number
     player = OutlinePlayer(replace(tiny_model, outlines={"walking": outlines}))
-    player.begin("walking", torch.zeros(2, OUTLINE_COUNT), way=way_of(outlines[1]))
+    player.begin("walking", torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT), way=way_of(outlines[1]))
     assert player.outline is outlines[1]
     slow, fast = (way_of(outlines[n]).expand(RECONSIDERED + 20, -1) for n in (1, 2))
     player.play(len(slow), slow)
@@ -92,5 +92,7 @@ def test_the_same_second_is_not_played_again_and_again(tiny_model: MotionModel) 
 def test_what_stands_is_no_place_to_go_over_to(outlines: list[Outline]) -> None:
     for number in (0, 2):
         outlines[number].poses[:, 0] = 0.01 * torch.arange(230)
-    found, _ = Places(outlines).nearest(torch.zeros(2, OUTLINE_COUNT), way_of(outlines[1]), least=60)
+    found, _ = Places(outlines).nearest(
+        torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT), way_of(outlines[1]), least=60
+    )
     assert found != 1, "although it goes the way"

@@ -17,15 +17,13 @@ from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
 from motionkit.training.bundle import (
     LONGEST_OUTLINE,
-    NOISE_OF_QUIET,
-    NOISE_OF_STANDING,
     OUTLINE_SECONDS,
     SEED_FRAMES,
     SEEDS_PER_TYPE,
+    before_rest,
     bundle_model,
-    manner_of,
+    manners_of,
     measure_gaits,
-    noise_shares,
     recorded_outlines,
     seed_frames,
     typical_first,
@@ -102,15 +100,27 @@ def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
     assert torch.equal(model.references, dataset.references)
 
 
-def test_quiet_types_take_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    shares = noise_shares(dataset)
+def test_who_stands_takes_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    def noise() -> dict[str, float]:
+        return {kind: manner.noise for kind, manner in manners_of(dataset).items()}
+
+    shares = noise()
     assert set(shares) == set(dataset.types)
-    assert shares["idle"] == NOISE_OF_STANDING >= 1.0 > shares["running"]
+    assert shares["idle"] > shares["running"] == shares["cartwheel"]
     monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
-    assert max(noise_shares(dataset).values()) < 1.0
+    assert len(set(noise().values())) == 1
     monkeypatch.setattr("motionkit.training.bundle.QUIET", float("inf"))
-    swaying = noise_shares(dataset)
-    assert swaying["walking"] == NOISE_OF_STANDING < swaying["cartwheel"] == NOISE_OF_QUIET
+    assert noise()["walking"] == shares["idle"] and noise()["cartwheel"] == shares["cartwheel"]
+
+
+def test_outlines_end_where_bodies_come_to_rest() -> None:
+    outline = moving(1.0, 300)
+    outline.poses[:, 0] = outline.poses[:, 0].clamp(max=100.0)
+    ended = before_rest(outline, 0.5)
+    assert outline.movement[len(ended) - 1] >= 0.5 > outline.movement[len(ended)] and 0 < len(ended) < 100
+    assert len(ended.poses) == len(ended) + GUIDE_OFFSETS[-1]
+    assert len(ended.ground) == len(ended.phases) == len(ended)
+    assert len(before_rest(outline, 2.0)) == 300
 
 
 def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
@@ -149,13 +159,17 @@ def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
 def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
     dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    events = {"cartwheel": "", "jumping-b": "jump", "kicking": "kick"}
+    # What a type is follows from its events alone: types that the dataset has stand for others.
+    events = {"cartwheel": "", "running": "jump", "walking": "kick"}
     monkeypatch.setattr(Dataset, "phase_events", events)
-    kinds = ("walking", "jumping-b", "kicking", "cartwheel", "dance-salsa")
-    manners = [manner_of(dataset, kind) for kind in kinds]
-    walking, jumping, kicking, cartwheel, dance = (manner.guidance for manner in manners)
-    assert 1.0 == walking < kicking == cartwheel < dance < jumping
-    walking, jumping, kicking, cartwheel, dance = (manner.inertia for manner in manners)
-    assert 0.0 < walking < jumping < dance == kicking < cartwheel < 1.0
-    walking, jumping, kicking, cartwheel, dance = (manner.grip for manner in manners)
-    assert 0.0 < walking == jumping == cartwheel < kicking < dance < 1.0
+    monkeypatch.setattr("motionkit.training.bundle.STEERED_TYPES", ("idle",))
+    monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
+    kinds = ("idle", "running", "walking", "cartwheel")
+    steered, jumping, kicking, cartwheel = (manners_of(dataset)[kind] for kind in kinds)
+    monkeypatch.setattr(Dataset, "phase_events", {})
+    dance = manners_of(dataset)["cartwheel"]
+    assert (
+        1.0 == steered.guidance < kicking.guidance == cartwheel.guidance < dance.guidance < jumping.guidance
+    )
+    assert 0.0 < steered.inertia < jumping.inertia < kicking.inertia < dance.inertia < cartwheel.inertia < 1.0
+    assert 0.0 < steered.grip < jumping.grip == cartwheel.grip < kicking.grip < dance.grip < 1.0

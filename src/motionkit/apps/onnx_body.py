@@ -88,16 +88,20 @@ def _write_rise(
     above = g.add("Gemm", features, of_features, -np.tile(STANDING_HEIGHTS, 2))
     above = g.reshape(g.add("Gemm", positions, of_positions, above), 2, 4)
     lowest = g.add("ReduceMin", above, axes=[1], keepdims=1)
-    # What is missing, and how low the feet are.
-    both = g.add("Gemm", lowest, [[1.0, 0.0], [-1.0, -1.0 / footing.REACH]], [0.0, 1.0], transA=1)
-    both = g.add("Max", both, np.float32(0.0))
-    missing, low = g.split(both, [1, 1], axis=1)
+    lowest = g.add("Max", lowest, [[-footing.DEEPEST], [-1e9]])
+    # What is missing, how low the feet are, and how far too deep.
+    of_lowest = [[1.0, 0.0, 0.0], [-1.0, -1.0 / footing.REACH, -1.0]]
+    measures = g.add("Gemm", lowest, of_lowest, [0.0, 1.0, -footing.DEEPEST], transA=1)
+    measures = g.add("Max", measures, np.float32(0.0))
+    missing, low, deep = g.split(measures, [1, 1, 1], axis=1)
     doubted = g.add(
         "Gemm", missing, missing, np.full(1, footing.DOUBT**2), alpha=1.0 / PER_PACE, beta=1.0 / PER_PACE
     )
     pace = g.add("Div", g.add("Min", low, np.float32(1.0)), doubted)
     further = g.add("Mul", pace, g.add("Sub", missing, "rise"))
-    return g.add("Add", "rise", further, out="present_rise")
+    rise = g.add("Add", "rise", further)
+    lifted = g.add("Mul", g.add("Max", rise, deep), np.float32(footing.LIFT))
+    return g.add("Gemm", rise, [[1.0 - footing.LIFT]], lifted, out="present_rise")
 
 
 def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_velocity: str) -> str:

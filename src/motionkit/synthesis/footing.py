@@ -4,7 +4,8 @@ A frame says twice how high its feet are: by their positions, and by the rotatio
 does not know of a bent leg it draws as its mean, which is a straighter leg and so a longer one: in squats, strikes and
 landings rotations put the feet up to a hand's breadth under the floor, positions do not. The root is raised by what is
 missing, slowly, while feet are low, and the less the more it is: so far apart are only whirls, whose positions are no
-better. Nothing of it goes back into the network. frame_kernel.c and apps/onnx_body.py do the same.
+better. What is deeper under the floor than recorded feet are is raised faster, whatever positions say. Nothing of it
+goes back into the network. frame_kernel.c and apps/onnx_body.py do the same.
 """
 
 from __future__ import annotations
@@ -21,6 +22,8 @@ from motionkit.synthesis.grip import foot_columns
 REACH = 10.0  # cm above the floor from which on feet tell nothing
 PACE = 0.05  # share of what is missing that the root is raised by in a frame
 DOUBT = 4.0  # cm that only half are believed of
+# cm that a foot may be lower than where it stands, and the share of the rest that the root is raised by in a frame
+DEEPEST, LIFT = 5.0, 0.2
 _FEET = np.array(FOOT_JOINTS)
 _STANDING = np.array(STANDING_HEIGHTS, np.float32)
 
@@ -39,12 +42,13 @@ class Footing:
             features: (N, 276) unnormalised.
             heights: (N, 23) of all joints by forward kinematics, not raised, in cm of the canonical body.
         """
-        said = (features[:, self.columns] - _STANDING).min(axis=1)
+        said = np.maximum((features[:, self.columns] - _STANDING).min(axis=1), -DEEPEST)
         shown = (heights[:, _FEET] - _STANDING).min(axis=1)
         missing = np.maximum(said - shown, 0.0)
         low = 1.0 - np.clip(shown / REACH, 0.0, 1.0)
         pace = PACE * low / (1.0 + np.square(missing / DOUBT))
         self.rise += pace * (missing - self.rise)
+        self.rise += LIFT * np.maximum(-DEEPEST - shown - self.rise, 0.0)
         return self.rise
 
     def apply(self, features: Floats, root_positions: Floats, world: Floats, scale: Floats) -> None:

@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 7; }
+int64_t frame_kernel_version(void) { return 8; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -199,9 +199,11 @@ static void raise_body(const Footing *f, int64_t row, const float *features, flo
         said = fminf(said, features[f->columns[i]] - f->standing[i]);
         shown = fminf(shown, positions[f->joints[i]].y / scale - f->standing[i]);
     }
+    said = fmaxf(said, -f->deepest);
     const float missing = said > shown ? said - shown : 0, low = 1 - clip(shown / f->reach, 0, 1);
     const float doubted = missing / f->doubt, pace = f->pace * low / (1 + doubted * doubted);
     f->rise[row] += pace * (missing - f->rise[row]);
+    f->rise[row] += f->lift * fmaxf(-f->deepest - shown - f->rise[row], 0);
     for (int64_t j = 0; j < JOINTS; j++) positions[j].y += scale * f->rise[row];
 }
 

@@ -41,7 +41,7 @@ typedef struct {
 /* How far all characters are raised, and the numbers of footing.py. */
 typedef struct {
     int64_t joints[4], columns[4]; /* of the foot joints, and of their heights */
-    float standing[4], reach, pace, doubt;
+    float standing[4], reach, pace, doubt, deepest, lift;
     float *rise; /* (B,) */
 } Footing;
 

@@ -26,7 +26,7 @@ from motionkit.synthesis import foot_lock, footing, grip
 if TYPE_CHECKING:
     from motionkit.synthesis.pose import PoseDecoder
 
-VERSION = 7  # of frame_kernel.c
+VERSION = 8  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -65,7 +65,7 @@ class _Footing(Structure):
     _fields_ = (
         *((n, c_int64 * 4) for n in ("joints", "columns")),
         ("standing", c_float * 4),
-        *((n, c_float) for n in ("reach", "pace", "doubt")),
+        *((n, c_float) for n in "reach pace doubt deepest lift".split()),
         ("rise", c_void_p),
     )
 
@@ -198,8 +198,8 @@ class PoseKernel:
 
 
 def _footing(rises: footing.Footing) -> _Footing:
-    four = c_int64 * 4
-    numbers = (footing.REACH, footing.PACE, footing.DOUBT, _address(rises.rise))
+    four, f = c_int64 * 4, footing
+    numbers = (f.REACH, f.PACE, f.DOUBT, f.DEEPEST, f.LIFT, _address(rises.rise))
     joints, columns = four(*FOOT_JOINTS), four(*rises.columns.tolist())
     return _Footing(joints, columns, (c_float * 4)(*STANDING_HEIGHTS), *numbers)
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
-from motionkit.synthesis.places import STEP, Places, pose_state
+from motionkit.synthesis.places import STATE_FRAMES, Places, pose_state
 from motionkit.synthesis.rollout import FrameControls
 
 # Places a recording may be entered at, of which the one most like the present pose is taken. Few at a change of
@@ -20,6 +20,10 @@ CANDIDATES, CANDIDATES_WITHIN = 24, 200
 PAUSE = 20  # frames from the end of a performance to the beginning of the next one
 BLEND = 15  # frames over which one recording goes over to the next of its type
 EVENT_CANDIDATES = 4
+JUST_PLAYED = (
+    300  # frames: the calm end of a recording is most like itself, and would be played again and again
+)
+LIVELY = 0.85  # share of the places that move less than the liveliest
 # A recording is entered where so many seconds of it are left; a strike so many frames before it begins.
 LEAST_SECONDS = 1.5
 BEFORE_EVENT = 15
@@ -95,7 +99,7 @@ class OutlinePlayer:
         """Go over to a type.
 
         Args:
-            near: (2, 24) outlines of the pose now and STEP frames before; that of what was played by default.
+            near: (S, 24) outlines of the pose STATE_FRAMES ago; that of what was played by default.
             behind: frames of a performance that lie behind already.
             way: (24,) the trajectory that is asked for, if the place is to suit it.
         """
@@ -252,21 +256,21 @@ class OutlinePlayer:
         return self.random.sample(found, min(EVENT_CANDIDATES, len(found)))
 
     def _anywhere(self, outlines: list[Outline], count: int) -> list[tuple[Outline, int]]:
-        """Some places that are followed by at least the usual movement.
+        """Some places that are followed by at least the usual movement, though not the liveliest.
 
         Who stands is most like those who stand, in any type: he would be guided to go on standing.
         """
         least = round(LEAST_SECONDS * self.model.fps)
         movements = [outline.movement[: max(1, len(outline) - least)] for outline in outlines]
-        usual = torch.cat(movements).median()
+        usual, lively = torch.cat(movements).quantile(torch.tensor([0.5, LIVELY])).tolist()
         found = [
             (outline, at)
             for outline, movement in zip(outlines, movements, strict=True)
-            for at in torch.nonzero(movement >= usual).flatten().tolist()
+            for at in torch.nonzero((movement >= usual) & (movement <= lively)).flatten().tolist()
         ]
         return self.random.sample(found, min(count, len(found)))
 
 
 def last_poses(model: MotionModel, features: Tensor) -> Tensor:
-    """Outlines (2, 24) of the last of some frames (T, 276) and of that STEP frames before."""
-    return model.outline.of(features[[-1, max(-len(features), -1 - STEP)]])
+    """Outlines (S, 24) of the frames (T, 276) that are STATE_FRAMES before the last."""
+    return model.outline.of(features[[max(0, len(features) - 1 - before) for before in STATE_FRAMES]])

@@ -13,7 +13,8 @@ from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.models.checkpoint import Outline
 
 NEARBY = 90  # frames
-STEP = 5  # frames between the two poses of a state
+# A state is the pose now and so many frames before: how it moves, and what it has just done.
+STATE_FRAMES = (0, 5, 15, 30)
 # A place that is so far off (cm), or a direction so far (of its length), counts as a pose one deviation off.
 PLACE_UNIT, DIRECTION_UNIT = 20.0, 0.5
 
@@ -42,7 +43,7 @@ class Places:
     def nearest(
         self, state: Tensor, way: Tensor, least: int, stay: int | None = None, gain: float = 1.0
     ) -> tuple[int, int]:
-        """The recording and frame most like a state (2, 24) and a trajectory (24,) to go.
+        """The recording and frame most like a state (S, 24) and a trajectory (24,) to go.
 
         Args:
             least: frames that have to be left.
@@ -62,12 +63,12 @@ class Places:
 
 
 def pose_states(outline: Outline, frames: Tensor) -> Tensor:
-    """The poses (..., 2, 24) in outline at frames (...) and STEP frames before them."""
-    return outline.poses[torch.stack([frames, (frames - STEP).clamp(min=0)], dim=-1)]
+    """The poses (..., S, 24) in outline STATE_FRAMES before frames (...)."""
+    return outline.poses[(frames[..., None] - torch.tensor(STATE_FRAMES)).clamp(min=0)]
 
 
 def pose_state(outline: Outline, at: int) -> Tensor:
-    """The poses (2, 24) in outline at a frame and STEP frames before it."""
+    """The poses (S, 24) in outline STATE_FRAMES before a frame."""
     return pose_states(outline, torch.tensor(at))
 
 

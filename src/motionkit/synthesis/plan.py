@@ -123,7 +123,7 @@ def plan_signals(
     """What recordings of the parts' types ask for, frame by frame.
 
     Args:
-        near: (2, 24) the last outlines of the frames before (last_poses).
+        near: (S, 24) the last outlines of the frames before (last_poses).
         behind: frames of the first part's performance that lie behind already.
         choice: picks among the recordings of the types.
     """

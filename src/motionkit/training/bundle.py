@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -19,11 +19,11 @@ from motionkit.synthesis.steering import STEERED_TYPES
 
 SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
 SEEDS_PER_TYPE = 3
-# Noise shakes a body that a guide keeps moving; who stands nearly still sways, and on one leg more so. Quiet types turn
-# slower (rad/s).
-NOISE, NOISE_OF_STANDING, NOISE_OF_QUIET, QUIET = 0.2, 1.0, 1.15, 0.3
+QUIET = 0.3  # rad/s that the joints of a quiet type turn slower than in the mean
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
-OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 40.0, 6.0, 1.0
+OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 80.0, 10.0, 1.0
+# Who comes to rest in a recording is guided to stay there: it ends where less than this share of the usual follows.
+REST = 0.35
 
 
 @dataclass(frozen=True)
@@ -37,15 +37,18 @@ class Manner:
             moves less.
         grip: share of what standing feet slide that is taken out of the root's way. Who is guided by a recording
             made on another way slides most; with much of it gaits are slow to take the speed that is asked for.
+        noise: share of the temperature. Noise shakes a body that a guide keeps moving; who stands sways by it alone.
     """
 
     guidance: float
     inertia: float
     grip: float
+    noise: float
 
 
-GAIT, PERFORMANCE, STRIKE = Manner(1.0, 0.2, 0.2), Manner(1.6, 0.6, 0.2), Manner(1.6, 0.45, 0.3)
-JUMP, OTHER = Manner(2.3, 0.37, 0.2), Manner(1.85, 0.45, 0.5)
+GAIT, PERFORMANCE = Manner(1.0, 0.2, 0.15, 0.2), Manner(1.6, 0.6, 0.2, 0.2)
+STRIKE, JUMP, OTHER = Manner(1.6, 0.45, 0.3, 0.2), Manner(2.0, 0.4, 0.2, 0.2), Manner(1.75, 0.47, 0.45, 0.2)
+STANDING = replace(GAIT, noise=0.7)
 
 
 def bundle_model(
@@ -54,7 +57,7 @@ def bundle_model(
     """The model file's content for a network trained on a dataset, with guides or without."""
     characters = {"default": canonical_skeleton().offsets}
     characters |= dataset.characters
-    manners = {kind: manner_of(dataset, kind) for kind in dataset.types}
+    manners = manners_of(dataset)
     return MotionModel(
         network,
         dataset.types,
@@ -69,7 +72,7 @@ def bundle_model(
         {kind: recorded_outlines(dataset, kind) for kind in dataset.types},
         guides,
         {kind: manner.guidance for kind, manner in manners.items()},
-        noise_shares(dataset),
+        {kind: manner.noise for kind, manner in manners.items()},
         {kind: manner.inertia for kind, manner in manners.items()},
         {kind: manner.grip for kind, manner in manners.items()},
         card,
@@ -149,7 +152,11 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
         found.sort(key=lambda entry: (-int((entry[1].phases >= 0.0).sum()), entry[0]))
         ordered = [outline for _, outline in found]
     else:
-        ordered = typical_first(found)
+        usual = sum(float(outline.movement.sum()) for _, outline in found) / sum(len(o) for _, o in found)
+        found = [(name, before_rest(outline, REST * usual)) for name, outline in found]
+        ordered = typical_first(
+            [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
+        )
     out: list[Outline] = []
     frames = 0.0
     for outline in ordered:
@@ -157,6 +164,13 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
             out.append(outline)
             frames += len(outline)
     return out
+
+
+def before_rest(outline: Outline, least: float) -> Outline:
+    """An outline up to where less than so much movement follows to its end; whole, if it never moves more."""
+    moving = torch.nonzero(outline.movement >= least).flatten()
+    end = int(moving[-1]) + 1 if len(moving) else len(outline)
+    return Outline(outline.poses[: end + GUIDE_OFFSETS[-1]], outline.ground[:end], outline.phases[:end])
 
 
 def typical_first(found: list[tuple[str, Outline]]) -> list[Outline]:
@@ -174,18 +188,22 @@ def typical_first(found: list[tuple[str, Outline]]) -> list[Outline]:
     return [found[i][1] for *_, i in sorted(ranked)]
 
 
-def manner_of(dataset: Dataset, kind: str) -> Manner:
-    """How a type is drawn."""
-    if kind in STEERED_TYPES:
-        return GAIT
-    event = dataset.phase_events.get(kind)
-    if event is None:
-        return OTHER
-    return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)
+def manners_of(dataset: Dataset) -> dict[str, Manner]:
+    """How each type is drawn."""
+    quiet = _quiet_types(dataset)
+    strikes = {"": PERFORMANCE, "jump": JUMP}
+    out = {}
+    for kind in dataset.types:
+        event = dataset.phase_events.get(kind)
+        if kind in STEERED_TYPES:
+            out[kind] = STANDING if kind in quiet else GAIT
+        else:
+            out[kind] = OTHER if event is None else strikes.get(event, STRIKE)
+    return out
 
 
-def noise_shares(dataset: Dataset) -> dict[str, float]:
-    """How much noise each type takes."""
+def _quiet_types(dataset: Dataset) -> set[str]:
+    """The types whose joints turn slowly."""
     turns, frames = (torch.zeros(len(dataset.types), dtype=torch.float64) for _ in range(2))
     block = dataset.layout.blocks["joint_angular_velocities"]
     for clip in dataset.select("train"):
@@ -193,10 +211,8 @@ def noise_shares(dataset: Dataset) -> dict[str, float]:
         speeds = data.features[:, block].reshape(len(data.features), -1, 3).norm(dim=-1).mean(dim=-1)
         turns.index_add_(0, data.types, speeds.double())
         frames += torch.bincount(data.types, minlength=len(frames))
-    quiet = (turns / frames < QUIET).tolist()
-    sways = [NOISE_OF_STANDING if kind in STEERED_TYPES else NOISE_OF_QUIET for kind in dataset.types]
-    found = zip(dataset.types, sways, quiet, strict=True)
-    return {kind: sway if still else NOISE for kind, sway, still in found}
+    slow = (turns / frames < QUIET).tolist()
+    return {kind for kind, quiet in zip(dataset.types, slow, strict=True) if quiet}
 
 
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
