@@ -137,6 +137,16 @@ def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> Non
     assert STATE_FRAMES[:2] == (0, 5) and torch.allclose(last_poses(tiny_model, features[:2]), first)
 
 
+@pytest.mark.parametrize("frames", [1, 2, 3, 91, 92])
+def test_recordings_of_a_few_frames_are_entered_too(tiny_model: MotionModel, frames: int) -> None:
+    outline = recording(frames)
+    outline.poses[:, 0] = outline.poses[:, 0] ** 2  # no two places move as much
+    player = OutlinePlayer(replace(tiny_model, outlines={"walking": [outline]}))
+    player.begin("walking", NEAR)
+    assert player.outline is outline and 0 <= player.at < frames
+    assert len(player.play(10).progress) == 10
+
+
 @pytest.mark.parametrize("share", [0.0, OWN_WAY])
 def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, share: float) -> None:
     outline = recording(200)

@@ -230,6 +230,7 @@ class _Step:
         if self.small:
             # The scales of the columns are brought back along with the zeros: what is cut off below zero stays so.
             hidden, size = self._small_product(x, weight, bias.reshape(-1))
+            assert size is not None  # with a bias it is a node of its own
             return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F) * size)
         # A bias far below zero wipes out as well.
         biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))

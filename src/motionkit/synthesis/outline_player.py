@@ -20,9 +20,6 @@ CANDIDATES, CANDIDATES_WITHIN = 24, 200
 PAUSE = 20  # frames from the end of a performance to the beginning of the next one
 BLEND = 15  # frames over which one recording goes over to the next of its type
 EVENT_CANDIDATES = 4
-JUST_PLAYED = (
-    300  # frames: the calm end of a recording is most like itself, and would be played again and again
-)
 LIVELY = 0.85  # share of the places that move less than the liveliest
 # A recording is entered where so many seconds of it are left; a strike so many frames before it begins.
 LEAST_SECONDS = 1.5
@@ -262,7 +259,10 @@ class OutlinePlayer:
         """
         least = round(LEAST_SECONDS * self.model.fps)
         movements = [outline.movement[: max(1, len(outline) - least)] for outline in outlines]
-        usual, lively = torch.cat(movements).quantile(torch.tensor([0.5, LIVELY])).tolist()
+        all_movements = torch.cat(movements)
+        # Of two places one has to be left.
+        usual = all_movements.quantile(0.5, interpolation="lower")
+        lively = all_movements.quantile(LIVELY, interpolation="higher")
         found = [
             (outline, at)
             for outline, movement in zip(outlines, movements, strict=True)
