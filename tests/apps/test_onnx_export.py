@@ -116,6 +116,17 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     assert len(products) == 4 * 2 * tiny_model.config.layers + 3
 
 
+def test_progress_counts_from_zero_on(tiny_model: MotionModel, exported: Path) -> None:
+    def features(progress: float) -> np.ndarray:
+        graph = OnnxStep(exported)
+        graph.values["type_weights"][0, 0], graph.values["progress"][:] = 1.0, progress
+        return graph.step()["features"].copy()
+
+    assert np.array_equal(features(-1.0), features(-0.3))
+    assert not np.allclose(features(-1.0), features(0.0), atol=1e-4)
+    assert np.allclose(features(0.0), features(1.0), atol=1e-3)
+
+
 def test_other_weights_are_refused(tiny_model: MotionModel) -> None:
     with pytest.raises(ModelError, match=r"'int4' are unknown, expected one of float32, int8"):
         build_graph(tiny_model, weights="int4")
@@ -145,10 +156,8 @@ def test_one_scale_suits_queries_keys_and_values(tiny_model: MotionModel) -> Non
             sizes = [max(whole_numbers(part)[1].max() for part in kind) for kind in kinds]
             assert max(sizes) < 1.01 * min(sizes)
             whole, scales = whole_numbers(layer[0], even=True)
-            assert (
-                len(set(scales.tolist())) == 1
-                and np.abs(whole * scales - layer[0]).max() <= 0.501 * scales[0]
-            )
+            assert len(set(scales.tolist())) == 1
+            assert np.abs(whole * scales - layer[0]).max() <= 0.501 * scales[0]
 
 
 @pytest.mark.parametrize("rows", [7, 8])

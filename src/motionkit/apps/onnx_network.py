@@ -131,8 +131,9 @@ def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
     differences = g.add("Mul", g.add("Sub", "guide", seen), "guided")
     # The sine and, a quarter of a turn ahead, the cosine.
     turns = g.add("Gemm", "progress", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
-    # One with a phase, of which the least is zero, and zero at -1; cheaper than a comparison.
-    has_phase = g.add("Min", g.add("Add", "progress", np.float32(1.0)), np.float32(1.0))
+    # One from zero on and zero below, by a steep ramp: cheaper than a comparison.
+    has_phase = g.add("Gemm", "progress", [[1e6]], [1.0])
+    has_phase = g.add("Clip", has_phase, np.float32(0.0), np.float32(1.0))
     turns = g.add("Mul", g.add("Sin", turns), has_phase)
     shown = g.add(
         "Concat",
@@ -200,10 +201,7 @@ class _Step:
             taps = self.weights.shallow.embed[p].reshape(config.kernel, len(mine), -1)[:, used]
             bias = self.weights.shallow.embed_bias[p][None]
             maps.append(np.concatenate([taps.reshape(-1, taps.shape[-1]), bias]))
-        own = np.zeros((len(columns), sum(map(len, places))), np.float32)
-        own[np.repeat(np.arange(len(places)), [len(place) for place in places]), np.arange(own.shape[1])] = (
-            1.0
-        )
+        own = _own(len(places), [len(place) for place in places])
         seen = g.add("Mul", g.gather(recent, np.concatenate(places), axis=1), own)
         return g.add("Gemm", seen, np.concatenate(maps), controls)
 
@@ -301,6 +299,6 @@ def _below(maps: Floats) -> Floats:
     return maps.reshape(-1, maps.shape[-1])
 
 
-def _own(count: int, width: int) -> Floats:
-    """(count, count width) ones where a row has its own columns."""
+def _own(count: int, width: int | list[int]) -> Floats:
+    """(count, count width) ones where a row has its own columns; width for all rows or for each."""
     return np.repeat(np.eye(count, dtype=np.float32), width, axis=1)

@@ -146,7 +146,7 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
                     whole.phases[first:last],
                 )
                 found.append((clip.name, outline))
-    found = [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
+    found = _not_too_short(found, fps)
     if kind in dataset.phase_events:
         # Of a performance all frames are in its phase: the longest shows most.
         found.sort(key=lambda entry: (-int((entry[1].phases >= 0.0).sum()), entry[0]))
@@ -154,9 +154,7 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
     else:
         usual = sum(float(outline.movement.sum()) for _, outline in found) / sum(len(o) for _, o in found)
         found = [(name, before_rest(outline, REST * usual)) for name, outline in found]
-        ordered = typical_first(
-            [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
-        )
+        ordered = typical_first(_not_too_short(found, fps))
     out: list[Outline] = []
     frames = 0.0
     for outline in ordered:
@@ -164,6 +162,11 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
             out.append(outline)
             frames += len(outline)
     return out
+
+
+def _not_too_short(found: list[tuple[str, Outline]], fps: float) -> list[tuple[str, Outline]]:
+    """The outlines of at least SHORTEST_OUTLINE seconds, or all if none has them."""
+    return [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
 
 
 def before_rest(outline: Outline, least: float) -> Outline:
