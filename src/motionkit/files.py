@@ -1,15 +1,27 @@
-"""Files that appear whole or not at all."""
+"""The border to the file system: what is read is a regular file of bounded size, what is written appears whole.
+
+Also the one JSON reader, and names that every file system can hold.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import re
+import stat
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any, BinaryIO
 
 from motionkit.errors import MotionkitError
+
+MAX_TEXT_BYTES = 64 * 2**20  # of a label table, a path or a JSON file
+MAX_JSON_DEPTH = 50
+MAX_JSON_NODES = 2_000_000  # lists and objects: a hundred bytes of memory for each
+MAX_JSON_DIGITS = 40  # of a whole number: states of random generators have 39
 
 
 @contextmanager
@@ -28,7 +40,8 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     try:
         target = Path(os.path.realpath(path))  # a link stays a link
         handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
-        with os.fdopen(handle, mode, encoding=None if "b" in mode else "utf-8") as file:
+        text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # the same bytes on all systems
+        with os.fdopen(handle, mode, **text) as file:  # type: ignore[call-overload]
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -41,3 +54,166 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     finally:
         if temporary and os.path.exists(temporary):
             os.unlink(temporary)
+
+
+# ---- reading ----
+
+
+@contextmanager
+def open_regular(
+    path: str | Path, limit: int, what: str = "a file", error: type[MotionkitError] = MotionkitError
+) -> Iterator[BinaryIO]:
+    """Open a regular file of at most limit bytes for reading.
+
+    A pipe would hang for ever and a device never end, so neither is read; links to files are followed.
+
+    Args:
+        path: the file.
+        limit: most bytes it may have.
+        what: what it should be, for the message: "a BVH file".
+        error: what is raised, with the path in its message.
+    """
+    # Without O_NONBLOCK the opening of a pipe waits for a writer.
+    flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+    try:
+        if os.path.isdir(path):
+            raise error(f"{path}: is a folder, expected {what}")
+        if not stat.S_ISREG(os.stat(path).st_mode):  # before opening, which may wake a device
+            raise error(f"{path}: is not a regular file, expected {what}")
+        file = os.fdopen(os.open(path, flags), "rb")
+    except FileNotFoundError:
+        raise error(f"{path}: no such file") from None
+    except (OSError, ValueError) as fault:
+        raise error(f"{path}: cannot be read ({getattr(fault, 'strerror', None) or fault})") from None
+    with file:
+        facts = os.fstat(file.fileno())
+        if not stat.S_ISREG(facts.st_mode):  # replaced since it was looked at
+            raise error(f"{path}: is not a regular file, expected {what}")
+        if facts.st_size > limit:
+            raise error(f"{path}: holds {_size(facts.st_size)}, expected {what} of at most {_size(limit)}")
+        yield file
+
+
+def check_regular(
+    path: str | Path, limit: int, what: str = "a file", error: type[MotionkitError] = MotionkitError
+) -> int:
+    """The size in bytes of a file that another library opens by its name; raises as open_regular does."""
+    with open_regular(path, limit, what, error) as file:
+        return os.fstat(file.fileno()).st_size
+
+
+def read_bytes(
+    path: str | Path, limit: int, what: str = "a file", error: type[MotionkitError] = MotionkitError
+) -> bytes:
+    """All bytes of a regular file; raises as open_regular does."""
+    with open_regular(path, limit, what, error) as file:
+        try:
+            data = file.read(limit + 1)
+        except OSError as fault:
+            raise error(f"{path}: cannot be read ({fault.strerror or fault})") from None
+    if len(data) > limit:  # it grew
+        raise error(f"{path}: expected {what} of at most {_size(limit)}")
+    return data
+
+
+def read_text(
+    path: str | Path,
+    what: str = "a text file",
+    error: type[MotionkitError] = MotionkitError,
+    limit: int = MAX_TEXT_BYTES,
+) -> str:
+    """The text of a regular UTF-8 file, without a byte order mark; raises as open_regular does."""
+    data = read_bytes(path, limit, what, error)
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError as fault:
+        line = data.count(b"\n", 0, fault.start) + 1
+        raise error(f"{path}:{line}: is not UTF-8 text, expected {what}") from None
+
+
+def _size(count: int) -> str:
+    for unit, factor in (("GB", 2**30), ("MB", 2**20), ("kB", 2**10)):
+        if count >= factor:
+            return f"{count / factor:.4g} {unit}"
+    return f"{count} bytes"
+
+
+# ---- JSON ----
+
+# Strings, so that brackets in them are not counted, and brackets.
+_JSON_BRACKETS = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{\]}]', re.DOTALL)
+
+
+def read_json(
+    path: str | Path,
+    what: str = "a JSON file",
+    error: type[MotionkitError] = MotionkitError,
+    limit: int = MAX_TEXT_BYTES,
+) -> Any:
+    """The value in a JSON file; raises error, naming the file, as read_text and parse_json do."""
+    return parse_json(read_text(path, what, error, limit), path, error)
+
+
+def parse_json(text: str, where: str | Path, error: type[MotionkitError] = MotionkitError) -> Any:
+    """The value of a JSON text of bounded depth, whose numbers are all finite.
+
+    Args:
+        text: the JSON.
+        where: where it stands, for the message.
+        error: what is raised for anything else than such a text.
+    """
+    _check_json_depth(text, where, error)
+    try:
+        return json.loads(text, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
+    except (ValueError, RecursionError) as fault:
+        raise error(f"{where}: not JSON ({fault})") from None
+
+
+def _check_json_depth(text: str, where: str | Path, error: type[MotionkitError]) -> None:
+    if text.count("[") + text.count("{") > MAX_JSON_NODES:
+        raise error(f"{where}: more than {MAX_JSON_NODES} lists and objects in one JSON text")
+    depth = 0
+    for found in _JSON_BRACKETS.finditer(text):
+        mark = found[0]
+        depth += 1 if mark in "[{" else -1 if mark in "]}" else 0
+        if depth > MAX_JSON_DEPTH:
+            raise error(f"{where}: JSON nested more than {MAX_JSON_DEPTH} deep")
+
+
+def _whole(word: str) -> int:
+    if len(word.lstrip("-")) > MAX_JSON_DIGITS:
+        raise ValueError(f"a whole number of {len(word.lstrip('-'))} digits")
+    return int(word)
+
+
+def _finite(word: str) -> float:
+    number = float(word)
+    if number - number != 0.0:
+        raise ValueError(f"{word[:20]} is not a finite number")
+    return number
+
+
+# ---- names ----
+
+_UNSAFE = re.compile(r'[<>:"/\\|?*\x00-\x1f\x7f-\x9f\ud800-\udfff]')
+_DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|conout\$)", re.IGNORECASE)
+
+
+def safe_name(name: str, longest: int = 80) -> str:
+    """The name as every file system can hold it, for a file named after a motion type or a joint.
+
+    A name without fault comes back as it is. In any other what cannot be is written as an underscore, and
+    a short hash of the name follows, so that different names stay different files.
+
+    Args:
+        name: any text.
+        longest: most characters, at least 10.
+    """
+    safe = _UNSAFE.sub("_", name).strip(". ") or "_"
+    if _DEVICES.fullmatch(safe.split(".")[0].strip()):  # Windows opens the device, whatever the ending
+        safe = f"_{safe}"
+    fits = len(safe.encode()) <= longest
+    if safe == name and fits:
+        return name
+    mark = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:6]
+    return f"{safe.encode()[: longest - 7].decode('utf-8', 'ignore')}-{mark}"

@@ -1,0 +1,170 @@
+"""The border to the file system: regular files of bounded size, bounded JSON, safe names, whole writes."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from motionkit.errors import DatasetError, MotionkitError
+from motionkit.files import (
+    MAX_JSON_DEPTH,
+    atomic_write,
+    check_regular,
+    parse_json,
+    read_bytes,
+    read_json,
+    read_text,
+    safe_name,
+)
+
+ONE_MB = 2**20
+
+
+def refusal(path: Path, limit: int = ONE_MB) -> str:
+    with pytest.raises(DatasetError) as caught:
+        read_bytes(path, limit, "a dataset", DatasetError)
+    message = str(caught.value)
+    assert message.startswith(f"{path}: ") and "\n" not in message
+    with pytest.raises(DatasetError) as checked:
+        check_regular(path, limit, "a dataset", DatasetError)
+    assert str(checked.value) == message
+    return message
+
+
+def test_a_regular_file_is_read(tmp_path: Path) -> None:
+    (tmp_path / "a").write_bytes(b"abc")
+    (tmp_path / "link").symlink_to(tmp_path / "a")
+    assert read_bytes(tmp_path / "a", 3) == read_bytes(tmp_path / "link", 3) == b"abc"
+    assert check_regular(tmp_path / "a", 3) == 3
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names here")
+def test_a_pipe_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert "is not a regular file, expected a dataset" in refusal(tmp_path / "pipe")
+
+
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no device of zeros here")
+def test_a_link_to_a_device_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "zeros").symlink_to("/dev/zero")
+    assert "is not a regular file" in refusal(tmp_path / "zeros")
+
+
+def test_a_file_over_the_limit_is_refused_unread(tmp_path: Path) -> None:
+    with (tmp_path / "sparse").open("wb") as file:
+        file.truncate(2 * 2**30)
+    assert "holds 2 GB, expected a dataset of at most 1 MB" in refusal(tmp_path / "sparse")
+
+
+def test_folder_missing_file_and_impossible_name(tmp_path: Path) -> None:
+    assert "is a folder, expected a dataset" in refusal(tmp_path)
+    assert "no such file" in refusal(tmp_path / "nowhere")
+    assert "cannot be read" in refusal(tmp_path / ("x" * 300))
+    with pytest.raises(MotionkitError, match="null"):
+        read_bytes(f"{tmp_path}/a\0b", 10)
+
+
+def test_text_that_is_not_utf8_is_told_with_its_line(tmp_path: Path) -> None:
+    (tmp_path / "t").write_bytes(b"one\ntwo \xff\n")
+    with pytest.raises(MotionkitError, match=r"t:2: is not UTF-8"):
+        read_text(tmp_path / "t")
+    (tmp_path / "t").write_bytes(b"\xef\xbb\xbfone")
+    assert read_text(tmp_path / "t") == "one"
+
+
+# ---- JSON ----
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("[" * 100_000, "nested more than"),
+        ('{"a":' * 100_000 + "1", "nested more than"),
+        ("[" + "[]," * 2_000_001 + "[]]", "more than 2000000 lists"),
+        ("9" * 401, "401 digits"),
+        ("[1e400]", "1e400 is not a finite number"),
+        ("[NaN]", "NaN is not a finite number"),
+        ("[-Infinity]", "-Infinity is not a finite number"),
+        ('"\\', "not JSON"),
+        ("", "not JSON"),
+    ],
+)
+def test_json_that_is_refused(text: str, says: str) -> None:
+    with pytest.raises(DatasetError) as caught:
+        parse_json(text, "file.json", DatasetError)
+    message = str(caught.value)
+    assert message.startswith("file.json: ") and says in message and "\n" not in message
+
+
+def test_json_as_deep_as_may_be_and_brackets_in_strings(tmp_path: Path) -> None:
+    text = "[" * MAX_JSON_DEPTH + json.dumps('[{"\\' * 100) + "]" * MAX_JSON_DEPTH
+    (tmp_path / "a.json").write_text(text)
+    assert read_json(tmp_path / "a.json") == json.loads(text)
+
+
+def test_quotes_without_end_take_no_time() -> None:
+    with pytest.raises(MotionkitError):
+        parse_json('"' + '\\"' * 1_000_000, "file.json")
+
+
+# ---- names ----
+
+FORBIDDEN = set('<>:"/\\|?*')
+DEVICES = {"con", "prn", "aux", "nul", *(f"{n}{i}" for n in ("com", "lpt") for i in range(10))}
+
+
+@pytest.mark.parametrize("name", ["walking", "jumping-l", "walk fast", "Ärger", "a.b"])
+def test_a_good_name_stays(name: str) -> None:
+    assert safe_name(name) == name
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("walk/run", "..", ".", "", "aux", "NUL.txt", "com1", "a:b", "walk.", " x", "a\nb", "x" * 300),
+        *("\udcff", "C:\\x", "ä" * 100, ".hidden", "con .bvh"),
+    ],
+)
+def test_a_bad_name_becomes_one_that_all_systems_hold(name: str, tmp_path: Path) -> None:
+    safe = safe_name(name)
+    check_safe(safe)
+    (tmp_path / f"{safe}.bvh").write_text("x")
+    assert [p.name for p in tmp_path.iterdir()] == [f"{safe}.bvh"]
+
+
+def check_safe(safe: str) -> None:
+    assert safe and len(safe.encode()) <= 80 and not FORBIDDEN & set(safe)
+    assert safe == safe.strip(" .") and safe.split(".")[0].strip().lower() not in DEVICES
+    assert all(ord(c) >= 32 for c in safe)
+
+
+@settings(derandomize=True, max_examples=200, deadline=None)
+@given(st.lists(st.text(alphabet="ab/:.\\ \0ä", max_size=100), unique=True))
+def test_different_names_stay_different(names: list[str]) -> None:
+    safe = [safe_name(name) for name in names]
+    assert len(set(safe)) == len(names)
+    for name in safe:
+        check_safe(name)
+
+
+# ---- writing ----
+
+
+def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Where the system's own line end is another, text is still written with a plain newline."""
+    seen = []
+    honest = os.fdopen
+
+    def fdopen(handle: int, mode: str, **options: str) -> object:
+        seen.append(options.get("newline"))
+        return honest(handle, mode, **options)  # type: ignore[call-overload]
+
+    monkeypatch.setattr(os, "fdopen", fdopen)
+    with atomic_write(tmp_path / "text") as file:
+        file.write("a\n")
+    assert seen == ["\n"] and (tmp_path / "text").read_bytes() == b"a\n"
