@@ -29,6 +29,13 @@ def test_a_root_that_leaps_with_the_whole_body_is_no_leap_of_a_joint() -> None:
     assert find_leaps(positions) == []
 
 
+def test_a_body_that_leaps_ten_metres_is_cut_there() -> None:
+    positions = walk_positions()
+    positions[30] += 1e7  # there and back
+    positions[40:] += torch.tensor([0.0, 0.0, 2000.0])
+    assert find_leaps(positions) == [30, 31, 40]
+
+
 def test_a_few_frames_have_no_leaps() -> None:
     assert find_leaps(walk_positions(6)) == []
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from motionkit.errors import MotionkitError
+from motionkit.metrics import trajectory as module
 from motionkit.metrics.trajectory import distance_to_path, ground_track, trajectory_distance
 
 
@@ -99,3 +100,11 @@ def test_refusals() -> None:
     for tolerance in (0.0, -1.0, math.nan):
         with pytest.raises(MotionkitError, match="tolerance"):
             trajectory_distance(line(3), line(3), tolerance)
+
+
+def test_a_path_that_leaps_ten_kilometres_asks_for_no_memory() -> None:
+    path = torch.zeros(60, 2, dtype=torch.float64)
+    path[1::2] = 1e6
+    assert len(module._sampled(path)) <= 100_000
+    result = trajectory_distance(path, path)
+    assert result.mean == 0.0 and result.coverage == 1.0

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
 import random
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from motionkit.errors import BvhError
-from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.errors import BvhError, MotionkitError
+from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.motion import resample
 
 # File, the line the message must name, a part of what it must say.
 FAULTS = [
@@ -28,7 +31,7 @@ FAULTS = [
     ("frame_time_missing.bvh", 27, "expected 'Frame Time: SECONDS'"),
     ("frame_time_nan.bvh", 27, "finite"),
     ("frame_time_negative.bvh", 27, "found -0.008333"),
-    ("frame_time_zero.bvh", 27, "frame time between 0.0001 and 10 seconds, found 0.0"),
+    ("frame_time_zero.bvh", 27, "frame time between 0.0001 and 1 seconds, found 0.0"),
     ("frames_missing.bvh", 26, "expected 'Frames: COUNT'"),
     ("frames_not_a_number.bvh", 26, "whole number of frames, found 'many'"),
     ("huge_frame_count.bvh", 26, "whole number of frames, found '99999999999999999999'"),
@@ -187,3 +190,107 @@ def test_random_damage_never_surprises(tmp_path: Path, good_text: str) -> None:
             assert "\n" not in str(fault)
         else:
             assert motion.local_rotations.isfinite().all() and motion.root_positions.isfinite().all()
+
+
+# ---- plausible numbers ----
+
+
+def changed(folder: Path, text: str, line: int, old: str, new: str) -> Path:
+    """The text with one word of one line (from 1) changed, as a file."""
+    lines = text.split("\n")
+    assert old in lines[line - 1]
+    lines[line - 1] = lines[line - 1].replace(old, new, 1)
+    path = folder / "changed.bvh"
+    path.write_text("\n".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("number", ["1e39", "-1e39", "1e308", "10000001", "-1.5e7"])
+def test_numbers_that_no_motion_has(tmp_path: Path, good_text: str, number: str) -> None:
+    """A position, an angle or an offset beyond ten million is refused with its line and itself."""
+    fault = fault_of(changed(tmp_path, good_text, 29, " 90.1 ", f" {number} "))
+    assert fault.line == 29 and "value 2 of frame 1 is" in str(fault) and "up to 10,000,000" in str(fault)
+    offset = good_text.split("\n")[16].split()[1]
+    fault = fault_of(changed(tmp_path, good_text, 17, f"OFFSET {offset}", f"OFFSET {number}"))
+    assert fault.line == 17 and f"found '{number}'" in str(fault) and "10,000,000" in str(fault)
+
+
+def test_the_largest_numbers_allowed_stay_finite(tmp_path: Path, good_text: str) -> None:
+    path = changed(tmp_path, good_text, 29, " 90.1 ", " -1e7 ")
+    motion = bvh_to_motion(read_bvh(path))
+    assert motion.root_positions.square().sum().isfinite()
+
+
+@pytest.mark.parametrize(("time", "frames"), [("10", 3), ("1.01", 3), ("0.00009", 3), ("1", 3605)])
+def test_frame_times_that_would_ask_for_memory(
+    tmp_path: Path, good_text: str, time: str, frames: int
+) -> None:
+    head = good_text[: good_text.index("0.0 90.0 0.0")]
+    head = head.replace("Frames: 3", f"Frames: {frames}")
+    head = "\n".join(
+        f"Frame Time: {time}" if line.startswith("Frame Time") else line for line in head.split("\n")
+    )
+    path = tmp_path / "slow.bvh"
+    path.write_text(head + "0 1 2 3 4 5 6 7 8 9 10 11\n" * frames)
+    fault = fault_of(path)
+    assert fault.line == 27
+    assert ("last 1 hours, expected at most 1" if frames > 3 else "frame time between") in str(fault)
+
+
+def test_a_true_rate_that_makes_a_motion_of_days_is_refused(make_motion) -> None:
+    long = replace(make_motion(20), fps=0.001)
+    with pytest.raises(MotionkitError, match=r"20 frames at 0\.001 fps last 5\.56 hours"):
+        resample(long, 60.0)
+
+
+def test_names_and_channels_are_told_in_short(tmp_path: Path, good_text: str) -> None:
+    fault_of(changed(tmp_path, good_text, 6, "Spine", "S" * 5000))
+    path = tmp_path / "changed.bvh"
+    path.write_text(good_text.replace("Zrotation", "Z" * 5000, 1))
+    fault_of(path)
+
+
+@pytest.mark.parametrize("data", [b"\xef\xbb\xbf", b"\x1c\x1d", b"\xc2\xa0\n"])
+def test_a_file_of_spaces_only_unicode_knows(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "blank.bvh").write_bytes(data)
+    assert "is empty" in str(fault_of(tmp_path / "blank.bvh"))
+
+
+def test_spaces_without_end_in_the_motion_header_take_no_time(tmp_path: Path, good_text: str) -> None:
+    path = tmp_path / "spaces.bvh"
+    path.write_text(good_text.replace("Frame Time:", "Frame Time" + " " * 400_000 + "x y"))
+    assert "expected 'Frame Time: SECONDS'" in str(fault_of(path))
+
+
+# ---- regular files ----
+
+
+def test_pipes_devices_and_huge_files_are_refused(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.bvh")
+    (tmp_path / "zeros.bvh").symlink_to("/dev/zero")
+    with (tmp_path / "sparse.bvh").open("wb") as file:
+        file.truncate(2 * 2**30)
+    assert "is not a regular file, expected a BVH file" in str(fault_of(tmp_path / "pipe.bvh"))
+    assert "is not a regular file" in str(fault_of(tmp_path / "zeros.bvh"))
+    assert "holds 2 GB, expected a BVH file of at most 512 MB" in str(fault_of(tmp_path / "sparse.bvh"))
+
+
+# ---- writing ----
+
+
+@pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e38])
+def test_a_motion_that_cannot_be_read_is_not_written(tmp_path: Path, make_motion, number: float) -> None:
+    """The good file at the place stays, whether a position, an angle or an offset is to blame."""
+    path = tmp_path / "good.bvh"
+    write_bvh(path, make_motion(4))
+    before = path.read_bytes()
+    bad_place = make_motion(4)
+    bad_place.root_positions[2, 1] = number
+    bad_turn = motion_to_bvh(make_motion(4))
+    bad_turn.values[3, 7] = number
+    bad_offset = motion_to_bvh(make_motion(4))
+    bad_offset.skeleton.offsets[3, 1] = number
+    for bad, says in ((bad_place, "value 2 of frame 2"), (bad_turn, "frame 3"), (bad_offset, "LeftFoot")):
+        with pytest.raises(BvhError, match=f"not written: .*{says}"):
+            write_bvh(path, bad)
+    assert path.read_bytes() == before and [p.name for p in tmp_path.iterdir()] == ["good.bvh"]

@@ -30,7 +30,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import map_rig
 from motionkit.motion.rotations import matrix_to_quat, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
-from motionkit.motion.units import guess_scale
+from motionkit.motion.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
 
 CM = 0.01
 QUATERNION_STEPS = 32767  # a rotation is told to a few thousandths of a degree
@@ -152,7 +152,7 @@ def _cm_per_unit(motion: Motion) -> tuple[float, str]:
         return 1.0, "centimetres"
     if leg <= 0.0:
         leg = motion_figure(motion).stature * LEG_TO_STATURE
-    return guess_scale(leg)
+    return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
 
 
 def _leg(skeleton: Skeleton) -> float:

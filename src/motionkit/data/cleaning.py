@@ -73,6 +73,8 @@ FLIP_FULL = math.radians(150.0)
 FLIP_SECONDS = 0.25
 FLIP_TURN = math.radians(75.0)
 
+MOST_JUMPS_TOLD = 20
+
 # Stance: toes this slow, gathered in the lowest well-filled band of heights.
 STANCE_SPEED = 20.0
 STANCE_BAND = 6.0
@@ -357,11 +359,13 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
         return ()
     angles, _ = _steps(motion)
     frames, joints = torch.nonzero(angles > max(1.0, 60.0 / motion.fps) * JUMP_LEFT, as_tuple=True)
-    return tuple(
+    told = tuple(
         f"jump of {math.degrees(float(angles[t, j])):.0f} degrees left in {JOINT_NAMES[j]} "
         f"at frame {int(t) + 1 + start}"
-        for t, j in zip(frames.tolist(), joints.tolist(), strict=True)
+        for t, j in zip(frames[:MOST_JUMPS_TOLD].tolist(), joints[:MOST_JUMPS_TOLD].tolist(), strict=True)
     )
+    more = len(frames) - len(told)
+    return (*told, f"{more} more jumps left") if more else told
 
 
 def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:

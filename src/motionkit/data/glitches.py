@@ -9,11 +9,12 @@ from torch import Tensor
 # around, has leapt: the fastest real feet of the CMU flips move 16 to 23 cm a frame.
 LEAP_DISTANCE = 25.0  # cm
 LEAP_RATIO = 2.2
+ROOT_LEAP = 1000.0  # cm a frame for the whole body: nothing falls or rides at 600 m/s; it would rule the scaling
 _REACH = 4  # frames compared on each side, the two nearest left out
 
 
 def find_leaps(global_positions: Tensor) -> list[int]:
-    """Frames t such that some joint leaps between t - 1 and t.
+    """Frames t such that some joint leaps against the root, or the root itself, between t - 1 and t.
 
     Args:
         global_positions: (T, 23, 3) in cm at 60 fps.
@@ -26,7 +27,8 @@ def find_leaps(global_positions: Tensor) -> list[int]:
     windows = padded.unfold(0, 2 * _REACH + 1, 1)
     around = torch.cat([windows[..., : _REACH - 1], windows[..., _REACH + 2 :]], dim=-1).median(dim=-1).values
     leaps = (steps > LEAP_DISTANCE) & (steps > LEAP_RATIO * around)
-    return (torch.nonzero(leaps.any(dim=-1)).flatten() + 1).tolist()
+    lost = torch.diff(global_positions[:, 0], dim=0).norm(dim=-1) > ROOT_LEAP
+    return (torch.nonzero(leaps.any(dim=-1) | lost).flatten() + 1).tolist()
 
 
 def cut_at_leaps(start: int, end: int, leaps: list[int]) -> list[tuple[int, int]]:

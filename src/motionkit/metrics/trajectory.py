@@ -12,6 +12,8 @@ from motionkit.metrics.value import MetricSettings, MetricValue
 
 _BLOCK = 64  # segments that one bounding box stands for
 _COVERAGE_STEP = 1.0  # cm between the samples of the reference path
+_MOST_SAMPLES = 100_000  # on paths longer than a kilometre they lie further apart
+_POINTS = 10_000  # compared with a block at a time
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +82,8 @@ def _distance_to_points(points: Tensor, places: Tensor) -> Tensor:
 
 def _distance_to_segments(points: Tensor, path: Tensor) -> Tensor:
     """Distance (T,) from points (T, 2) to a polyline (N, 2) of few segments, each tried for each point."""
+    if len(points) > _POINTS:
+        return torch.cat([_distance_to_segments(some, path) for some in points.split(_POINTS)])
     start, along = path[:-1], torch.diff(path, dim=0)
     squared = (along * along).sum(-1).clamp(min=1e-12)
     offset = points[:, None] - start
@@ -106,13 +110,14 @@ def trajectory_distance(
 
 
 def _sampled(path: Tensor) -> Tensor:
-    """Points (M, 2) at even arc length along a path (N, 2), at most about 1 cm apart, ends included."""
+    """Points (M, 2) at even arc length along a path (N, 2), about 1 cm apart up to a kilometre, ends included."""
     lengths = torch.diff(path, dim=0).norm(dim=-1)
     arc = torch.cat([lengths.new_zeros(1), lengths.cumsum(0)])
     total = float(arc[-1])
     if total == 0.0:
         return path[:1]
-    wanted = torch.linspace(0.0, total, max(2, round(total / _COVERAGE_STEP) + 1), dtype=torch.float64)
+    count = min(max(2, round(total / _COVERAGE_STEP) + 1), _MOST_SAMPLES)
+    wanted = torch.linspace(0.0, total, count, dtype=torch.float64)
     right = torch.searchsorted(arc, wanted).clamp(1, len(arc) - 1)
     span = (arc[right] - arc[right - 1]).clamp(min=1e-12)
     weight = ((wanted - arc[right - 1]) / span)[:, None]

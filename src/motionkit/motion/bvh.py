@@ -18,7 +18,7 @@ from torch import Tensor
 
 from motionkit.errors import BvhError
 from motionkit.files import atomic_write
-from motionkit.motion.bvh_text import read_bvh_text
+from motionkit.motion.bvh_text import MAX_NUMBER, implausible_value, read_bvh_text
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import euler_to_quat, quat_continuous, quat_to_euler
 from motionkit.motion.skeleton import Skeleton
@@ -173,7 +173,10 @@ def _unrolled_eulers(motion: Motion, orders: list[str]) -> Tensor:
 
 
 def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) -> None:
-    """Write a BVH file, whole or not at all; lengths are multiplied by scale on the way out."""
+    """Write a BVH file, whole or not at all; lengths are multiplied by scale on the way out.
+
+    Raises BvhError for numbers that read_bvh would refuse, such as NaN, before path is touched.
+    """
     bvh = (
         motion
         if isinstance(motion, BvhFile)
@@ -182,12 +185,26 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
     if isinstance(motion, BvhFile) and scale != 1.0:
         bvh = _scaled_file(bvh, scale)
     bvh = _depth_first(bvh)
+    _check_numbers(path, bvh)
     with atomic_write(path) as file:
         file.write("HIERARCHY\n")
         for line in _hierarchy_lines(bvh):
             file.write(line + "\n")
         file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {bvh.frame_time:.9g}\n")
         np.savetxt(file, bvh.values, fmt="%.6f", delimiter=" ")
+
+
+def _check_numbers(path: str | Path, bvh: BvhFile) -> None:
+    """Raise BvhError if a number cannot stand in a file: what lies at path is worth more than that."""
+    found = implausible_value(bvh.values)
+    if found:
+        raise BvhError(path, f"not written: {found[1]}")
+    for joint, name in enumerate(bvh.skeleton.names):
+        numbers = [*bvh.skeleton.offsets[joint].tolist(), *bvh.skeleton.end_sites.get(joint, ())]
+        if not all(abs(number) <= MAX_NUMBER for number in numbers):
+            raise BvhError(path, f"not written: the offset of {name} is not a number up to {MAX_NUMBER:,.0f}")
+    if not 0.0 < bvh.frame_time < float("inf"):
+        raise BvhError(path, f"not written: {bvh.frame_time} seconds per frame")
 
 
 def _depth_first(bvh: BvhFile) -> BvhFile:

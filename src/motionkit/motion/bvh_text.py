@@ -6,7 +6,6 @@ motion block is counted as bytes. What leaves this module is safe to hand to bvh
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,15 +13,23 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from motionkit.errors import BvhError
+from motionkit.errors import BvhError, MotionkitError
+from motionkit.files import read_bytes
+from motionkit.motion.motion import longest_seconds
 
+MAX_BYTES = 512 * 2**20
 MAX_DEPTH = 200
 MAX_JOINTS = 2000
+MAX_NAME = 200
+# Of an offset, a position (10 km in millimetres) or an angle (28,000 turns in degrees). No real file reaches
+# it in any unit, and what is computed from such numbers stays far from the end of float32.
+MAX_NUMBER = 1e7
+SHORTEST_FRAME, LONGEST_FRAME = 1e-4, 1.0  # seconds
 CHANNEL_NAMES = {
     f"{axis}{kind}".lower(): f"{axis}{kind}" for axis in "XYZ" for kind in ("position", "rotation")
 }
-FRAMES = re.compile(r"\s*frames\s*:?\s*(\S.*?)\s*", re.IGNORECASE)
-FRAME_TIME = re.compile(r"\s*frame\s+time\s*:?\s*(\S+)\s*", re.IGNORECASE)
+FRAMES = re.compile(r"frames ?:? ?(.+)", re.IGNORECASE)
+FRAME_TIME = re.compile(r"frame time ?:? ?([^ ]+)", re.IGNORECASE)
 WHOLE_NUMBER = re.compile(r"[0-9]{1,9}")
 
 
@@ -51,21 +58,17 @@ def read_bvh_text(path: str | Path) -> BvhText:
     header, names, channels = _check_hierarchy(path, lines, motion_line)
     frames, frame_time, first_row = _check_motion_header(path, lines, motion_line)
     values = _read_rows(path, lines, first_row, frames, channels)
+    _check_duration(path, frames, frame_time, first_row)
     header += f"MOTION\nFrames: {frames}\nFrame Time: {frame_time!r}\n"
     return BvhText(header, names, channels, frames, frame_time, values)
 
 
 def _read_bytes(path: str | Path) -> bytes:
-    path = Path(path)
-    if path.is_dir():
-        raise BvhError(path, "is a folder, expected a BVH file")
     try:
-        data = path.read_bytes()
-    except FileNotFoundError:
-        raise BvhError(path, "no such file") from None
-    except OSError as error:
-        raise BvhError(path, f"cannot be read ({error.strerror or error})") from None
-    if not data.strip():
+        data = read_bytes(path, MAX_BYTES, "a BVH file")
+    except MotionkitError as error:
+        raise BvhError(path, str(error).removeprefix(f"{path}: ")) from None
+    if not data or data.isspace():
         raise BvhError(path, "is empty, expected a BVH file that starts with HIERARCHY", 1)
     return data
 
@@ -81,6 +84,8 @@ def _decode(path: str | Path, data: bytes) -> str:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
+    if not text.strip():  # spaces that only Unicode knows
+        raise BvhError(path, "is empty, expected a BVH file that starts with HIERARCHY", 1)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
@@ -102,8 +107,10 @@ def _floats(path: str | Path, words: list[str], line: int, what: str) -> list[fl
             number = float(word.replace("_", "?"))  # Python would read 1_0 as ten
         except ValueError:
             raise BvhError(path, f"expected numbers for {what}, found {word[:40]!r}", line) from None
-        if not math.isfinite(number):
-            raise BvhError(path, f"expected finite numbers for {what}, found {word[:40]!r}", line)
+        if not abs(number) <= MAX_NUMBER:
+            raise BvhError(
+                path, f"expected finite numbers up to {MAX_NUMBER:,.0f} for {what}, found {word[:40]!r}", line
+            )
         numbers.append(number)
     return numbers
 
@@ -129,6 +136,8 @@ class _HierarchyWalk:
         name = "_".join(words)
         if not name:
             raise self.fail(f"expected a name after {kind}", line)
+        if len(name) > MAX_NAME:
+            raise self.fail(f"a name of {len(name)} letters after {kind}, expected at most {MAX_NAME}", line)
         if kind == "ROOT":
             self.roots += 1
             if self.roots > 1:
@@ -214,7 +223,7 @@ class _HierarchyWalk:
         names = []
         for word in words[1:]:
             if word.lower() not in CHANNEL_NAMES:
-                raise self.fail(f"unknown channel {word!r} of {node['label']}", line)
+                raise self.fail(f"unknown channel {word[:40]!r} of {node['label']}", line)
             names.append(CHANNEL_NAMES[word.lower()])
         if len(set(names)) != len(names):
             raise self.fail(f"a channel of {node['label']} is listed twice", line)
@@ -282,7 +291,7 @@ def _check_hierarchy(
 def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -> tuple[int, float, int]:
     filled = [i for i in range(motion_line + 1, min(len(lines), motion_line + 20)) if lines[i].strip()]
     frames_line = filled[0] if filled else motion_line + 1
-    found = FRAMES.fullmatch(lines[frames_line]) if filled else None
+    found = FRAMES.fullmatch(_plain(lines[frames_line])) if filled else None
     if found is None:
         raise BvhError(path, "expected 'Frames: COUNT' after MOTION", frames_line + 1)
     if not WHOLE_NUMBER.fullmatch(found[1]):
@@ -291,17 +300,35 @@ def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -
     if frames == 0:
         raise BvhError(path, "declares zero frames; there is no motion in it", frames_line + 1)
     time_line = filled[1] if len(filled) > 1 else frames_line + 1
-    found = FRAME_TIME.fullmatch(lines[time_line]) if len(filled) > 1 else None
+    found = FRAME_TIME.fullmatch(_plain(lines[time_line])) if len(filled) > 1 else None
     if found is None:
         raise BvhError(path, "expected 'Frame Time: SECONDS' after the frame count", time_line + 1)
     frame_time = _floats(path, [found[1]], time_line + 1, "the frame time")[0]
-    if not 1e-4 <= frame_time <= 10.0:
+    if not SHORTEST_FRAME <= frame_time <= LONGEST_FRAME:
         raise BvhError(
             path,
-            f"expected a frame time between 0.0001 and 10 seconds, found {found[1][:40]}",
+            f"expected a frame time between {SHORTEST_FRAME:g} and {LONGEST_FRAME:g} seconds, "
+            f"found {found[1][:40]}",
             time_line + 1,
         )
     return frames, frame_time, time_line + 1
+
+
+def _plain(line: str) -> str:
+    """The line with single spaces: a pattern that has to try them all could take for ever."""
+    return " ".join(line.split())
+
+
+def _check_duration(path: str | Path, frames: int, frame_time: float, line: int) -> None:
+    """Refuse recordings whose length at 60 fps would ask for memory that the file itself never took."""
+    longest = longest_seconds(1.0 / frame_time)
+    if frames * frame_time > longest * 1.001:  # an hour written at 0.0166667 is an hour
+        raise BvhError(
+            path,
+            f"{frames} frames of {frame_time:g} s last {frames * frame_time / 3600:.3g} hours, "
+            f"expected at most {longest / 3600:g}",
+            line,
+        )
 
 
 def _read_rows(
@@ -322,16 +349,21 @@ def _read_rows(
             path, f"expected {channels} values in frame {row}, found {int(counts[row])}{tail}", rows[row] + 1
         )
     values = _parse_values(path, lines, rows)
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if bad.size:
-        row = int(bad[0])
-        column = int(np.flatnonzero(~np.isfinite(values[row]))[0])
-        raise BvhError(
-            path,
-            f"value {column + 1} of frame {row} is {values[row, column]}, expected a finite number",
-            rows[row] + 1,
-        )
+    found = implausible_value(values)
+    if found:
+        raise BvhError(path, found[1], rows[found[0]] + 1)
     return values
+
+
+def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
+    """The first frame of a motion block (T, C) with a number that no motion has, and words for it, or None."""
+    if not values.size or (values.min() >= -MAX_NUMBER and values.max() <= MAX_NUMBER):  # NaN is neither
+        return None
+    row = int(np.flatnonzero(~(np.abs(values) <= MAX_NUMBER).all(axis=1))[0])
+    column = int(np.flatnonzero(~(np.abs(values[row]) <= MAX_NUMBER))[0])
+    number = values[row, column]
+    wanted = f"a number up to {MAX_NUMBER:,.0f}" if np.isfinite(number) else "a finite number"
+    return row, f"value {column + 1} of frame {row} is {number:g}, expected {wanted}"
 
 
 def _words_per_line(lines: list[str], rows: list[int]) -> NDArray[np.int64]:

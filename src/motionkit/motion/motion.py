@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionkit.errors import MotionkitError
 from motionkit.motion.rotations import quat_continuous, quat_slerp
 from motionkit.motion.skeleton import Skeleton
 
@@ -59,13 +60,27 @@ class Motion:
         )
 
 
+def longest_seconds(fps: float) -> float:
+    """The longest recording that is worked on: an hour, or four at the rates of real capture.
+
+    At 60 fps both are frames that memory holds; a slow rate would make many of them from a small file.
+    """
+    return 4 * 3600.0 if fps > 29.0 else 3600.0
+
+
 def resample(motion: Motion, fps: float) -> Motion:
     """The motion at another rate: rotations by slerp, positions linearly; time of frame 0 is kept.
 
-    The last frame falls at or before the last frame of the source.
+    The last frame falls at or before the last frame of the source. Raises MotionkitError for a motion that
+    lasts longer than longest_seconds().
     """
     if len(motion) < 2 or abs(motion.fps - fps) < 1e-6 * fps:
         return replace(motion, fps=fps) if len(motion) < 2 else motion
+    if motion.seconds > longest_seconds(motion.fps) * 1.001:
+        raise MotionkitError(
+            f"{len(motion)} frames at {motion.fps:g} fps last {motion.seconds / 3600:.3g} hours, "
+            f"expected at most {longest_seconds(motion.fps) / 3600:g}"
+        )
     frames = int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1
     times = torch.arange(frames, dtype=torch.float64) * (motion.fps / fps)
     before = times.floor().clamp(max=len(motion) - 2).long()

@@ -40,7 +40,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
-from motionkit.motion.units import guess_scale
+from motionkit.motion.units import check_leg, guess_scale
 
 _TORSO = ("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder")
 # A source bone shorter than this share of the leg is a gap in the rig, not a bone of that length.
@@ -121,6 +121,7 @@ def retarget(
     else:
         differences = posed_differences(source, rotations, positions)
     leg = _leg(source)
+    check_leg(leg)
     scale, scale_source = (scale, "given") if scale is not None else guess_scale(leg)
     root_scale = leg_length(canonical_skeleton()) / (leg * scale)
     shape = source.rest[None] if standing else positions

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from motionkit.errors import SkeletonError
 from motionkit.motion.skeleton import LEG_TO_STATURE
 
 # cm per file unit. CMU's own unit is the inch divided by 0.45.
@@ -15,6 +16,8 @@ KNOWN_UNITS: dict[str, float] = {
 }
 # Standing height in cm: what a unit must give to be believed, and what is most likely.
 SHORTEST, TALLEST, TYPICAL = 130.0, 215.0, 172.0
+# Legs in file units; kilometres and micrometres are outside. Dividing by less would overflow.
+SHORTEST_LEG, LONGEST_LEG = 1e-3, 1e6
 
 
 def stature(leg: float) -> float:
@@ -26,8 +29,9 @@ def guess_scale(leg: float) -> tuple[float, str]:
     """cm per file unit, and how it was found, from a leg length in file units (positive).
 
     The known unit that makes the stature most likely wins; if none makes it human, the body is scaled
-    to a typical one.
+    to a typical one. Raises SkeletonError for legs that no unit could make human.
     """
+    check_leg(leg)
     errors = {
         name: abs(stature(leg * scale) - TYPICAL)
         for name, scale in KNOWN_UNITS.items()
@@ -38,3 +42,11 @@ def guess_scale(leg: float) -> tuple[float, str]:
         return KNOWN_UNITS[name], f"guessed from leg length: {name}"
     scale = TYPICAL / stature(leg)
     return scale, f"no known unit fits a leg of {leg:.4g}: scaled to a stature of {TYPICAL:.0f} cm"
+
+
+def check_leg(leg: float) -> None:
+    """Raise SkeletonError for a leg length in file units that cannot be scaled by."""
+    if not SHORTEST_LEG <= leg <= LONGEST_LEG:
+        raise SkeletonError(
+            f"legs of {leg:.3g} units, expected {SHORTEST_LEG:g} to {LONGEST_LEG:,.0f} in any unit of length"
+        )
