@@ -52,7 +52,7 @@ def test_a_table(follow, tmp_path: Path) -> None:
         (["circle", "--speed", "99"], "expected a speed"),
         (["circle", "--types", "floating"], "unknown motion type 'floating'"),
         (["circle", "--character", "nobody"], "unknown character 'nobody'"),
-        (["missing.json"], "missing.json: cannot be read as a path"),
+        (["missing.json"], "missing.json: no such file"),
     ],
 )
 def test_faults_leave_no_file(follow, tmp_path: Path, words: list[str], complaint: str) -> None:

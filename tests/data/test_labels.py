@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -54,6 +56,19 @@ def test_byte_order_mark_and_crlf_are_fine(tmp_path: Path) -> None:
         ("a.bvh,0,9x,idle,,,,", "expected a number for end_frame, found '9x'"),
         ("a.bvh,nan,9,idle,,,,", "expected a number for start_frame, found 'nan'"),
         ("a.bvh,0,inf,idle,,,,", "expected a number for end_frame, found 'inf'"),
+        (
+            "a.bvh,1e308,-1,idle,,,,",
+            "expected a whole number up to 1,000,000,000 for start_frame, found '1e308'",
+        ),
+        ("a.bvh,0,1e10,idle,,,,", "expected a whole number up to 1,000,000,000 for end_frame"),
+        ("a.bvh,0.5,9,idle,,,,", "expected a whole number"),
+        ("a.bvh,1_0,90,idle,,,,", "expected a number for start_frame, found '1_0'"),
+        ('a.bvh,0,9,"walk,run",,,,', "expected a motion type, found 'walk,run', which holds ','"),
+        ("a.bvh,0,9,walk:2,,,,", "expected a motion type, found 'walk:2', which holds ':'"),
+        ("a.bvh,0,9,walk\x1b[2J,,,,", "which has letters that cannot be printed"),
+        ("a.bvh,0,9," + "w" * 101 + ",,,,", "which has 101 letters, expected at most 100"),
+        ("a.bvh,0,9,idle,s\x07,,,", "expected a subject, found 's\\x07'"),
+        ("a\x00.bvh,0,9,idle,,,,", "NUL" if sys.version_info < (3, 11) else "expected a file name, found"),
         ("a.bvh,0,9,,,,,", "expected a motion type"),
         ("a.bvh,0,9", "expected a motion type"),
         ("a.bvh,9,9,idle,,,,", "expected start_frame < end_frame, found 9 and 9"),
@@ -109,8 +124,31 @@ def test_a_huge_field_is_a_dataset_error(table) -> None:
 
 
 def test_a_folder_is_no_table(tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match="cannot be read as a label table"):
+    with pytest.raises(DatasetError, match="is a folder, expected a label table"):
         read_labels(tmp_path)
+
+
+def test_pipes_devices_and_huge_files_are_no_tables(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zeros.csv").symlink_to("/dev/zero")
+    with (tmp_path / "sparse.csv").open("wb") as file:
+        file.truncate(2 * 2**30)
+    for name, says in (("pipe.csv", "regular file"), ("zeros.csv", "regular"), ("sparse.csv", "64 MB")):
+        with pytest.raises(DatasetError, match=says):
+            read_labels(tmp_path / name)
+
+
+@pytest.mark.parametrize("kind", ["walk,run", "walk:2", "w" * 101])
+def test_a_folder_whose_name_is_no_type_is_refused(tmp_path: Path, kind: str) -> None:
+    touch(tmp_path, f"{kind}/a.bvh")
+    with pytest.raises(DatasetError, match=f"{kind[:3]}.*the name of its folder.*rename it"):
+        find_sources([tmp_path])
+
+
+def test_a_name_too_long_for_the_system_is_simply_not_there(tmp_path: Path, table) -> None:
+    touch(tmp_path, "a.bvh")
+    table("b" * 5000 + ".bvh,0,9,idle,,,,\n")
+    assert find_sources([tmp_path])[0][0].skip_reason == "not in labels.csv"
 
 
 @pytest.mark.parametrize(
@@ -138,6 +176,7 @@ def test_mirrored_type(kind: str, mirrored: str) -> None:
         ("05_12", "motion"),
         ("cartwheel", "cartwheel"),
         ("Jump.left 3", "jump-left"),
+        ("Take 2, walk: fast", "take-walk-fast"),
     ],
 )
 def test_type_from_file_name(stem: str, kind: str) -> None:

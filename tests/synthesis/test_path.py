@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 
 import pytest
@@ -182,12 +183,17 @@ def one_part(**changes: object) -> str:
         (one_part(points=None), "part 1: expected points as a list of [x, z] numbers"),
         (one_part(points=[[0, 0, 0]]), "part 1: expected points"),
         (one_part(points=[[0, "a"]]), "part 1: expected points"),
-        (one_part(points=[[0, math.nan], [0, 1]]), "part 1: expected points"),
+        (one_part(points=[[0, math.nan], [0, 1]]), "not JSON (NaN is not a finite number)"),
+        (one_part(points=[[0, 10**400], [0, 1]]), "not JSON (a whole number of 401 digits)"),
+        (one_part(points=[[0, 10**39], [0, 1]]), "part 1: expected points as a list of [x, z] numbers up to"),
+        (one_part(points=[[0, 1e308], [0, 1]]), "part 1: expected points"),
+        (one_part(speed=10**39), "part 1: expected a number for speed"),
+        (one_part(type="walk\ning"), "part 1: expected a motion type, found"),
         (one_part(points=[[0, 0], [0, True]]), "part 1: expected points"),
         (one_part(speed="fast"), "part 1: expected a number for speed"),
         (one_part(speed=-1), "part 1: expected a speed between"),
         (one_part(points=[[0, 0], [0, 0.001]]), "part 1 of the path (walking) is 0.1 cm long"),
-        (one_part(points=[[0, 0], [0, 1e9]]), "longer than"),
+        (one_part(points=[[0, 0], [0, 1e6]]), "longer than"),
         (json.dumps(GOOD["parts"] + [{"type": "idle", "points": [[1, 5]]}]), "part 3 of the path (idle)"),
     ],
 )
@@ -208,6 +214,7 @@ def test_broken_json_names_the_part(tmp_path: Path, text: str, complaint: str) -
         ("x,z,type\n0,0,walking\n0\n", ":3: expected numbers for x, z and speed"),
         ("x,z,type,speed\n0,0,walking,quick\n", ":2: expected numbers for x, z and speed"),
         ("x,z,type\n0,0,walking\n0,inf,walking\n", ":3: expected finite numbers"),
+        ("x,z,type\n0,1e308,walking\n0,0,walking\n", ":2: expected finite numbers up to 1,000,000"),
         ("x,z,type\n0,0,\n0,1,\n", ":2: expected a motion type, found none"),
         ("x,z,type\n", "no parts"),
         ('x,z,type\n0,0,"' + "w" * 200_000 + '"\n', ":2: "),
@@ -222,11 +229,25 @@ def test_broken_csv_names_the_line(tmp_path: Path, text: str, complaint: str) ->
 
 def test_files_that_are_no_text(tmp_path: Path) -> None:
     (tmp_path / "path.json").write_bytes(b"\xff\xfe\x00")
-    for place in (tmp_path / "path.json", tmp_path, tmp_path / "missing.csv"):
-        with pytest.raises(ControlError, match="cannot be read as a path"):
-            read_path(place)
+    for place, says in (
+        ("path.json", "is not UTF-8 text, expected a path"),
+        ("", "is a folder, expected a path"),
+        ("missing.csv", "no such file"),
+    ):
+        with pytest.raises(ControlError, match=says):
+            read_path(tmp_path / place)
+
+
+def test_pipes_devices_and_huge_files_are_no_paths(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    (tmp_path / "zeros.json").symlink_to("/dev/zero")
+    with (tmp_path / "sparse.json").open("wb") as file:
+        file.truncate(2 * 2**30)
+    for name, says in (("pipe.csv", "regular file"), ("zeros.json", "regular"), ("sparse.json", "64 MB")):
+        with pytest.raises(ControlError, match=says):
+            read_path(tmp_path / name)
 
 
 def test_deeply_nested_json_is_told_in_a_line(tmp_path: Path) -> None:
-    with pytest.raises(ControlError, match="not JSON"):
+    with pytest.raises(ControlError, match="nested more than 50 deep"):
         read_path(write(tmp_path, "[" * 100_000))

@@ -9,7 +9,8 @@ from torch import Tensor
 # around, has leapt: the fastest real feet of the CMU flips move 16 to 23 cm a frame.
 LEAP_DISTANCE = 25.0  # cm
 LEAP_RATIO = 2.2
-ROOT_LEAP = 1000.0  # cm a frame for the whole body: nothing falls or rides at 600 m/s; it would rule the scaling
+# cm a frame for the whole body: nothing moves at 600 m/s, and it would rule the scaling.
+ROOT_LEAP = 1000.0
 _REACH = 4  # frames compared on each side, the two nearest left out
 
 

@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 import math
 import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 from motionkit.errors import DatasetError
+from motionkit.files import read_text
 
+MAX_FRAME = 10**9
+MAX_NAME = 100
 REQUIRED_COLUMNS = ("file", "start_frame", "end_frame", "type")
 SPLITS = ("train", "test", "")
 
@@ -63,15 +67,23 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
     if table is None:
         return [_by_name(path, folder) for path, folder in found], None
     rows = read_labels(table)
-    by_path = {(table.parent / name).resolve(): segments for name, segments in rows.items()}
+    by_path = {_resolved(table.parent / name): segments for name, segments in rows.items()}
     by_name = _unique_basenames(rows)
     sources = []
     for path, folder in found:
-        segments = by_path.get(path.resolve()) or by_name.get(path.name.lower())
+        segments = by_path.get(_resolved(path)) or by_name.get(path.name.lower())
         name = str(path.relative_to(folder.parent)) if path.is_relative_to(folder.parent) else path.name
         reason = "" if segments else f"not in {table.name}"
         sources.append(SourceFile(path, name, tuple(segments or ()), reason))
     return sources, table
+
+
+def _resolved(path: Path) -> Path:
+    """The path without links; as it is where the system cannot follow it (too long a name)."""
+    try:
+        return path.resolve()
+    except (OSError, RuntimeError):  # a loop of links is the latter before Python 3.13
+        return path
 
 
 def _nearby_labels(folders: Sequence[Path]) -> Path | None:
@@ -84,21 +96,44 @@ def _nearby_labels(folders: Sequence[Path]) -> Path | None:
 
 
 def _unique_basenames(rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
-    names = [Path(name).name.lower() for name in rows]
-    return {Path(n).name.lower(): s for n, s in rows.items() if names.count(Path(n).name.lower()) == 1}
+    counts = Counter(Path(name).name.lower() for name in rows)
+    return {Path(n).name.lower(): s for n, s in rows.items() if counts[Path(n).name.lower()] == 1}
 
 
 def _by_name(path: Path, folder: Path) -> SourceFile:
     inside = path.relative_to(folder)
     kind = inside.parent.name if inside.parent.name else type_from_file_name(path.stem)
+    fault = type_fault(kind)
+    if fault:
+        raise DatasetError(f"{path}: the name of its folder or file gives the motion type {fault}; rename it")
     return SourceFile(path, str(inside), (Segment(0, -1, kind),))
 
 
 def type_from_file_name(stem: str) -> str:
     """The motion type a file name suggests: "Walk_Fast-02" gives "walk-fast"."""
-    words = [word for word in re.split(r"[\s_\-.]+", stem) if word]
+    words = [word for word in re.split(r"[\s_\-.,:;]+", stem) if word]
     words = [re.sub(r"\d+$", "", word) for word in words]
     return "-".join(word.lower() for word in words if word) or "motion"
+
+
+def type_fault(kind: str) -> str:
+    """Why a motion type cannot have this name, with the name, or "" if it can.
+
+    Commands write types as running:4,cartwheel:3, so that neither mark may stand in a name.
+    """
+    marks = [mark for mark in ",:" if mark in kind]
+    if marks:
+        return f"{kind[:40]!r}, which holds {' and '.join(map(repr, marks))}"
+    return _name_fault(kind)
+
+
+def _name_fault(name: str) -> str:
+    if not name.strip() or name != name.strip():
+        return f"{name[:40]!r}, which is empty or has spaces around it"
+    if len(name) > MAX_NAME:
+        return f"{name[:40]!r}..., which has {len(name)} letters, expected at most {MAX_NAME}"
+    # isprintable() is also false for the halves of bytes that are not UTF-8.
+    return "" if name.isprintable() else f"{name[:40]!r}, which has letters that cannot be printed"
 
 
 def read_labels(path: Path) -> dict[str, list[Segment]]:
@@ -107,10 +142,7 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
     Raises:
         DatasetError: naming the line, for missing columns, numbers that are none, or overlaps.
     """
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise DatasetError(f"{path}: cannot be read as a label table ({error})") from None
+    text = read_text(path, "a label table", DatasetError)
     reader = csv.DictReader(text.splitlines())
     found: dict[str, list[tuple[Segment, int]]] = {}
     try:
@@ -121,6 +153,8 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
             name = (row["file"] or "").strip()
             if not name:
                 raise DatasetError(f"{path}:{reader.line_num}: expected a file name, found none")
+            if not name.isprintable():
+                raise DatasetError(f"{path}:{reader.line_num}: expected a file name, found {name[:40]!r}")
             segment = _segment(path, reader.line_num, row)
             found.setdefault(name, []).append((segment, reader.line_num))
     except csv.Error as error:
@@ -140,26 +174,39 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
         if not word:
             return None
         try:
-            value = float(word)
+            value = float(word.replace("_", "?"))  # Python would read 1_0 as ten
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
-            raise DatasetError(f"{path}:{line}: expected a number for {key}, found {word!r}")
+            raise DatasetError(f"{path}:{line}: expected a number for {key}, found {word[:40]!r}")
         return value
 
-    start, end, fps = number("start_frame"), number("end_frame"), number("fps")
+    def frame(key: str) -> int | None:
+        value = number(key)
+        if value is not None and not (abs(value) <= MAX_FRAME and value == int(value)):
+            raise DatasetError(
+                f"{path}:{line}: expected a whole number up to {MAX_FRAME:,} for {key}, found {row[key][:40]!r}"
+            )
+        return None if value is None else int(value)
+
+    start, end, fps = frame("start_frame"), frame("end_frame"), number("fps")
     kind = (row["type"] or "").strip()
     split = (row.get("split") or "").strip().lower()
     if not kind:
         raise DatasetError(f"{path}:{line}: expected a motion type, found none")
+    if type_fault(kind):
+        raise DatasetError(f"{path}:{line}: expected a motion type, found {type_fault(kind)}")
     if split not in SPLITS:
-        raise DatasetError(f"{path}:{line}: expected train, test or nothing for split, found {split!r}")
-    first, last = int(start or 0), -1 if end is None else int(end)
+        raise DatasetError(f"{path}:{line}: expected train, test or nothing for split, found {split[:40]!r}")
+    first, last = start or 0, -1 if end is None else end
     if first < 0 or (last != -1 and last <= first):
         raise DatasetError(f"{path}:{line}: expected start_frame < end_frame, found {first} and {last}")
     if fps is not None and not 1 <= fps <= 1000:
         raise DatasetError(f"{path}:{line}: expected fps between 1 and 1000, found {fps:g}")
-    return Segment(first, last, kind, (row.get("subject") or "").strip(), fps, split)
+    subject = (row.get("subject") or "").strip()
+    if subject and _name_fault(subject):
+        raise DatasetError(f"{path}:{line}: expected a subject, found {_name_fault(subject)}")
+    return Segment(first, last, kind, subject, fps, split)
 
 
 _SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}

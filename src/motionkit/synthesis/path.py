@@ -7,7 +7,6 @@ second, as a user thinks of them.
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,10 +16,13 @@ import torch
 from torch import Tensor
 
 from motionkit.errors import ControlError
+from motionkit.files import parse_json, read_text
 
 METRE = 100.0
 SPACING = 2.0  # cm between the points a path is resampled to
 MAX_LENGTH = 10_000 * METRE
+MAX_COORDINATE = 1e6  # metres
+MAX_TYPE = 100  # letters
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,10 +225,7 @@ def read_path(file: str | Path) -> Path2D:
         ControlError: naming the file and the part or line that is wrong.
     """
     file = Path(file)
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ControlError(f"{file}: cannot be read as a path ({error})") from None
+    text = read_text(file, "a path", ControlError)
     parts = _csv_parts(file, text) if file.suffix.lower() == ".csv" else _json_parts(file, text)
     try:
         return make_path(parts)
@@ -235,10 +234,7 @@ def read_path(file: str | Path) -> Path2D:
 
 
 def _json_parts(file: Path, text: str) -> list[PathPart]:
-    try:
-        value = json.loads(text)
-    except (ValueError, RecursionError) as error:
-        raise ControlError(f"{file}: not JSON ({error})") from None
+    value = parse_json(text, file, ControlError)
     entries = value.get("parts") if isinstance(value, dict) else value
     if not isinstance(entries, list) or not entries:
         raise ControlError(f'{file}: expected {{"parts": [...]}} with at least one part')
@@ -249,16 +245,18 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
             raise ControlError(f"{where}: expected an object with type and points")
         points = entry.get("points")
         if not isinstance(points, list) or not all(_is_point(p) for p in points) or not points:
-            raise ControlError(f"{where}: expected points as a list of [x, z] numbers")
+            raise ControlError(
+                f"{where}: expected points as a list of [x, z] numbers up to {MAX_COORDINATE:,.0f}"
+            )
         speed = entry.get("speed")
         if speed is not None and not _is_number(speed):
-            raise ControlError(f"{where}: expected a number for speed, found {speed!r}")
+            raise ControlError(f"{where}: expected a number for speed, found {str(speed)[:40]!r}")
         parts.append(_part(where, points, entry["type"], speed))
     return parts
 
 
 def _is_number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= MAX_COORDINATE
 
 
 def _is_point(value: object) -> bool:
@@ -266,6 +264,8 @@ def _is_point(value: object) -> bool:
 
 
 def _part(where: str, points: list, kind: str, speed: float | None) -> PathPart:
+    if len(kind) > MAX_TYPE or not kind.isprintable():
+        raise ControlError(f"{where}: expected a motion type, found {kind[:40]!r}")
     if speed is not None:
         try:
             _check_number(speed, "speed", 0.05, 15.0)
@@ -300,8 +300,8 @@ def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, list[f
         speed = float(row["speed"]) if (row.get("speed") or "").strip() else None
     except (TypeError, ValueError):
         raise ControlError(f"{where}: expected numbers for x, z and speed") from None
-    if not all(math.isfinite(v) for v in (*point, speed or 0.0)):
-        raise ControlError(f"{where}: expected finite numbers")
+    if not all(abs(v) <= MAX_COORDINATE for v in (*point, speed or 0.0)):
+        raise ControlError(f"{where}: expected finite numbers up to {MAX_COORDINATE:,.0f}")
     kind = (row["type"] or "").strip()
     if not kind:
         raise ControlError(f"{where}: expected a motion type, found none")
