@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -13,8 +12,11 @@ from numpy.typing import NDArray
 
 from motionkit.apps.body import make_body
 from motionkit.apps.contact_sheet import load_pillow
-from motionkit.apps.contact_sheet_geometry import motion_figure
+from motionkit.apps.contact_sheet_geometry import Figure, motion_figure
 from motionkit.apps.figure_data import Shown, in_metres
+from motionkit.apps.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
+from motionkit.apps.picture_labels import Labels
+from motionkit.apps.raster import fill_triangles
 from motionkit.apps.surface import TINTS, Array
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_to_matrix
@@ -23,16 +25,10 @@ if TYPE_CHECKING:
     from PIL import Image
 
 ZOOM = 2  # drawn so much larger and averaged down
-FIELD = 0.6  # tangent of half the angle seen from top to bottom, with DISTANCE
-DISTANCE = 4.0  # m from the camera to what it looks at
-LIFT = 0.17  # radians the camera looks down
-EYE = 0.9  # m, what it looks at
-GAP = 0.7  # m between motions side by side
-GRID_REACH = 9  # m of lines around the camera's target
+GRID_REACH = 9  # lines around the camera's target, each way
 SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)
 SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116), (168, 115, 222), (221, 85, 103), (43, 167, 172))
-SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm([1.7, 5.6, 2.2])
-_SMOOTHING = 0.4  # s either side that the camera's way is averaged over
+SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm([1.7, 5.6, 2.2])  # where from, for a camera at SIDE_ANGLE
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,12 +47,9 @@ class _Actor:
         return surface, pose, quat_to_matrix(turns).double().numpy(), places.double().numpy(), figure
 
     @property
-    def fps(self) -> float:
-        return self.shown.motion.fps
-
-    @cached_property
-    def hips(self) -> Array:
-        return self._parts[4].root
+    def figure(self) -> Figure:
+        figure: Figure = self._parts[4]
+        return figure
 
     @cached_property
     def shades(self) -> Array:
@@ -73,7 +66,7 @@ class _Actor:
     def triangles(self, time: float) -> tuple[Array, Array]:
         """Corners (F, 3, 3) in the world at a time, the floor at zero, and normals (F, 3) of the skin there."""
         surface, pose, turns, places, figure = self._parts
-        frame = min(int(time * self.fps + 1e-6), len(turns) - 1)
+        frame = frame_at(time, figure.fps, len(turns))
         points = surface.posed(pose.matrices_from(turns[frame], places[frame]))
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
         corners = points[surface.triangles]
@@ -86,112 +79,110 @@ class _Actor:
 
 
 class Scenery:
-    """Motions side by side, and the camera that goes with the first."""
+    """Motions side by side, and the camera that goes with them."""
 
     def __init__(self, shown: Sequence[Shown], width: int, height: int) -> None:
         self.pillow = load_pillow()
         self.size = width * ZOOM, height * ZOOM
         self.actors = [_Actor(one, SHIRTS[n % len(SHIRTS)]) for n, one in enumerate(shown)]
-        self.places = self._side_by_side()
-        self.seconds = max((len(a.shown.motion) - 1) / a.fps for a in self.actors)
-        way = self.actors[0].hips[-1] - self.actors[0].hips[0]
-        travels = len(self.actors) == 1 and np.hypot(way[0], way[2]) > 1.0
-        self.angle = float(np.arctan2(way[0], way[2])) + 0.95 if travels else 0.55
-        self.distance = DISTANCE * (1 + 0.4 * (len(self.actors) - 1)) * max(1.0, 1.2 * height / width)
-
-    def _side_by_side(self) -> list[Array]:
-        if len(self.actors) == 1:
-            return [np.zeros(3)]
-        spans = [(a.hips[:, 0].min(), max(0.9, float(np.ptp(a.hips[:, 0])))) for a in self.actors]
-        whole = sum(width for _, width in spans) + GAP * (len(spans) - 1)
-        left, places = -whole / 2, []
-        for actor, (low, width) in zip(self.actors, spans, strict=True):
-            places.append(np.array([left - low, 0.0, -actor.hips[0, 2]]))
-            left += width + GAP
-        return places
+        self.labels = Labels(shown, [a.color for a in self.actors], width, height) if len(shown) > 1 else None
+        top = 0 if self.labels is None else self.labels.height * ZOOM
+        self.framing = Framing([a.figure for a in self.actors], self.size, top)
+        self.seconds = self.framing.seconds
+        sun = self.framing.angle - SIDE_ANGLE  # it shines past the camera's shoulder
+        self.sun = np.array(
+            [
+                SUN[0] * np.cos(sun) + SUN[2] * np.sin(sun),
+                SUN[1],
+                SUN[2] * np.cos(sun) - SUN[0] * np.sin(sun),
+            ]
+        )
+        self.step = _grid_step(self.framing.farthest)
 
     def frame(self, time: float) -> Image.Image:
         """The picture at a time, seconds from the start."""
         image, image_draw, _ = self.pillow
+        camera = self.framing.camera(time)
+        bodies = [a.triangles(time) for a in self.actors]
+        bodies = [
+            (body + place, skin) for (body, skin), place in zip(bodies, self.framing.places, strict=True)
+        ]
+        picture = image.new("RGB", self.size, SKY)
+        self._ground(image_draw.Draw(picture), camera)
+        self._shadows(picture, bodies, camera)
+        pixels = np.array(picture)
+        fill_triangles(pixels, *self._shaded(bodies, camera))
+        picture = image.fromarray(pixels).reduce(ZOOM)
+        if self.labels is not None:
+            self.labels.draw(picture, camera.screen(self.framing.tops(time))[:, :2] / ZOOM)
+        return picture
+
+    def _shadows(self, picture: Image.Image, bodies: list[tuple[Array, Array]], camera: Camera) -> None:
+        """Soft shadows on the ground, drawn small: nothing of them is sharp."""
+        image, _, _ = self.pillow
         from PIL import ImageFilter
 
-        target = self._target(time)
-        bodies = [a.triangles(time) for a in self.actors]
-        bodies = [(body + place, skin) for (body, skin), place in zip(bodies, self.places, strict=True)]
-        picture = image.new("RGB", self.size, SKY)
-        self._ground(image_draw.Draw(picture), target)
-        shadow = image.new("L", self.size, 0)
-        pen = image_draw.Draw(shadow)
+        width, height = self.size[0] // ZOOM, self.size[1] // ZOOM
+        shadow = np.zeros((height, width, 1), np.uint8)
         for body, normals in bodies:
-            lit = body[normals @ SUN > 0.0]
-            flat = lit - lit[..., 1:2] / SUN[1] * SUN
-            for corners in self._screen(flat, target)[..., :2]:
-                pen.polygon(corners.ravel().tolist(), fill=90)
-        shadow = shadow.filter(ImageFilter.GaussianBlur(2.5 * ZOOM))
-        picture.paste((40, 46, 58), mask=shadow)
-        pen = image_draw.Draw(picture)
-        for corners, color in self._shaded(bodies, target):
-            pen.polygon(corners, fill=color)
-        return picture.resize((self.size[0] // ZOOM, self.size[1] // ZOOM), image.Resampling.BOX)
+            lit = body[normals @ self.sun > 0.0]
+            flat = lit - lit[..., 1:2] / self.sun[1] * self.sun
+            corners = camera.screen(flat)[..., :2] / ZOOM
+            fill_triangles(shadow, corners, np.full((len(corners), 1), 90, np.uint8))
+        soft = image.fromarray(shadow[..., 0]).filter(ImageFilter.GaussianBlur(2.5))
+        box = soft.getbbox()
+        if box is not None:
+            large = tuple(ZOOM * edge for edge in box)
+            mask = soft.crop(box).resize(
+                (large[2] - large[0], large[3] - large[1]), image.Resampling.BILINEAR
+            )
+            picture.paste((40, 46, 58), large, mask)
 
-    def _target(self, time: float) -> Array:
-        """Where the camera looks: the first motion's hips, averaged over a while; the middle of several."""
-        actor = self.actors[0]
-        reach = round(_SMOOTHING * actor.fps)
-        frame = min(int(time * actor.fps + 1e-6), len(actor.hips) - 1)
-        reach = min(reach, frame, len(actor.hips) - 1 - frame)
-        middle = actor.hips[frame - reach : frame + reach + 1].mean(axis=0) + self.places[0]
-        if len(self.actors) > 1:
-            middle[0] = 0.0
-        return np.array([middle[0], EYE, middle[2]])
+    def _ground(self, pen: Any, camera: Camera) -> None:
+        """The floor with lines that fade into the distance."""
+        width, height = self.size
+        away = -camera.axes[2] * [1.0, 0.0, 1.0]
+        horizon = camera.screen(camera.target * [1.0, 0.0, 1.0] + 1e5 * away)
+        pen.rectangle((0, float(np.clip(horizon[1], 0, height)), width, height), fill=GROUND)
+        reach = GRID_REACH * self.step
+        first_x, first_z = (np.floor(camera.target[axis] / self.step) * self.step - reach for axis in (0, 2))
+        across = np.arange(2 * GRID_REACH + 1)[:, None] * self.step
+        along = np.linspace(0.0, 2.0 * reach, 4 * GRID_REACH + 1)[None]
+        x, z = np.broadcast_arrays(first_x + across, first_z + along)
+        x_too, z_too = np.broadcast_arrays(first_x + along, first_z + across)
+        lines = np.concatenate([np.stack([x, 0 * x, z], -1), np.stack([x_too, 0 * x_too, z_too], -1)])
+        seen = camera.screen(lines)
+        starts, ends = seen[:, :-1].reshape(-1, 3), seen[:, 1:].reshape(-1, 3)
+        low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+        shown = (low[:, 2] > 0.3) & (high[:, :2] >= 0.0).all(axis=1) & (low[:, :2] <= self.size).all(axis=1)
+        starts, ends = starts[shown], ends[shown]
+        fades = np.clip((starts[:, 2] - camera.distance) / reach, 0.0, 1.0)[:, None]
+        colors = ((1 - fades) * LINE + fades * GROUND).round().astype(int).tolist()
+        ways = np.concatenate([starts[:, :2], ends[:, :2]], axis=1).tolist()
+        for way, color in zip(ways, colors, strict=True):
+            pen.line(way, fill=tuple(color), width=ZOOM)
 
-    def _screen(self, points: Array, target: Array) -> Array:
-        """Points (..., 3) as x, y in pixels and depth in metres."""
-        sine, cosine = np.sin(self.angle), np.cos(self.angle)
-        back = np.array([np.cos(LIFT) * sine, np.sin(LIFT), np.cos(LIFT) * cosine])
-        right = np.array([cosine, 0.0, -sine])
-        up = np.cross(back, right)
-        away = points - target
-        depth = self.distance - away @ back
-        scale = self.size[1] / (FIELD * np.maximum(depth, 0.05))
-        x = self.size[0] / 2 + (away @ right) * scale
-        return np.stack([x, self.size[1] / 2 - (away @ up) * scale, depth], axis=-1)
-
-    def _ground(self, pen: Any, target: Array) -> None:
-        horizon = self._screen(
-            target + np.array([-np.sin(self.angle), 0.0, -np.cos(self.angle)]) * 1e4, target
-        )
-        pen.rectangle((0, float(horizon[1]), *self.size), fill=GROUND)
-        first_x, first_z = np.floor(target[0]) - GRID_REACH, np.floor(target[2]) - GRID_REACH
-        steps = np.linspace(0.0, 2 * GRID_REACH, 37)
-        for n in range(2 * GRID_REACH + 1):
-            for line in (
-                np.stack([np.full_like(steps, first_x + n), 0 * steps, first_z + steps], axis=-1),
-                np.stack([first_x + steps, 0 * steps, np.full_like(steps, first_z + n)], axis=-1),
-            ):
-                seen = self._screen(line, target)
-                for a, b in pairwise(seen):
-                    if min(a[2], b[2]) > 0.3:
-                        fade = float(np.clip((a[2] - self.distance) / GRID_REACH, 0.0, 1.0))
-                        color = tuple(
-                            round((1 - fade) * c + fade * g) for c, g in zip(LINE, GROUND, strict=True)
-                        )
-                        pen.line((*a[:2].tolist(), *b[:2].tolist()), fill=color, width=ZOOM)
-
-    def _shaded(
-        self, bodies: list[tuple[Array, Array]], target: Array
-    ) -> list[tuple[list[float], tuple[int, int, int]]]:
-        """Triangles that face the camera as corners and colour, from far to near."""
+    def _shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
+        """Triangles that face the camera, corners (F, 3, 2) and colours (F, 3), from far to near."""
         corners: list[Array] = []
-        colors: list[NDArray[np.int64]] = []
+        colors: list[NDArray[np.uint8]] = []
         for actor, (body, normals) in zip(self.actors, bodies, strict=True):
-            seen = self._screen(body, target)
+            seen = camera.screen(body)
             sides = np.diff(seen[..., :2], axis=1)
             facing = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0] < 0.0
-            light = 0.52 + 0.16 * normals[:, 1] + 0.5 * np.clip(normals @ SUN, 0.0, 1.0)
-            colors.append(np.clip(actor.shades * light[:, None], 0, 255).astype(np.int64)[facing])
+            skin = normals[facing]
+            # From all around and above, from the sun, and a little from the camera, so that no face is in the dark.
+            light = 0.5 + 0.13 * skin[:, 1] + 0.42 * np.clip(skin @ self.sun, 0.0, 1.0)
+            light += 0.16 * np.clip(skin @ camera.axes[2], 0.0, 1.0)
+            colors.append(np.clip(actor.shades[facing] * light[:, None], 0, 255).astype(np.uint8))
             corners.append(seen[facing])
         every, shades = np.concatenate(corners), np.concatenate(colors)
         order = np.argsort(-every[..., 2].mean(axis=1), kind="stable")
-        flat = every[order][..., :2].reshape(len(order), 6).tolist()
-        return [(points, (r, g, b)) for points, (r, g, b) in zip(flat, shades[order].tolist(), strict=True)]
+        return every[order][..., :2], shades[order]
+
+
+def _grid_step(distance: float) -> float:
+    """Metres between the lines of the ground: 1, 2, 5, 10 ..., more if the camera is far away."""
+    wanted = max(1.0, distance / (2 * DISTANCE))
+    ten = 10.0 ** np.floor(np.log10(wanted))
+    return float(next(ten * step for step in (1.0, 2.0, 5.0, 10.0) if ten * step >= wanted))

@@ -82,7 +82,10 @@ def command(
         from motionkit.synthesis.path import read_path
 
         path = read_path(path_file).points
-    shown = [Shown(clip.stem, bvh_to_motion(read_bvh(clip)), path=path) for clip in clips]
+    shown = [
+        Shown(name, bvh_to_motion(read_bvh(clip)), path=path)
+        for name, clip in zip(_names(clips), clips, strict=True)
+    ]
     _write(target, shown, poses, every, width)
     if target.suffix.lower() == ".html" and opens and not as_json:
         open_in_browser(target.resolve().as_uri())
@@ -94,6 +97,15 @@ def command(
         print_json({"output": str(target), "clips": facts})
     else:
         click.echo(f"{target}: {len(clips)} {'clip' if len(clips) == 1 else 'clips'}")
+
+
+def _names(clips: Sequence[Path]) -> list[str]:
+    """What to call each clip: its name, with the folder's before it where two clips have the same one."""
+    stems = [clip.stem for clip in clips]
+    return [
+        f"{clip.absolute().parent.name}/{clip.stem}" if stems.count(clip.stem) > 1 else clip.stem
+        for clip in clips
+    ]
 
 
 def _check_options(context: click.Context, target: Path) -> None:
