@@ -108,7 +108,7 @@ def test_text_file_folder_and_nothing_at_all(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("HIERARCHY\nROOT Hips\n" * 100)
     refused(tmp_path / "notes.txt")
     refused(tmp_path)
-    assert "no such model file" in refused(tmp_path / "missing.safetensors")
+    assert "no such file" in refused(tmp_path / "missing.safetensors")
 
 
 def test_somebody_elses_safetensors(tmp_path: Path) -> None:

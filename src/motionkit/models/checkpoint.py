@@ -7,13 +7,15 @@ header's metadata holds one JSON document with config, types, rate, characters a
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor
 
@@ -24,10 +26,13 @@ from motionkit.features.guide import GuideMap, PoseOutline, guide_map
 from motionkit.features.normalize import Scaling
 from motionkit.files import atomic_write
 from motionkit.models.config import ModelConfig
+from motionkit.models.file_check import check_header, check_tensors, check_values
 from motionkit.models.network import PartTransformer
+from motionkit.models.tensor_file import TensorFile, open_tensors
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = "motionkit-model-3"
+MOST_BYTES = 256 * 2**20  # of a model file; the bundled one has 13 MB
 MOVEMENT_FRAMES = 120
 
 
@@ -212,76 +217,89 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "inertia": model.inertia,
         "grip": model.grip,
         "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
-        "card": model.card,
+        "card": _plain(model.card),
     }
     data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})
     with atomic_write(path, "wb") as file:
         file.write(data)
 
 
+def _plain(value: Any) -> Any:
+    """A value of a card as JSON knows it: NaN and infinite numbers, such as a loss that went astray, become null."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {key: _plain(each) for key, each in value.items()}
+    return [_plain(each) for each in value] if isinstance(value, (list, tuple)) else value
+
+
 def read_header(path: str | Path) -> dict[str, Any]:
     """A model file's metadata without its weights; raises ModelError if it is not one."""
-    path = Path(path)
-    if not path.is_file():
-        raise ModelError(f"{path}: no such model file")
-    try:
-        with safe_open(str(path), framework="pt") as file:
-            metadata = file.metadata() or {}
-    except (SafetensorError, OSError) as error:
-        raise ModelError(f"{path}: not a motionkit model ({error})") from None
-    try:
-        header = json.loads(metadata["motionkit"])
-    except (KeyError, ValueError):
-        raise ModelError(f"{path}: a safetensors file, but not a motionkit model") from None
-    if not isinstance(header, dict) or header.get("format") != FORMAT:
-        found = header.get("format") if isinstance(header, dict) else None
-        raise ModelError(f"{path}: format {found!r}, expected {FORMAT!r}")
-    return header
+    with _open_model(path) as file:
+        return file.metadata
+
+
+@contextmanager
+def _open_model(path: str | Path) -> Iterator[TensorFile]:
+    """A model file of this release, its header and tensors checked; faults name the file."""
+    with open_tensors(path, "motionkit", "a motionkit model", MOST_BYTES) as file:
+        header = file.metadata
+        if not isinstance(header, dict) or header.get("format") != FORMAT:
+            found = (
+                f"format {header['format']!r:.60}" if isinstance(header, dict) and "format" in header else ""
+            )
+            raise ModelError(
+                f"{path}: {found}, expected {FORMAT!r}"
+                if found
+                else f"{path}: a safetensors file, but not a motionkit model"
+            )
+        try:
+            check_header(header)
+            check_tensors(header, ModelConfig.from_dict(header.get("config")), file.found)
+            yield file
+        except ModelError as error:
+            raise ModelError(f"{path}: {error}") from None
 
 
 def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionModel:
     """Read a model file, ready to synthesize; raises ModelError if it is not one or is damaged."""
-    header = read_header(path)
-    with safe_open(str(path), framework="pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}
-    try:
-        types = tuple(header["types"])
-        network = PartTransformer(ModelConfig.from_dict(header["config"]), ControlLayout(types).size)
-        weights = {
-            n.removeprefix("network."): t.float() for n, t in tensors.items() if n.startswith("network.")
-        }
-        network.load_state_dict(weights)
-        seeds = {
+    with _open_model(path) as file:
+        header, tensors = file.metadata, file.read_all()
+        check_values((name, values.numpy()) for name, values in tensors.items())
+    types = tuple(header["types"])
+    network = PartTransformer(ModelConfig.from_dict(header["config"]), ControlLayout(types).size)
+    network.load_state_dict(
+        {n.removeprefix("network."): t.float() for n, t in tensors.items() if n.startswith("network.")}
+    )
+    return MotionModel(
+        network.to(device).eval(),
+        types,
+        float(header["fps"]),
+        Scaling(tensors["scaling.mean"].float(), tensors["scaling.std"].float()),
+        Scaling(tensors["trajectory.mean"].float(), tensors["trajectory.std"].float()),
+        tensors["references"].float(),
+        PoseOutline(tensors["outline.matrix"].float(), tensors["outline.offset"].float()),
+        {name: tensors[f"character.{name}"].float() for name in header["characters"]},
+        {
             kind: [_read_seed(tensors, f"seed.{i}.{kind}") for i in range(count)]
             for kind, count in header["seeds"].items()
-        }
-        return MotionModel(
-            network.to(device).eval(),
-            types,
-            float(header["fps"]),
-            Scaling(tensors["scaling.mean"], tensors["scaling.std"]),
-            Scaling(tensors["trajectory.mean"], tensors["trajectory.std"]),
-            tensors["references"],
-            PoseOutline(tensors["outline.matrix"], tensors["outline.offset"]),
-            {name: tensors[f"character.{name}"] for name in header["characters"]},
-            seeds,
-            {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
-            {
-                kind: [_read_outline(tensors, f"outline.{i}.{kind}") for i in range(count)]
-                for kind, count in header["outlines"].items()
-            },
-            bool(header["guides"]),
-            {kind: float(times) for kind, times in header["guidance"].items()},
-            {kind: float(share) for kind, share in header["noise"].items()},
-            {kind: float(share) for kind, share in header.get("inertia", {}).items()},
-            {kind: float(share) for kind, share in header.get("grip", {}).items()},
-            header.get("card", {}),
-        )
-    except ModelError as error:
-        raise ModelError(f"{path}: {error}") from None
-    except (KeyError, RuntimeError, TypeError, ValueError, AttributeError) as error:
-        message = str(error).splitlines()[0]
-        raise ModelError(f"{path}: the model file is damaged or of another release ({message})") from None
+        },
+        {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
+        {
+            kind: [_read_outline(tensors, f"outline.{i}.{kind}") for i in range(count)]
+            for kind, count in header["outlines"].items()
+        },
+        header["guides"],
+        guidance=_numbers(header, "guidance"),
+        noise=_numbers(header, "noise"),
+        inertia=_numbers(header, "inertia"),
+        grip=_numbers(header, "grip"),
+        card=header.get("card", {}),
+    )
+
+
+def _numbers(header: dict[str, Any], key: str) -> dict[str, float]:
+    return {kind: float(value) for kind, value in header.get(key, {}).items()}
 
 
 def _read_seed(tensors: dict[str, Tensor], key: str) -> Seed:

@@ -1,0 +1,235 @@
+"""What a model file must hold: every value of its header, every tensor's shape and type, told before a weight is read.
+
+A model may come from anyone. Whatever passes here can be built and run; what does not is refused in one line.
+Shape legend: P parts, L layers, D width, C controls, H heads, W window.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from motionkit.errors import ModelError
+from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
+from motionkit.features.guide import GUIDE_OFFSETS, OUTLINE_COUNT
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.models.config import ModelConfig
+from motionkit.models.network import part_columns
+from motionkit.models.parts import partition
+from motionkit.motion.skeleton import JOINT_COUNT
+
+MOST_TYPES, MOST_CHARACTERS, LONGEST_NAME = 1000, 10_000, 200
+MOST_RECORDINGS = 10_000  # seeds or outlines of a type
+MOST_FRAMES = 1_000_000  # of a recording
+FASTEST, LONGEST_PHASE = 1e4, 3600.0  # cm/s and seconds of a gait
+RATES = (1.0, 480.0)  # frames per second
+GUIDANCE = (0.0, 100.0)  # how many times larger a guide is shown; a share is at most 1
+LONGEST_BONE = 1e4  # cm
+FLOATS = ("F32", "F16")
+
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class TensorFacts:
+    """Type, as safetensors calls it, and shape of a tensor in a file."""
+
+    dtype: str
+    shape: Shape
+
+
+# ---- the header ----
+
+
+def check_header(header: dict[str, Any]) -> None:
+    """Raises ModelError for a value that is missing, of the wrong type or out of range; config is not looked at."""
+    types: Any = header.get("types")
+    check_names(types, header.get("characters"))
+    _number("fps", header.get("fps"), *RATES)
+    if not isinstance(header.get("guides"), bool):
+        raise ModelError(f"guides is {_shown(header.get('guides'))}, expected true or false")
+    if not isinstance(header.get("card", {}), dict):
+        raise ModelError(f"card is {_shown(header['card'])}, expected an object")
+    for key in ("seeds", "outlines"):
+        for kind, count in _by_type(header, key, types):
+            whole = isinstance(count, int) and not isinstance(count, bool)
+            if not whole or not 0 <= count <= MOST_RECORDINGS:
+                raise ModelError(
+                    f"{key} of {kind!r} are {_shown(count)}, expected a number up to {MOST_RECORDINGS}"
+                )
+    for key, low, high in (
+        ("guidance", *GUIDANCE),
+        ("noise", *GUIDANCE),
+        ("inertia", 0.0, 1.0),
+        ("grip", 0.0, 1.0),
+    ):
+        for kind, value in _by_type(header, key, types, needed=key in ("guidance", "noise")):
+            _number(f"{key} of {kind!r}", value, low, high)
+    for kind, values in _by_type(header, "gaits", types, needed=False):
+        if not isinstance(values, list) or len(values) not in (2, 3):
+            raise ModelError(f"the gait of {kind!r} is {_shown(values)}, expected speed, angle and seconds")
+        limits = ((0.0, FASTEST), (-2.0 * math.pi, 2.0 * math.pi), (0.0, LONGEST_PHASE))
+        for value, (low, high) in zip(values, limits, strict=False):
+            _number(f"the gait of {kind!r}", value, low, high)
+
+
+def check_names(types: Any, characters: Any) -> None:
+    """Raises ModelError unless types and characters are lists of names that a model may have."""
+    for what, names, most in (("types", types, MOST_TYPES), ("characters", characters, MOST_CHARACTERS)):
+        if not isinstance(names, list) or not 0 < len(names) <= most:
+            raise ModelError(f"{what} are {_shown(names)}, expected a list of 1 to {most} names")
+        for name in names:
+            if not isinstance(name, str) or not 0 < len(name) <= LONGEST_NAME or not name.isprintable():
+                raise ModelError(
+                    f"{what} have {_shown(name)}, expected a printable name of up to {LONGEST_NAME} characters"
+                )
+        if len(set(names)) < len(names):
+            raise ModelError(f"{what} have a name twice")
+    if "default" not in characters:
+        raise ModelError("characters lack 'default'")
+
+
+def _by_type(
+    header: dict[str, Any], key: str, types: list[str], needed: bool = True
+) -> Iterable[tuple[str, Any]]:
+    """The entries of an object whose names are types."""
+    entries = header.get(key, None if needed else {})
+    if not isinstance(entries, dict):
+        raise ModelError(f"{key} is {_shown(entries)}, expected an object with a value per type")
+    unknown = set(entries) - set(types)
+    if unknown:
+        raise ModelError(f"{key} names the type {_shown(min(unknown))}, which the model does not have")
+    return entries.items()
+
+
+def _number(what: str, value: Any, low: float, high: float) -> None:
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+        raise ModelError(f"{what} is {_shown(value)}, expected a number from {low:g} to {high:g}")
+
+
+def _shown(value: Any) -> str:
+    """A value for a message: in one line, and not too long."""
+    text = ascii(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+# ---- the tensors ----
+
+
+def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
+    """Shapes of all weights of PartTransformer(config, control_size) by name, without making them."""
+    body = partition(config.partition)
+    P, D, Dc = len(body.parts), config.width, config.control_embedding
+    motion, feet = D - config.control_width, sum(bool(part.contacts) for part in body.parts)
+    inputs = config.kernel * part_columns(config)[0].shape[1]
+    shapes: dict[str, Shape] = {}
+
+    def linear(name: str, parts: int, ins: int, outs: int, bias: bool = True) -> None:
+        shapes[f"{name}.weight"] = (parts, ins, outs)
+        if bias:
+            shapes[f"{name}.bias"] = (parts, 1, outs)
+
+    for module, ins in (("shallow", inputs), ("deep", D)):
+        linear(f"{module}.embed", P, ins, motion)
+        linear(f"{module}.embed_controls", P, control_size, Dc)
+        for i in range(config.layers):
+            layer = f"{module}.layers.{i}"
+            linear(f"{layer}.attention.qkv", P, D, 3 * D)
+            linear(f"{layer}.attention.out", P, D, D, bias=False)
+            linear(f"{layer}.ffn.inner", P, D, config.ffn)
+            linear(f"{layer}.ffn.outer", P, config.ffn, D, bias=False)
+            if config.position == "bias":
+                shapes[f"{layer}.attention.offset_bias"] = (P, config.heads, config.window)
+            if config.layer_controls:
+                linear(f"{layer}.control", P, Dc, D, bias=False)
+            if config.norm == "post":
+                for norm in ("attention_norm", "ffn_norm"):
+                    shapes[f"{layer}.{norm}.scale"] = shapes[f"{layer}.{norm}.shift"] = (P, 1, 1, D)
+    if P > 1 and config.fusion == "linear":
+        linear("fusion", P, (P - 1) * D, D)
+    outputs = 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT
+    shapes["aggregate.weight"], shapes["aggregate.bias"] = (outputs, P * D), (outputs,)
+    if config.head_momentum:
+        shapes["momentum"] = (FEATURE_COUNT,)
+    linear("contact_mlp.inner", 1, 2 * D * feet, config.contact_hidden)
+    linear("contact_mlp.outer", 1, config.contact_hidden, CONTACT_COUNT)
+    return shapes
+
+
+def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[str, TensorFacts]) -> None:
+    """Raises ModelError unless a file has exactly the tensors its header speaks of, in their shapes and types.
+
+    header is one that check_header has passed.
+    """
+    expected: dict[str, Shape] = {
+        "scaling.mean": (FEATURE_COUNT,),
+        "scaling.std": (FEATURE_COUNT,),
+        "trajectory.mean": (TRAJECTORY_COUNT,),
+        "trajectory.std": (TRAJECTORY_COUNT,),
+        "references": (JOINT_COUNT, 4),
+        "outline.matrix": (FEATURE_COUNT, OUTLINE_COUNT),
+        "outline.offset": (OUTLINE_COUNT,),
+    }
+    expected |= {f"character.{name}": (JOINT_COUNT, 3) for name in header["characters"]}
+    size = ControlLayout(tuple(header["types"])).size
+    expected |= {f"network.{name}": shape for name, shape in weight_shapes(config, size).items()}
+    for kind, count in header["seeds"].items():
+        for i in range(count):
+            frames = _frames(found, f"seed.{i}.{kind}:features")
+            expected[f"seed.{i}.{kind}:features"] = (frames, FEATURE_COUNT)
+            expected[f"seed.{i}.{kind}:contacts"] = (frames, CONTACT_COUNT)
+            expected[f"seed.{i}.{kind}:ground"] = (frames, 3)
+    for kind, count in header["outlines"].items():
+        for i in range(count):
+            frames = _frames(found, f"outline.{i}.{kind}:phases")
+            expected[f"outline.{i}.{kind}:poses"] = (frames + GUIDE_OFFSETS[-1], OUTLINE_COUNT)
+            expected[f"outline.{i}.{kind}:ground"] = (frames, 3)
+            expected[f"outline.{i}.{kind}:phases"] = (frames,)
+    check_shapes(found, expected)
+    for name, facts in found.items():
+        allowed = ("U8",) if name.startswith("seed.") and name.endswith(":contacts") else FLOATS
+        if facts.dtype not in allowed:
+            raise ModelError(
+                f"the tensor {_shown(name)} is of type {facts.dtype}, expected {' or '.join(allowed)}"
+            )
+
+
+def check_shapes(found: Mapping[str, TensorFacts], expected: Mapping[str, Shape]) -> None:
+    """Raises ModelError unless just the expected tensors are there, in their shapes."""
+    for name, shape in expected.items():
+        if name not in found:
+            raise ModelError(f"the tensor {_shown(name)} is missing")
+        if found[name].shape != shape:
+            raise ModelError(
+                f"the tensor {_shown(name)} has shape {_shown(found[name].shape)}, expected {shape}"
+            )
+    unknown = set(found) - set(expected)
+    if unknown:
+        raise ModelError(f"the tensor {_shown(min(unknown))} is unknown")
+
+
+def _frames(found: Mapping[str, TensorFacts], name: str) -> int:
+    """The first size of a tensor that tells how long a recording is."""
+    facts = found.get(name)
+    if facts is None:
+        raise ModelError(f"the tensor {_shown(name)} is missing")
+    if not facts.shape or not 1 <= facts.shape[0] <= MOST_FRAMES:
+        raise ModelError(f"the tensor {_shown(name)} has shape {_shown(facts.shape)}, expected some frames")
+    return facts.shape[0]
+
+
+def check_values(tensors: Iterable[tuple[str, np.ndarray]]) -> None:
+    """Raises ModelError, with the tensor's name, for NaN or infinite numbers and for numbers no recording has."""
+    for name, values in tensors:
+        if not np.isfinite(values).all():
+            raise ModelError(f"the tensor {_shown(name)} has numbers that are NaN or infinite")
+        if name in ("scaling.std", "trajectory.std") and values.min() <= 0.0:
+            raise ModelError(f"the tensor {_shown(name)} has {values.min():g}, expected positive deviations")
+        if name == "references" and np.abs(np.linalg.norm(values, axis=-1) - 1.0).max() > 0.01:
+            raise ModelError(f"the tensor {_shown(name)} has rotations that are no unit quaternions")
+        if name.startswith("character.") and np.abs(values).max() > LONGEST_BONE:
+            raise ModelError(f"the tensor {_shown(name)} has a bone longer than {LONGEST_BONE:g} cm")

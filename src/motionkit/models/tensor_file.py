@@ -1,0 +1,68 @@
+"""Safetensors files from anyone: what one holds is known before it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from safetensors import SafetensorError, safe_open
+from torch import Tensor
+
+from motionkit.errors import ModelError
+from motionkit.files import open_regular, parse_json
+from motionkit.models.file_check import TensorFacts
+
+MOST_HEADER = 8 * 2**20  # bytes; that of the bundled model has 120,000
+
+
+class TensorFile:
+    """An open safetensors file.
+
+    Attributes:
+        metadata: the JSON document under the file's key, {} where there is none.
+        found: type and shape of every tensor by name.
+    """
+
+    def __init__(self, where: str, file: Any, key: str) -> None:
+        self._file = file
+        text = (file.metadata() or {}).get(key)
+        self.metadata: Any = {} if text is None else parse_json(text, where, ModelError)
+        self.found: dict[str, TensorFacts] = {}
+        for name in file.keys():
+            part = file.get_slice(name)
+            self.found[name] = TensorFacts(str(part.get_dtype()), tuple(part.get_shape()))
+
+    def read(self, name: str) -> Tensor:
+        """A tensor of the file."""
+        return self._file.get_tensor(name)
+
+    def read_all(self) -> dict[str, Tensor]:
+        """All tensors by name."""
+        return {name: self.read(name) for name in self.found}
+
+
+@contextmanager
+def open_tensors(path: str | Path, key: str, what: str, limit: int) -> Iterator[TensorFile]:
+    """Open a safetensors file whose metadata holds a JSON document under a key.
+
+    Args:
+        what: what it should be, for messages: "a motionkit model".
+        limit: most bytes it may have.
+
+    Raises:
+        ModelError: if it is none, larger, or not a regular file.
+    """
+    path = Path(path)
+    with open_regular(path, limit, what, ModelError) as raw:
+        length = int.from_bytes(raw.read(8), "little")
+    if length > MOST_HEADER:
+        raise ModelError(
+            f"{path}: not {what} (its header would have {length} bytes, at most {MOST_HEADER} are read)"
+        )
+    try:
+        with safe_open(str(path), framework="pt") as file:
+            yield TensorFile(f"{path}: not {what}", file, key)
+    except (SafetensorError, OSError) as error:
+        raise ModelError(f"{path}: not {what} ({str(error).splitlines()[0]})") from None
