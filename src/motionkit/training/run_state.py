@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
 from motionkit.errors import ModelError
 from motionkit.files import atomic_write
+from motionkit.models.file_check import TensorFacts, check_shapes, check_values
+from motionkit.models.tensor_file import open_tensors
 
 FORMAT = "motionkit-run-1"
+MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
+MOST_BYTES = 4 * 2**30
+MOST_STEPS = 10**12  # and seconds
 
 
 def save_run(
@@ -41,35 +46,74 @@ def save_run(
 def load_run(
     path: Path, module: nn.Module, average: dict[str, Tensor], optimizer: torch.optim.Optimizer
 ) -> dict[str, Any]:
-    """Put everything back as save_run found it; raises ModelError if the file does not fit."""
+    """Put everything back as save_run found it; raises ModelError if the file is damaged or does not fit."""
+    with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
+        facts = file.metadata
+        if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+            raise ModelError(f"{path}: not a training checkpoint of this release")
+        try:
+            _check_facts(facts)
+            _check_fit(file.found, module, average)
+            tensors = file.read_all()
+            _check_numbers(tensors)
+        except ModelError as error:
+            raise ModelError(
+                f"{path}: the checkpoint does not fit this preset or is damaged ({error})"
+            ) from None
     try:
-        with safe_open(str(path), framework="pt") as file:
-            facts = json.loads((file.metadata() or {}).get("run", "{}"))
-            tensors = {name: file.get_tensor(name) for name in file.keys()}
-    except (SafetensorError, OSError, ValueError) as error:
-        raise ModelError(f"{path}: not a training checkpoint ({error})") from None
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise ModelError(f"{path}: not a training checkpoint of this release")
-    try:
-        module.load_state_dict(_under(tensors, "weights."))
-        for name, value in _under(tensors, "average.").items():
-            average[name].copy_(value)
-        for name, p in module.named_parameters():
-            state = {}
-            for key in ("step", "exp_avg", "exp_avg_sq"):
-                moment = tensors.get(f"optimizer.{key}.{name}")
-                if moment is not None:
-                    state[key] = moment.reshape(()) if key == "step" else moment.to(p.device)
-            if state:
-                optimizer.state[p] = state
         torch.set_rng_state(tensors["random.cpu"])
         if torch.cuda.is_available() and "random.cuda" in tensors:
             torch.cuda.set_rng_state(tensors["random.cuda"])
-    except (RuntimeError, KeyError, TypeError) as error:
-        raise ModelError(
-            f"{path}: the checkpoint does not fit this preset ({str(error).splitlines()[0]})"
-        ) from None
+    except (RuntimeError, TypeError) as error:
+        raise ModelError(f"{path}: the checkpoint is damaged ({str(error).splitlines()[0]})") from None
+    module.load_state_dict(_under(tensors, "weights."))
+    for name, value in _under(tensors, "average.").items():
+        average[name].copy_(value)
+    for name, p in module.named_parameters():
+        if f"optimizer.step.{name}" in tensors:
+            moments = {key: tensors[f"optimizer.{key}.{name}"] for key in MOMENTS}
+            optimizer.state[p] = {
+                key: value.reshape(()) if key == "step" else value.to(p.device)
+                for key, value in moments.items()
+            }
     return facts
+
+
+def _check_facts(facts: dict[str, Any]) -> None:
+    """Raises ModelError for a step, a time or options that no run has."""
+    step, seconds = facts.get("step"), facts.get("seconds")
+    if isinstance(step, bool) or not isinstance(step, int) or not 0 <= step <= MOST_STEPS:
+        raise ModelError(f"step is {step!r:.60}, expected a number from 0 to {MOST_STEPS}")
+    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds <= MOST_STEPS:
+        raise ModelError(f"seconds is {seconds!r:.60}, expected a number from 0 to {MOST_STEPS}")
+    if not isinstance(facts.get("options"), dict):
+        raise ModelError(f"options is {facts.get('options')!r:.60}, expected an object")
+
+
+def _check_fit(found: Mapping[str, TensorFacts], module: nn.Module, average: dict[str, Tensor]) -> None:
+    """Raises ModelError unless a file has just the tensors of a run of this module, in their shapes and types."""
+    expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
+    expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
+    for name, p in module.named_parameters():
+        keys = [f"optimizer.{key}.{name}" for key in MOMENTS]
+        if any(key in found for key in keys):  # none before the first step
+            expected |= dict(zip(keys, ((1,), tuple(p.shape), tuple(p.shape)), strict=True))
+    expected["random.cpu"] = tuple(torch.get_rng_state().shape)
+    if "random.cuda" in found:
+        expected["random.cuda"] = found["random.cuda"].shape
+    check_shapes(found, expected)
+    for name, facts in found.items():
+        if facts.dtype != ("U8" if name.startswith("random.") else "F32"):
+            raise ModelError(f"the tensor {name!r} is of type {facts.dtype}")
+
+
+def _check_numbers(tensors: dict[str, Tensor]) -> None:
+    """Raises ModelError for numbers with which training could not go on."""
+    check_values((name, value.numpy()) for name, value in tensors.items())
+    for key, least in (("step", 1.0), ("exp_avg_sq", 0.0)):
+        for name, value in _under(tensors, f"optimizer.{key}.").items():
+            if float(value.min()) < least:
+                raise ModelError(f"the tensor {f'optimizer.{key}.{name}'!r} has {float(value.min()):g}")
 
 
 def _under(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:

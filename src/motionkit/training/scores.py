@@ -6,6 +6,7 @@ real motion of that type.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -13,8 +14,10 @@ import torch
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
+from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FeatureLayout
+from motionkit.files import safe_name
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS
@@ -53,10 +56,14 @@ def score_rollouts(
     dataset: Dataset,
     frames: int,
     samples: Path | None = None,
+    on_fault: Callable[[str], None] | None = None,
     seed: int = 0,
     noise: Noise | None = None,
 ) -> tuple[TypeScore, ...]:
-    """Score a roll-out of every type; with samples, a predicted and a true BVH of each go there."""
+    """Score a roll-out of every type; with samples, a predicted and a true BVH of each go there.
+
+    With on_fault a sample that cannot be written is told there in a line, and the scores are answered all the same.
+    """
     with inner_threads(len(model.types)):
         rollout = rollout_types(model, frames, seed, noise)
     scores = []
@@ -65,7 +72,12 @@ def score_rollouts(
         if len(real):
             scores.append(_score(kind, rollout.features[i], real, dataset.layout))
     if samples is not None:
-        _write_samples(model, dataset, rollout, samples)
+        try:
+            _write_samples(model, dataset, rollout, samples)
+        except (MotionkitError, OSError) as fault:
+            if on_fault is None:
+                raise
+            on_fault(f"samples are missing: {fault}")
     return tuple(scores)
 
 
@@ -124,7 +136,8 @@ def _write_samples(model: MotionModel, dataset: Dataset, rollout: Rollout, folde
     folder.mkdir(parents=True, exist_ok=True)
     skeleton = model.character("default")
     for i, kind in enumerate(model.types):
-        write_bvh(folder / f"{kind}-predicted.bvh", rollout_motion(model, rollout, i, skeleton))
+        name = safe_name(kind)
+        write_bvh(folder / f"{name}-predicted.bvh", rollout_motion(model, rollout, i, skeleton))
         clip = next((c for c in dataset.select("train") if bool((dataset.clip_types(c) == i).any())), None)
         if clip is not None:
             data = dataset.read(clip)
@@ -132,4 +145,4 @@ def _write_samples(model: MotionModel, dataset: Dataset, rollout: Rollout, folde
             motion = decode_motion(
                 real, skeleton, dataset.fps, None, dataset.references, dataset.layout.version
             )
-            write_bvh(folder / f"{kind}-true.bvh", motion)
+            write_bvh(folder / f"{name}-true.bvh", motion)

@@ -24,6 +24,7 @@ from motionkit.features.control import ControlLayout
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel, save_model
 from motionkit.models.consistency import ConsistencyModules
+from motionkit.models.file_check import check_names
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
@@ -202,6 +203,10 @@ class _Run:
         if options.batch % self.world:
             raise DatasetError(f"batch {options.batch} does not divide over {self.world} processes")
         self.on_event = on_event if self.rank == 0 else None
+        try:  # now, not when hours later the model is written
+            check_names(list(dataset.types), list(dict.fromkeys(["default", *dataset.characters])))
+        except ModelError as error:
+            raise DatasetError(f"{dataset.folder}: {error}") from None
         torch.manual_seed(options.seed)
         config = replace(preset(options.preset), **options.config)
         if config.layout != dataset.layout.version:
@@ -231,6 +236,7 @@ class _Run:
         self.guides = self.sampler.guide_map.to(self.device)
         self.coming: list[Batch] = []  # batches made beforehand
         self.asked_to_stop = self.stops = False
+        self.logs = True  # until log.jsonl cannot be written
 
     @property
     def checkpoint(self) -> Path:
@@ -244,7 +250,7 @@ class _Run:
         before, now = _flat(facts["options"]), _flat(json.loads(json.dumps(self.options.to_dict())))
         changed = [k for k in before if k in now and before[k] != now[k] and k not in FREE_ON_RESUME]
         if changed:
-            words = ", ".join(f"{name} {before[name]!r} (now {now[name]!r})" for name in changed)
+            words = ", ".join(f"{name} {before[name]!r:.60} (now {now[name]!r:.60})" for name in changed)
             raise ModelError(f"{self.checkpoint}: this run was started with {words}; resume it with the same")
         self.step, self.seconds = int(facts["step"]), float(facts["seconds"])
 
@@ -275,11 +281,12 @@ class _Run:
         try:
             self._loop()
             finished = self.progress() >= 1.0
-            if not finished:
-                self._note("stopped; the checkpoint holds everything, go on with --resume")
             if self.rank == 0:
-                self._save_checkpoint()
-                save_model(self.output, self.model(), self.options.half)
+                self._save_all()
+                if not finished:
+                    self._note("stopped; the checkpoint holds everything, go on with --resume")
+                elif self._score():
+                    self._save_model()  # once more: its card holds the scores
             if self.world > 1:
                 dist.barrier()  # all have stopped at the same step
                 dist.destroy_process_group()
@@ -315,15 +322,13 @@ class _Run:
             if self.coming:
                 continue
             if self.rank == 0 and now - saved > self.options.checkpoint_seconds:
-                self._save_checkpoint()
+                self._attempt("the checkpoint", self._save_checkpoint)
                 saved = time.monotonic()
             if self.rank == 0 and now - scored > 60.0 * self.options.score_minutes:
                 self._score()
                 scored = time.monotonic()
             if self.stops or (self.world == 1 and self.asked_to_stop):
                 return
-        if self.rank == 0:
-            self._score()
 
     def _agree(self, seconds: float) -> float:
         """The first process's clock, so that all processes stop at the same step."""
@@ -401,6 +406,31 @@ class _Run:
         averages = list(self.average.values())
         torch._foreach_lerp_(averages, [state[n] for n in self.average], 1.0 - decay)
 
+    def _save_all(self) -> None:
+        """Model and checkpoint, each even if the other cannot be written; the first fault is raised at the end."""
+        faults = []
+        for save in (self._save_model, self._save_checkpoint):
+            try:
+                save()
+            except MotionkitError as fault:
+                faults.append(fault)
+        if faults:
+            raise faults[0]
+
+    def _save_model(self) -> None:
+        save_model(self.output, self.model(), self.options.half)
+
+    def _attempt(self, what: str, work: Callable[[], None]) -> bool:
+        """Do what a run can do without: any fault in it is a note, not the end of hours of training."""
+        try:
+            work()
+        except Exception as fault:
+            self._note(
+                f"{what} failed, the run goes on: {' '.join(str(fault).split()) or type(fault).__name__}"
+            )
+            return False
+        return True
+
     def _save_checkpoint(self) -> None:
         facts = {"step": self.step, "seconds": self.seconds, "options": self.options.to_dict()}
         save_run(self.checkpoint, self.module, self.average, self.optimizer, facts)
@@ -421,14 +451,18 @@ class _Run:
         guides = self.options.sampler.guide_dropout < 1.0
         return bundle_model(network.eval(), self.dataset, card, guides)
 
-    def _score(self) -> None:
+    def _score(self) -> bool:
+        """Score roll-outs and write samples of them, if that is asked for and goes well; the run stays as it was."""
         threads, random_state = torch.get_num_threads(), torch.get_rng_state()
         frames = int(self.options.score_seconds * self.dataset.fps)
-        if frames > 0:
-            self.scores = score_rollouts(self.model(), self.dataset, frames, self.folder / "samples")
-            self._emit("score")
+        scored = frames > 0 and self._attempt("the score", lambda: self._score_rollouts(frames))
         torch.set_num_threads(threads)
         torch.set_rng_state(random_state)
+        return scored
+
+    def _score_rollouts(self, frames: int) -> None:
+        self.scores = score_rollouts(self.model(), self.dataset, frames, self.folder / "samples", self._note)
+        self._emit("score")
 
     def _note(self, text: str) -> None:
         self._emit("note", text)
@@ -444,10 +478,20 @@ class _Run:
             line |= {"rate": self.learning_rate()} | self.losses if kind == "log" else {}
             if kind == "score":
                 line["scores"] = {s.type: s.to_dict() for s in self.scores}
-            with (self.folder / "log.jsonl").open("a", encoding="utf-8") as file:
-                file.write(json.dumps(line) + "\n")
+            self._log(json.dumps(line))
         if self.on_event:
             self.on_event(event)
+
+    def _log(self, line: str) -> None:
+        """Add a line to log.jsonl; after a fault, such as a full disk, the run goes on without."""
+        if not self.logs:
+            return
+        try:
+            with (self.folder / "log.jsonl").open("a", encoding="utf-8", newline="\n") as file:
+                file.write(line + "\n")
+        except OSError as fault:
+            self.logs = False
+            self._note(f"log.jsonl cannot be written ({fault.strerror or fault}), the run goes on without it")
 
 
 def _join_processes(device: torch.device) -> tuple[int, int]:

@@ -1,0 +1,202 @@
+"""What a run leaves whatever goes wrong beside it, and checkpoints from anyone."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
+
+from motionkit.errors import DatasetError, ModelError, MotionkitError
+from motionkit.models.checkpoint import load_model
+from motionkit.training import trainer
+from motionkit.training.trainer import TrainEvent, train
+
+ODD_NAMES = ("walk/run", "aux", "..")
+
+
+def renamed(dataset_folder: Path, to: Path, names: tuple[str, ...]) -> Path:
+    """A copy of a dataset whose types without a phase have other names."""
+    shutil.copytree(dataset_folder, to)
+    manifest = json.loads((to / "manifest.json").read_text())
+    plain = [kind for kind in manifest["types"] if kind not in manifest["phase_seconds"]]
+    other = dict(zip(plain, names, strict=False))
+    manifest["types"] = [other.get(kind, kind) for kind in manifest["types"]]
+    (to / "manifest.json").write_text(json.dumps(manifest))
+    return to
+
+
+def test_types_that_are_no_file_names(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+    folder = renamed(dataset_folder, tmp_path / "ds", ODD_NAMES)
+    path = tmp_path / "run" / "m.safetensors"
+    notes: list[str] = []
+    train(folder, path, tiny_options(steps=1, score_seconds=0.1), device="cpu", on_event=_notes(notes))
+    model = load_model(path)
+    assert set(ODD_NAMES) < set(model.types) and set(model.card["scores"]) == set(model.types)
+    samples = [sample.name for sample in (tmp_path / "run" / "m.run" / "samples").iterdir()]
+    assert len(samples) == 2 * len(model.types)
+    assert not any(word in note for note in notes for word in ("failed", "missing"))
+    assert {p.name for p in (tmp_path / "run").iterdir()} == {"m.safetensors", "m.run"}
+
+
+def test_a_name_no_model_may_have_is_told_before_training(
+    dataset_folder: Path, tmp_path: Path, tiny_options
+) -> None:
+    folder = renamed(dataset_folder, tmp_path / "ds", ("x" * 201,))
+    with pytest.raises(DatasetError, match="expected a printable name"):
+        train(folder, tmp_path / "m.safetensors", tiny_options(steps=1), device="cpu")
+    assert [p.name for p in tmp_path.iterdir()] == ["ds"]
+
+
+def _notes(notes: list[str]) -> Callable[[TrainEvent], None]:
+    def on_event(event: TrainEvent) -> None:
+        if event.kind == "note":
+            notes.append(event.text)
+
+    return on_event
+
+
+def test_the_model_is_there_before_the_score_and_a_failed_score_is_a_note(
+    dataset_folder: Path, tmp_path: Path, tiny_options, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "m.safetensors"
+    there: list[bool] = []
+
+    def fail(*_: object) -> None:
+        there.append(path.is_file())
+        raise RuntimeError("no such\nthing")
+
+    monkeypatch.setattr(trainer, "score_rollouts", fail)
+    notes: list[str] = []
+    options = tiny_options(steps=1, score_seconds=0.1)
+    result = train(dataset_folder, path, options, device="cpu", on_event=_notes(notes))
+    assert result.finished and there == [True] and load_model(path).card["steps"] == 1
+    assert "the score failed, the run goes on: no such thing" in notes
+
+
+def test_samples_that_cannot_be_written_leave_the_scores(
+    dataset_folder: Path, tmp_path: Path, tiny_options
+) -> None:
+    path = tmp_path / "m.safetensors"
+    (tmp_path / "m.run").mkdir()
+    (tmp_path / "m.run" / "samples").write_text("in the way")
+    notes: list[str] = []
+    options = tiny_options(steps=1, score_seconds=0.1)
+    train(dataset_folder, path, options, device="cpu", on_event=_notes(notes))
+    assert any(note.startswith("samples are missing: ") for note in notes)
+    assert len(load_model(path).card["scores"]) == 6
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")
+def test_a_log_on_a_full_disk_is_a_note(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+    (tmp_path / "m.run").mkdir()
+    os.symlink("/dev/full", tmp_path / "m.run" / "log.jsonl")
+    notes: list[str] = []
+    path = tmp_path / "m.safetensors"
+    train(dataset_folder, path, tiny_options(steps=3), device="cpu", on_event=_notes(notes))
+    assert load_model(path).card["steps"] == 3
+    assert len([note for note in notes if note.startswith("log.jsonl cannot be written (No space left")]) == 1
+
+
+def test_a_checkpoint_that_cannot_be_written_does_not_take_the_model_with_it(
+    dataset_folder: Path, tmp_path: Path, tiny_options
+) -> None:
+    path = tmp_path / "m.safetensors"
+    (tmp_path / "m.run" / "checkpoint.safetensors").mkdir(parents=True)
+    options = tiny_options(steps=2, checkpoint_seconds=0.0)
+    with pytest.raises(MotionkitError, match=r"checkpoint\.safetensors: is a folder"):
+        train(dataset_folder, path, options, device="cpu")
+    assert load_model(path).card["steps"] == 2
+
+
+# ---- checkpoints from anyone ----
+
+
+@pytest.fixture(scope="module")
+def finished_run(dataset_folder: Path, tmp_path_factory: pytest.TempPathFactory, tiny_options) -> Path:
+    """The folder of a finished run; not to be written to."""
+    folder = tmp_path_factory.mktemp("run")
+    train(dataset_folder, folder / "m.safetensors", tiny_options(steps=1, splices=0), device="cpu")
+    return folder / "m.run"
+
+
+def _first(tensors: dict[str, torch.Tensor], prefix: str) -> str:
+    return min(name for name in tensors if name.startswith(prefix))
+
+
+@pytest.mark.parametrize(
+    ("prefix", "change", "complaint"),
+    [
+        ("optimizer.exp_avg.", lambda t: t.flatten()[:1], "has shape (1,), expected"),
+        ("optimizer.exp_avg_sq.", lambda t: -1.0 - t.abs(), "has -1"),
+        ("optimizer.step.", lambda t: t * 0.0, "has 0"),
+        ("optimizer.step.", lambda t: None, "is missing"),
+        ("average.", lambda t: t.half(), "is of type F16"),
+        ("average.", lambda t: None, "is missing"),
+        ("weights.", lambda t: t * torch.nan, "numbers that are NaN or infinite"),
+        ("random.cpu", lambda t: t[:7], "has shape (7,), expected"),
+        ("random.cpu", lambda t: t.float(), "is of type F32"),
+    ],
+)
+def test_tensors_of_a_checkpoint(
+    dataset_folder: Path,
+    finished_run: Path,
+    tmp_path: Path,
+    tiny_options,
+    prefix: str,
+    change,
+    complaint: str,
+) -> None:
+    def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
+        name = _first(tensors, prefix)
+        value = change(tensors.pop(name))
+        if value is not None:
+            tensors[name] = value
+
+    assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil)
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"step": "one"}, "step is 'one'"),
+        ({"step": -1}, "step is -1"),
+        ({"seconds": None}, "seconds is None"),
+        ({"options": [1]}, "options is [1], expected an object"),
+        ({"options": {"batch": [[]]}}, "started with batch [[]] (now 4)"),
+    ],
+)
+def test_facts_of_a_checkpoint(
+    dataset_folder: Path, finished_run: Path, tmp_path: Path, tiny_options, change: dict, complaint: str
+) -> None:
+    def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
+        facts |= change
+
+    assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil)
+
+
+def _resumed(dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoil: Callable) -> str:
+    """How a spoilt copy of a run is refused; nothing is written."""
+    checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
+    checkpoint.parent.mkdir()
+    with safe_open(str(run / "checkpoint.safetensors"), framework="pt") as file:
+        tensors = {name: file.get_tensor(name) for name in file.keys()}
+        facts = json.loads(file.metadata()["run"])
+    spoil(tensors, facts)
+    save_file({n: t.contiguous() for n, t in tensors.items()}, checkpoint, {"run": json.dumps(facts)})
+    with pytest.raises(ModelError) as caught:
+        options = tiny_options(steps=2, splices=0)
+        train(dataset_folder, tmp_path / "m.safetensors", options, resume=True, device="cpu")
+    message = str(caught.value)
+    assert message.startswith(f"{checkpoint}: ") and len(message.splitlines()) == 1
+    assert [p.name for p in tmp_path.iterdir()] == ["m.run"] and list(checkpoint.parent.iterdir()) == [
+        checkpoint
+    ]
+    return message
