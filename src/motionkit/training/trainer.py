@@ -438,7 +438,8 @@ class _Run:
 
     def model(self) -> MotionModel:
         """The model as it would ship: averaged weights, on the CPU."""
-        network = PartTransformer(self.module.network.config, self.module.network.control_size)
+        with torch.random.fork_rng(devices=[]):  # the run's random numbers stay as a checkpoint has them
+            network = PartTransformer(self.module.network.config, self.module.network.control_size)
         network.load_state_dict({n: t.cpu() for n, t in self.average.items()})
         card = {
             "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},
