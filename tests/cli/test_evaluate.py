@@ -35,7 +35,7 @@ def test_faults_leave_no_report(evaluate, tmp_path: Path, words: list[str], comp
 def test_wrong_files_and_names(
     motionkit, tmp_path: Path, tiny_model_file: Path, dataset_folder: Path
 ) -> None:
-    assert motionkit("evaluate", "nothing.safetensors", dataset_folder).failed_with("no such model file")
+    assert motionkit("evaluate", "nothing.safetensors", dataset_folder).failed_with("no such file")
     assert motionkit("evaluate", tiny_model_file, tmp_path).failed_with("not a dataset folder")
     assert motionkit("evaluate", tiny_model_file, dataset_folder, "-o", "out.pdf").code == 2
     assert motionkit("evaluate", tiny_model_file, dataset_folder, "--seeds", "0").code == 2

@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+import copy
 import json
+import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import torch
 
+from motionkit.models.checkpoint import MotionModel, save_model
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
 from .conftest import page_data
@@ -117,3 +122,33 @@ def test_a_page_beside_the_motions(synthesize, tmp_path: Path) -> None:
     ]
     assert bands == [("running", 0.0, 0.3), ("idle", 0.3, 0.5)]
     assert synthesize("--types", "idle:0.2", "--count", 33, "--view").code == 2
+
+
+@pytest.mark.parametrize(("value", "compiled"), [(3e38, True), (3e38, False), (1e12, True)])
+@pytest.mark.parametrize("command", ["synthesize", "follow-path"])
+def test_a_model_that_goes_astray_leaves_what_is_there(
+    motionkit,
+    tiny_model: MotionModel,
+    tmp_path: Path,
+    monkeypatch,
+    command: str,
+    value: float,
+    compiled: bool,
+) -> None:
+    if not compiled:
+        monkeypatch.setattr("motionkit.synthesis.stepping.kernel_library", lambda: None)
+        monkeypatch.setattr("motionkit.synthesis.rollout.frame_library", lambda: None)
+    network = copy.deepcopy(tiny_model.network)
+    with torch.no_grad():
+        network.aggregate.bias.fill_(value)
+    save_model(tmp_path / "m.safetensors", replace(tiny_model, network=network))
+    (tmp_path / "x.bvh").write_text("a good file")
+    words = (
+        ("--types", "idle:0.1", "--count", 2) if command == "synthesize" else ("line", "--types", "walking")
+    )
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # they would stand beside the one line
+        said = motionkit(command, *words, "--model", "m.safetensors", "-o", "x.bvh")
+    assert said.failed_with("the model does not move from here")
+    assert (tmp_path / "x.bvh").read_text() == "a good file"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["m.safetensors", "x.bvh"]

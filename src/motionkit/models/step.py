@@ -88,6 +88,7 @@ class NetworkStep:
             self.mean += momentum * (x - self.before)
             self.before[:] = x
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # those who use the frame look at it
     def _numpy_step(self, slot: int) -> None:
         weights, config, B, controls = self.weights, self.config, self.batch, self._controls
         inputs = self.recent[:, :, weights.columns].transpose(2, 0, 1, 3).reshape(len(weights.columns), B, -1)

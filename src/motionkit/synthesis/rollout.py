@@ -9,13 +9,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from motionkit.errors import ControlError
+from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel, Seed
 from motionkit.models.step import NetworkStep
 from motionkit.models.step_weights import Floats
+from motionkit.motion.bvh_text import MAX_NUMBER
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.synthesis import grip
@@ -291,6 +292,7 @@ class RolloutState:
 
         self._draw = draw
 
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # step() looks at what comes out
     def _draw_in_numpy(self) -> None:
         """Functions in double precision, so that they give to the last digit what frame_kernel.c gives."""
         network = self._drawn_from
@@ -330,8 +332,18 @@ class RolloutState:
             self._x[:, columns] += by / self._std[columns]
 
     def step(self, asked: FrameControls) -> tuple[Tensor, Tensor, Tensor]:
-        """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3)."""
+        """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
+
+        Raises ModelError for a frame that no BVH file could hold.
+        """
         features, contacts, ground = self.advance(asked)
+        if not (
+            np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER
+        ):  # NaN is neither
+            raise ModelError(
+                "the model does not move from here: it predicts numbers that are not finite or far too large "
+                "(damaged weights, or a start unlike any motion)"
+            )
         return (
             torch.from_numpy(features.copy()),
             torch.from_numpy(contacts.copy()),
