@@ -94,6 +94,8 @@ def command(
             bar.update(tasks[stage], completed=done)
 
         report = preprocess(data, output, options, show)
+    for note in report.notes:
+        stderr_console().print(note, markup=False)
     if as_json:
         print_json(_as_dict(report))
     else:

@@ -21,6 +21,7 @@ import torch
 from torch import Tensor
 
 from motionkit.data.events import SIDED
+from motionkit.data.folder import ARRAYS, MANIFEST, set_aside
 from motionkit.data.labels import mirrored_type
 from motionkit.data.phases import mirror_phases
 from motionkit.errors import DatasetError
@@ -32,7 +33,6 @@ from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 FORMAT = 1
 # Outlines are fitted to about so many frames; 0 counts all alike, 1 all types alike.
 OUTLINE_FRAMES, OUTLINE_BALANCE = 200_000, 0.75
-ARRAYS = ("features", "contacts", "ground", "types", "phases")
 
 
 @dataclass(frozen=True)
@@ -72,10 +72,15 @@ class Dataset:
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
-        path = self.folder / "manifest.json"
-        if not path.is_file():
+        path = self.folder / MANIFEST
+        if not path.exists():
+            former = (
+                ""
+                if self.folder.exists()
+                else "".join(f"; {p} is a former one" for p in set_aside(self.folder))
+            )
             raise DatasetError(
-                f"{self.folder}: not a dataset folder (no manifest.json); make one with preprocess"
+                f"{self.folder}: not a dataset folder (no manifest.json); make one with preprocess{former}"
             )
         try:
             self.manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))

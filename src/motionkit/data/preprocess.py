@@ -10,11 +10,12 @@ import hashlib
 import json
 import multiprocessing
 import os
-import shutil
-import tempfile
+import signal
+import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -27,6 +28,7 @@ from torch import Tensor
 from motionkit import __version__
 from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
+from motionkit.data.folder import MANIFEST, MOTIONS, ArrayWriter, may_replace, put_in_place, staging_folder
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
@@ -37,6 +39,8 @@ from motionkit.features.encode import encode_motion
 from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
 from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
+from motionkit.files import MAX_TEXT_BYTES, read_bytes
+from motionkit.motion.bvh_text import MAX_BYTES
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.retarget import retarget_file
@@ -45,6 +49,7 @@ from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skel
 
 FPS = 60.0
 MIN_CLIP_FRAMES = 16
+MAX_TYPES = 1000
 TEST_SHARE = 0.15  # of the clips of a type, where the labels do not say
 
 
@@ -80,7 +85,7 @@ class FileReport:
 
 @dataclass
 class PreprocessReport:
-    """What preprocess() did, for printing."""
+    """What preprocess() did, for printing; notes tell what a run that was broken off had left."""
 
     folder: Path
     labels: Path | None
@@ -88,6 +93,7 @@ class PreprocessReport:
     types: dict[str, dict[str, float]]
     clips: int
     seconds: float
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,52 +123,77 @@ def preprocess(
 
     Args:
         folders: folders (or files) to walk.
-        output: the dataset folder; an old dataset there is replaced.
+        output: the dataset folder; an old dataset there is replaced, other files in it stay.
         progress: called with a stage name, files done and files in all.
 
     Raises:
-        DatasetError: no usable file, or, with strict, the first file that cannot be used.
+        DatasetError: no usable file, one that lies in output, or, with strict, the first that cannot be used.
     """
     options = options or PreprocessOptions()
     output = Path(output)
-    if not _may_replace(output):
+    target = Path(os.path.realpath(output))  # a link stays a link
+    if not may_replace(target):
         raise DatasetError(f"{output}: exists and is not a dataset folder; choose another place")
     sources, table = find_sources([Path(f) for f in folders], options.labels)
-    output.parent.mkdir(parents=True, exist_ok=True)
-    staging = Path(tempfile.mkdtemp(prefix=f".{output.name}.", dir=output.parent))
+    for path in [*map(Path, folders), *(source.path for source in sources)]:
+        if Path(os.path.realpath(path)).is_relative_to(target):
+            raise DatasetError(
+                f"{path}: lies in {output}, the dataset to be written; choose another place for it"
+            )
     try:
-        with _processes(options.jobs, len(sources)) as each:
-            prepared = _pass_one(sources, staging, options, each, progress)
-            manifest, report = _pass_two(prepared, staging, options, each, progress)
-        report.folder, report.labels = output, table
-        (staging / "manifest.json").write_text(json.dumps(manifest), encoding="utf-8")
-        shutil.rmtree(staging / "motions")
-        os.chmod(staging, 0o755)
-        if output.exists():
-            shutil.rmtree(output)
-        staging.rename(output)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with staging_folder(target) as (staging, notes):
+            with _processes(options.jobs, len(sources)) as each:
+                prepared = _pass_one(sources, staging, options, each, progress)
+                manifest, report = _pass_two(prepared, staging, options, each, progress)
+            _write_manifest(staging / MANIFEST, manifest)
+            _drop_motions(prepared, staging)
+            os.chmod(staging, 0o755)
+            put_in_place(staging, target)
+        report.folder, report.labels, report.notes = output, table, tuple(notes)
         return report
     except OSError as error:
         raise DatasetError(f"{output}: cannot be written ({error.strerror or error})") from None
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+    except BrokenProcessPool:
+        raise DatasetError(
+            f"{output}: a worker process was ended from outside (no memory left?); try fewer --jobs"
+        ) from None
 
 
-def _may_replace(output: Path) -> bool:
-    """Whether nothing but a dataset, or an empty folder, stands at the place of the new one."""
-    if not output.exists():
-        return True
-    if not output.is_dir():
-        return False
-    try:  # other programs keep a manifest.json too: theirs does not name motionkit
-        manifest = json.loads((output / "manifest.json").read_text(encoding="utf-8"))
-        return isinstance(manifest, dict) and "motionkit" in manifest
-    except (OSError, ValueError):
-        return not any(output.iterdir())
+def _write_manifest(path: Path, manifest: dict[str, Any]) -> None:
+    """The manifest on the disk; raises DatasetError where Dataset could not read it."""
+    try:
+        text = json.dumps(manifest, allow_nan=False)
+    except ValueError:
+        raise DatasetError(f"{path.name}: the data gives numbers that are not finite") from None
+    if len(text) > MAX_TEXT_BYTES:
+        raise DatasetError(
+            f"{path.name}: more than {MAX_TEXT_BYTES >> 20} MB of facts; make several datasets"
+        )
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
 
 
-def _single_thread() -> None:
+def _drop_motions(prepared: list[_Prepared], staging: Path) -> None:
+    for item in prepared:
+        Path(item.motion_file).unlink(missing_ok=True)
+    (staging / MOTIONS).rmdir()
+
+
+def _start_worker() -> None:
+    """One thread; Ctrl-C is the parent's to answer; and an end with the parent, however that ends."""
     torch.set_num_threads(1)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 # Maps a function over items, in order.
@@ -179,7 +210,7 @@ def _processes(jobs: int, files: int) -> Iterator[_Map]:
         yield map
         return
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(wanted, mp_context=context, initializer=_single_thread) as pool:
+    with ProcessPoolExecutor(wanted, mp_context=context, initializer=_start_worker) as pool:
         try:
             yield lambda function, items: pool.map(function, items, chunksize=1)
         except BaseException:
@@ -197,8 +228,8 @@ def _pass_one(
     each: _Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> list[_Prepared]:
-    (staging / "motions").mkdir()
-    items = [(source, str(staging / "motions" / f"{i}.npz"), options) for i, source in enumerate(sources)]
+    (staging / MOTIONS).mkdir()
+    items = [(source, str(staging / MOTIONS / f"{i}.npz"), options) for i, source in enumerate(sources)]
     prepared = []
     for done, result in enumerate(each(_prepare_file, items), 1):
         if options.strict and result.report.fault:
@@ -227,6 +258,7 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
         motion, cleaning = clean(motion)
         native_fps = motion.fps
         motion = resample(motion, FPS)
+        report.sha256 = hashlib.sha256(read_bytes(source.path, MAX_BYTES)).hexdigest()
     except MotionkitError as error:
         report.skipped, report.fault = str(error), True
         return _Prepared(report, motion_file, nothing, [], [], None)
@@ -239,7 +271,6 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
         "notes": list(mapping.notes),
     }
     report.cleaning = asdict(cleaning)
-    report.sha256 = hashlib.sha256(source.path.read_bytes()).hexdigest()
     leaps = find_leaps(motion_kinematics(motion)[1])
     report.leaps = len(leaps)
     runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion), leaps)
@@ -297,7 +328,9 @@ def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, i
     for kind in sorted(open_runs):
         keys = sorted(
             open_runs[kind],
-            key=lambda k: hashlib.sha256(f"{prepared[k[0]].report.name}{k[1]}".encode()).digest(),
+            key=lambda k: hashlib.sha256(
+                f"{prepared[k[0]].report.name}{k[1]}".encode("utf-8", "surrogateescape")
+            ).digest(),
         )
         if len(keys) == 1:
             i, r = keys[0]
@@ -323,13 +356,8 @@ def _pass_two(
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     splits = _decide_splits(prepared, options.mirror)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)
-    arrays = {
-        "features": _create(staging, "features", (total, FEATURE_COUNT), np.float32),
-        "contacts": _create(staging, "contacts", (total, 4), np.uint8),
-        "ground": _create(staging, "ground", (total, 3), np.float32),
-        "types": _create(staging, "types", (total,), np.int16),
-        "phases": _create(staging, "phases", (total,), np.float32),
-    }
+    if len(types) > MAX_TYPES:
+        raise DatasetError(f"{len(types)} motion types, expected at most {MAX_TYPES}")
     layout = feature_layout(options.layout)
     moments, trajectory_moments = RunningMoments(FEATURE_COUNT), RunningMoments(TRAJECTORY_COUNT)
     clips: list[Clip] = []
@@ -337,30 +365,33 @@ def _pass_two(
     row = 0
     items = [(p, references, options.layout, options.smooth) for p in prepared if p.runs]
     indices = [i for i, p in enumerate(prepared) if p.runs]
-    for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
-        item = prepared[index]
-        if item.body not in bodies:
-            bodies.append(item.body)
-        for r, ((start, end, spans, split, subject), data) in enumerate(zip(item.runs, encoded, strict=True)):
-            frames = end - start
-            rows = slice(row, row + frames)
-            kinds = np.concatenate([np.full(b - a, types.index(kind), np.int16) for a, b, kind in spans])
-            for name, values in zip(("features", "contacts", "ground"), data, strict=True):
-                arrays[name][rows] = values
-            arrays["types"][rows] = kinds
-            name = f"{item.report.name}:{r}" if len(item.runs) > 1 else item.report.name
-            clip = Clip(name, row, frames, split or splits[index, r], subject, bodies.index(item.body))
-            twins = _with_twin(clip, spans, types, options.mirror)
-            clips.extend(twins)
-            _add_moments(twins, data, kinds, layout, moments, trajectory_moments)
-            row += frames
-            item.report.clips += 1
-            item.report.frames += frames
-        if progress:
-            progress("encoding", done, len(items))
-    rules = _write_phases(arrays, clips, options.layout)
-    for array in arrays.values():
-        array.flush()
+    with _array_writers(staging, total) as writers:
+        for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
+            item = prepared[index]
+            if item.body not in bodies:
+                bodies.append(item.body)
+            for r, (run, data) in enumerate(zip(item.runs, encoded, strict=True)):
+                start, end, spans, split, subject = run
+                frames = end - start
+                kinds = np.concatenate([np.full(b - a, types.index(kind), np.int16) for a, b, kind in spans])
+                for name, values in zip(
+                    ("features", "contacts", "ground", "types"), (*data, kinds), strict=True
+                ):
+                    writers[name].append(values)
+                name = f"{item.report.name}:{r}" if len(item.runs) > 1 else item.report.name
+                clip = Clip(name, row, frames, split or splits[index, r], subject, bodies.index(item.body))
+                twins = _with_twin(clip, spans, types, options.mirror)
+                clips.extend(twins)
+                _add_moments(twins, data, kinds, layout, moments, trajectory_moments)
+                row += frames
+                item.report.clips += 1
+                item.report.frames += frames
+            if progress:
+                progress("encoding", done, len(items))
+        features, kinds = writers["features"].close(), writers["types"].close()
+        rules = _write_phases(writers["phases"], features, kinds, clips, options.layout)
+        for name in ("contacts", "ground", "phases"):
+            writers[name].close()
     manifest = {
         "format": FORMAT,
         "motionkit": __version__,
@@ -382,24 +413,26 @@ def _pass_two(
         staging,
         None,
         [p.report for p in prepared],
-        _type_table(clips, arrays["types"], types),
+        _type_table(clips, kinds, types),
         len(clips),
         total / FPS,
     )
     return manifest, report
 
 
-def _write_phases(arrays: dict[str, np.memmap], clips: list[Clip], layout: str) -> dict[int, PhaseRule]:
-    """Fill the phase column; the rule of each type that has a phase."""
+def _write_phases(
+    phases: ArrayWriter, features: np.ndarray, types: np.ndarray, clips: list[Clip], layout: str
+) -> dict[int, PhaseRule]:
+    """Write the phase column, clip after clip as the rows lie; the rule of each type that has a phase."""
     rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}.values()
 
-    def shown() -> Iterator[tuple[slice, Tensor, np.ndarray]]:
+    def shown() -> Iterator[tuple[Tensor, np.ndarray]]:
         for r in rows:
-            yield r, torch.from_numpy(np.array(arrays["features"][r])), np.array(arrays["types"][r])
+            yield torch.from_numpy(np.array(features[r])), np.array(types[r])
 
-    rules = phase_rules(((features, types) for _, features, types in shown()), layout)
-    for r, features, types in shown():
-        arrays["phases"][r] = phase_track(features, types, rules, layout)
+    rules = phase_rules(shown(), layout)
+    for poses, kinds in shown():
+        phases.append(phase_track(poses, kinds, rules, layout))
     return rules
 
 
@@ -423,8 +456,24 @@ def _references(prepared: list[_Prepared]) -> Tensor:
     return references
 
 
-def _create(folder: Path, name: str, shape: tuple[int, ...], dtype: Any) -> np.memmap:
-    return np.lib.format.open_memmap(folder / f"{name}.npy", mode="w+", dtype=dtype, shape=shape)
+@contextmanager
+def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
+    """A writer of each array of the dataset, so many rows long; none is left open."""
+    kinds: dict[str, tuple[tuple[int, ...], type]] = {
+        "features": ((rows, FEATURE_COUNT), np.float32),
+        "contacts": ((rows, 4), np.uint8),
+        "ground": ((rows, 3), np.float32),
+        "types": ((rows,), np.int16),
+        "phases": ((rows,), np.float32),
+    }
+    writers: dict[str, ArrayWriter] = {}
+    try:
+        for name, (shape, dtype) in kinds.items():
+            writers[name] = ArrayWriter(folder, name, shape, dtype)
+        yield writers
+    finally:
+        for writer in writers.values():
+            writer.abandon()
 
 
 def _encode_file(
@@ -458,7 +507,7 @@ def _with_twin(
     twin = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
     if clip.split == "mirror":
         trains, tests = {**base, "split": "train"}, {**twin, "split": "test"}
-        if hashlib.sha256(clip.name.encode()).digest()[0] % 2:
+        if hashlib.sha256(clip.name.encode("utf-8", "surrogateescape")).digest()[0] % 2:
             trains, tests = {**twin, "split": "train"}, {**base, "split": "test"}
         return [Clip(**trains), Clip(**tests)]
     # A one-sided type whose other side the data does not know has no honest label for its mirror image.
