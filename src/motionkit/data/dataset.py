@@ -10,7 +10,6 @@ phases.npy      (N,) float32: progress through a flip, strike or jump (data/phas
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -20,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motionkit.data.checking import check_manifest, check_range, open_array, same_length
 from motionkit.data.events import SIDED
 from motionkit.data.folder import ARRAYS, MANIFEST, set_aside
 from motionkit.data.labels import mirrored_type
@@ -28,6 +28,7 @@ from motionkit.errors import DatasetError
 from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS, PoseOutline, fit_outline, guide_signal
 from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
 from motionkit.features.normalize import Scaling
+from motionkit.files import read_json
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
@@ -82,32 +83,38 @@ class Dataset:
             raise DatasetError(
                 f"{self.folder}: not a dataset folder (no manifest.json); make one with preprocess{former}"
             )
-        try:
-            self.manifest: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        except (OSError, ValueError) as error:
-            raise DatasetError(f"{path}: cannot be read ({error})") from None
+        opened = _identity(path)
+        self.manifest: dict[str, Any] = read_json(path, "the manifest of a dataset", DatasetError)
         if not isinstance(self.manifest, dict) or self.manifest.get("format") != FORMAT:
             found = self.manifest.get("format") if isinstance(self.manifest, dict) else None
-            raise DatasetError(f"{path}: dataset format {found!r}, expected {FORMAT}")
-        try:
-            self.types: tuple[str, ...] = tuple(self.manifest["types"])
-            self.fps: float = self.manifest["fps"]
-            self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
-            self.layout: FeatureLayout = feature_layout(self.manifest["layout"])
-        except (KeyError, TypeError) as error:
-            raise DatasetError(f"{path}: the manifest is damaged ({error})") from None
-        self._arrays = {name: self._open(name) for name in ARRAYS}
-
-    def _open(self, name: str) -> np.ndarray:
-        path = self.folder / f"{name}.npy"
-        try:
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
-        except (OSError, ValueError, EOFError) as error:
-            raise DatasetError(f"{path}: cannot be read ({str(error).splitlines()[0]})") from None
+            raise DatasetError(f"{path}: dataset format {str(found)[:40]!r}, expected {FORMAT}")
+        check_manifest(path, self.manifest, Clip)
+        self.types: tuple[str, ...] = tuple(self.manifest["types"])
+        self.fps: float = self.manifest["fps"]
+        self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
+        self.layout: FeatureLayout = feature_layout(self.manifest["layout"])
         rows = max((clip.start + clip.frames for clip in self.clips), default=0)
-        if array.ndim == 0 or len(array) < rows:
-            raise DatasetError(f"{path}: expected {rows} rows, found {array.shape[0] if array.ndim else 0}")
-        return array
+        self._arrays = {name: open_array(self._path(name), name, rows) for name in ARRAYS}
+        same_length(self.folder, self._arrays)
+        if _identity(path) != opened:
+            raise DatasetError(f"{self.folder}: was replaced while it was opened; try again")
+        for name in (
+            "contacts",
+            "ground",
+            "types",
+            "phases",
+        ):  # features, ten times as large, as they are read
+            most = len(self.types) - 1 if name == "types" else None
+            check_range(self._path(name), name, self._arrays[name], most=most)
+
+    def _path(self, name: str) -> Path:
+        return self.folder / f"{name}.npy"
+
+    def _features(self, start: int, end: int) -> Tensor:
+        """Rows start to end (exclusive) of the features; raises DatasetError for numbers that none can be."""
+        rows = np.array(self._arrays["features"][start:end])
+        check_range(self._path("features"), "features", rows, start)
+        return torch.from_numpy(rows)
 
     @cached_property
     def scaling(self) -> Scaling:
@@ -127,12 +134,17 @@ class Dataset:
     @cached_property
     def outline(self) -> PoseOutline:
         """What outlines of poses are made with: the directions in which training poses differ, rare types' more."""
-        clips = [clip for clip in self.select("train") if not clip.mirrored]
+        train = self.select("train")
+        if not train:
+            raise DatasetError(f"{self.folder}: no training clips")
+        clips = [clip for clip in train if not clip.mirrored] or train
         rows = np.concatenate([np.arange(clip.start, clip.start + clip.frames) for clip in clips])
         rows = rows[:: 1 + len(rows) // OUTLINE_FRAMES]
         types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
         weights = torch.bincount(types).double()[types] ** -OUTLINE_BALANCE
-        return fit_outline(torch.from_numpy(self._arrays["features"][rows]), weights, self.layout)
+        features = self._arrays["features"][rows]
+        check_range(self._path("features"), "features", features)
+        return fit_outline(torch.from_numpy(features), weights, self.layout)
 
     @cached_property
     def bodies(self) -> tuple[Tensor, ...]:
@@ -190,7 +202,7 @@ class Dataset:
         rows = slice(clip.start + start, clip.start + stop)
         # Guides look ahead of the last frame.
         beyond = clip.start + min(stop + GUIDE_OFFSETS[-1], clip.frames)
-        poses = torch.from_numpy(np.array(self._arrays["features"][rows.start : beyond]))
+        poses = self._features(rows.start, beyond)
         features = poses[: rows.stop - rows.start]
         contacts = torch.from_numpy(self._arrays["contacts"][rows].astype(np.float32))
         ground = torch.from_numpy(np.array(self._arrays["ground"][rows]))
@@ -223,6 +235,15 @@ def mirror_clip(
         mirror_phases(data.phases, sided_types[data.types]),
         data.guide,
     )
+
+
+def _identity(path: Path) -> tuple[int, ...]:
+    """What tells a file from the one that takes its place."""
+    try:
+        facts = path.stat()
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from None
+    return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns
 
 
 def _scaling(values: dict[str, list[float]]) -> Scaling:

@@ -26,6 +26,7 @@ import torch
 from torch import Tensor
 
 from motionkit import __version__
+from motionkit.data.checking import MAX_TYPES
 from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.folder import MANIFEST, MOTIONS, ArrayWriter, may_replace, put_in_place, staging_folder
@@ -49,7 +50,6 @@ from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skel
 
 FPS = 60.0
 MIN_CLIP_FRAMES = 16
-MAX_TYPES = 1000
 TEST_SHARE = 0.15  # of the clips of a type, where the labels do not say
 
 
