@@ -19,6 +19,10 @@ class BvhError(MotionkitError):
         super().__init__(f"{where}: {message}")
 
 
+class OverwriteError(MotionkitError):
+    """An output that would destroy what the command reads, or what it must not replace unasked."""
+
+
 class SkeletonError(MotionkitError):
     """A rig that cannot be mapped onto the canonical skeleton, or two rigs that do not match."""
 

@@ -1,6 +1,7 @@
 """The border to the file system: what is read is a regular file of bounded size, what is written appears whole.
 
-Also the one JSON reader, and names that every file system can hold.
+Also what stands below a folder, the one JSON reader, and names that every file system can hold. No output takes
+the place of what is read.
 """
 
 from __future__ import annotations
@@ -11,12 +12,12 @@ import os
 import re
 import stat
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any, BinaryIO
 
-from motionkit.errors import MotionkitError
+from motionkit.errors import MotionkitError, OverwriteError
 
 MAX_TEXT_BYTES = 64 * 2**20  # of a label table, a path or a JSON file
 MAX_JSON_DEPTH = 50
@@ -28,17 +29,15 @@ MAX_JSON_DIGITS = 40  # of a whole number: states of random generators have 39
 def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     """Open a file beside path for writing and put it in place when the block ends without a fault.
 
-    Raises MotionkitError if the place cannot be written (a missing folder, a full disk); path is
-    untouched then.
+    Missing folders above it are made. Raises MotionkitError if the place cannot be written (a folder is there,
+    the disk is full); path is untouched then.
     """
     path = Path(path)
-    if path.is_dir():
-        raise MotionkitError(f"{path}: is a folder, expected a file to write")
-    if path.exists() and not path.is_file():  # a rename would put a file where a device was
-        raise MotionkitError(f"{path}: is not a regular file, expected a file to write")
+    _check_place(path)
     temporary = ""
     try:
         target = Path(os.path.realpath(path))  # a link stays a link
+        target.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
         text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # the same bytes on all systems
         with os.fdopen(handle, mode, **text) as file:  # type: ignore[call-overload]
@@ -54,6 +53,85 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     finally:
         if temporary and os.path.exists(temporary):
             os.unlink(temporary)
+
+
+def _check_place(path: Path) -> None:
+    if path.is_dir():
+        raise MotionkitError(f"{path}: is a folder, expected a file to write")
+    if path.exists() and not path.is_file():  # a rename would put a file where a device was
+        raise MotionkitError(f"{path}: is not a regular file, expected a file to write")
+    above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
+    if not above.is_dir():
+        raise MotionkitError(f"{path}: cannot be written ({above} is not a folder)")
+
+
+def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | None]) -> None:
+    """Refuse, before any work, outputs that cannot be written or that would destroy something.
+
+    Args:
+        outputs: files that will be written, each as often as it will be written.
+        inputs: files that are read; None stands for one that was not given.
+
+    Raises:
+        OverwriteError: an output is one of the inputs, or would be written twice.
+        MotionkitError: an output cannot be a file.
+    """
+    read = {_identity(Path(path)) for path in inputs if path is not None}
+    written = set()
+    for path in map(Path, outputs):
+        _check_place(path)
+        identity = _identity(path)
+        if identity in read:
+            raise OverwriteError(f"{path}: is read by this command, choose another place for the output")
+        if identity in written:
+            raise OverwriteError(f"{path}: would be written twice, choose another name for the output")
+        written.add(identity)
+
+
+def _identity(path: Path) -> object:
+    """What two names of the same file share, a file that is yet to be written included."""
+    try:
+        status = path.stat()
+        return status.st_dev, status.st_ino
+    except OSError:
+        return os.path.realpath(path)
+
+
+# ---- folders ----
+
+
+def files_below(folder: str | Path, ending: str) -> list[Path]:
+    """All files below a folder whose names end so (in small or capital letters), sorted.
+
+    Links to folders are followed. A folder that is reached in several ways, or from inside itself, is taken
+    once: by its own place if that is below the folder, else by the first link.
+
+    Raises MotionkitError for a folder that cannot be listed.
+    """
+
+    if not Path(folder).is_dir():
+        return []
+
+    def refuse(error: OSError) -> None:
+        raise MotionkitError(f"{error.filename}: cannot be listed ({error.strerror})") from None
+
+    found: list[Path] = []
+    seen: set[str] = set()
+    links = [str(folder)]
+    while links:
+        for place, folders, names in os.walk(links.pop(0), onerror=refuse):
+            real = os.path.realpath(place)
+            if real in seen:
+                folders.clear()
+                continue
+            seen.add(real)
+            links += sorted(os.path.join(place, name) for name in folders if _is_link(place, name))
+            found += [Path(place, name) for name in names if name.lower().endswith(ending)]
+    return sorted(found)
+
+
+def _is_link(place: str, name: str) -> bool:
+    return os.path.islink(os.path.join(place, name))
 
 
 # ---- reading ----

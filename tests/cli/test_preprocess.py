@@ -110,6 +110,6 @@ def test_a_terminated_process_leaves_nothing_behind(tmp_path: Path) -> None:
         time.sleep(0.02)
     running.send_signal(signal.SIGTERM)
     out, err = running.communicate(timeout=50)
-    assert running.returncode == 1 and not out
+    assert running.returncode == 130 and not out
     assert err.strip() == "stopped"
     assert [p.name for p in tmp_path.iterdir()] == ["clips"]

@@ -139,4 +139,4 @@ def test_a_signal_during_an_import_waits_for_its_end(name: str, tmp_path: Path) 
     done = subprocess.run(
         [sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True, timeout=60
     )
-    assert (done.returncode, done.stdout.split(), done.stderr.split()) == (1, ["started"], ["stopped"])
+    assert (done.returncode, done.stdout.split(), done.stderr.split()) == (130, ["started"], ["stopped"])

@@ -11,9 +11,15 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from motionkit.files import safe_name
+from motionkit.names import visible
+
 if TYPE_CHECKING:
-    from rich.console import Console
     from rich.progress import Progress
+
+    from motionkit.cli.console import PlainConsole
+
+STOPPED = 130  # the exit code of a command that was stopped, as shells count
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, for machines.")
 
@@ -25,6 +31,7 @@ def seed_option(default: int = 0) -> Callable:
 
 def default_output(name: str, ending: str = ".bvh") -> Path:
     """A file in the current folder that does not exist yet."""
+    name = safe_name(name, 120)
     path = Path(f"{name}{ending}")
     number = 2
     while path.exists():
@@ -48,30 +55,32 @@ def plain(value: Any) -> Any:
     return value
 
 
-def stdout_console() -> Console:
+def say(text: str) -> None:
+    """One line of the result, on stdout."""
+    click.echo(visible(text))
+
+
+def remark(text: str) -> None:
+    """One line beside the result, on stderr."""
+    click.echo(visible(text), err=True)
+
+
+def stdout_console() -> PlainConsole:
     """Where results go."""
-    from rich.console import Console
+    from motionkit.cli.console import PlainConsole
 
-    return Console(file=sys.stdout, highlight=False, soft_wrap=True)
+    return PlainConsole(sys.stdout)
 
 
-def stderr_console() -> Console:
+def stderr_console() -> PlainConsole:
     """Where progress and remarks go."""
-    from rich.console import Console
+    from motionkit.cli.console import PlainConsole
 
-    return Console(file=sys.stderr, highlight=False, soft_wrap=True)
+    return PlainConsole(sys.stderr)
 
 
 def progress_bar() -> Progress:
     """A progress bar on stderr that leaves nothing behind; silent when stderr is not a terminal."""
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from motionkit.cli.console import make_progress
 
-    return Progress(
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TextColumn("{task.completed:.0f}/{task.total:.0f}"),
-        TimeRemainingColumn(),
-        console=stderr_console(),
-        transient=True,
-        disable=not sys.stderr.isatty(),
-    )
+    return make_progress(sys.stderr, disable=not sys.stderr.isatty())

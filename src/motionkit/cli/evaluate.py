@@ -19,8 +19,7 @@ from motionkit.cli.common import (
 from motionkit.cli.synthesis_options import make_noise, noise_options
 
 if TYPE_CHECKING:
-    from rich.console import Console
-
+    from motionkit.cli.console import PlainConsole
     from motionkit.evaluation.report import Scoreboard, Table
 
 
@@ -71,22 +70,32 @@ def command(
     from motionkit.data.dataset import Dataset
     from motionkit.evaluation.scoreboard import evaluate_model
     from motionkit.evaluation.settings import QUICK, EvaluationSettings
-    from motionkit.files import atomic_write
+    from motionkit.files import atomic_write, check_outputs
     from motionkit.models.bundled import open_model
 
     settings = replace(
         QUICK if quick else EvaluationSettings(), seed=seed, noise=make_noise(noise, temperature)
     )
     settings = settings if seeds is None else replace(settings, seeds=seeds)
+    check_outputs(output, [model, *dataset.glob("*")])
     loaded = open_model(model)
     with progress_bar() as bar:
-        task = bar.add_task("reading", total=100)
+        tasks = {"reading": bar.add_task("reading", total=None)}
+
+        def show(name: str, share: float) -> None:
+            if name not in tasks:
+                for task in tasks.values():
+                    bar.remove_task(task)
+                tasks.clear()
+                tasks[name] = bar.add_task(name, total=100)
+            bar.update(tasks[name], completed=100 * share)
+
         board = evaluate_model(
             loaded,
             Dataset(dataset),
             settings,
             sections,
-            lambda name, share: bar.update(task, description=name, completed=100 * share),
+            show,
         )
     board.about.update({"model": model, "dataset": str(dataset)})
     for file in output:
@@ -101,28 +110,27 @@ def command(
         _print(board, stdout_console())
 
 
-def _print(board: Scoreboard, console: Console) -> None:
+def _print(board: Scoreboard, console: PlainConsole) -> None:
     for section in board.sections:
-        console.print(f"\n{section.title}", style="bold", markup=False)
+        console.print()
+        console.print(section.title, style="bold")
         for table in section.tables:
             _print_table(table, console)
         for note in section.notes:
-            console.print(f"note: {note}", style="dim", markup=False)
-    console.print("\nTargets", style="bold")
+            console.print(f"note: {note}", style="dim")
+    console.print()
+    console.print("Targets", style="bold")
     _print_table(board.summary(), console)
 
 
-def _print_table(table: Table, console: Console) -> None:
-    from rich.markup import escape
+def _print_table(table: Table, console: PlainConsole) -> None:
     from rich.table import Table as RichTable
 
     from motionkit.evaluation.report import show
 
-    shown = RichTable(
-        title=escape(table.title), title_justify="left", box=None, header_style="bold", pad_edge=False
-    )
+    shown = RichTable(title=table.title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for column in table.columns:
-        shown.add_column(escape(column), overflow="fold")
+        shown.add_column(column, overflow="fold")
     for row in table.rows:
-        shown.add_row(*(escape(show(cell)) for cell in row))
+        shown.add_row(*(show(cell) for cell in row))
     console.print(shown)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, print_json
+from motionkit.cli.common import json_option, print_json, remark, say
 
 
 @click.command("export")
@@ -40,8 +40,10 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
     difference is printed.
     """
     from motionkit.apps.onnx_export import export_onnx
+    from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
 
+    check_outputs([path, path.with_suffix(".json")], [model_path])
     check = export_onnx(open_model(model_path), path, character, weights)
     if as_json:
         result: dict = {"file": str(path), "metadata": str(path.with_suffix(".json"))}
@@ -54,11 +56,11 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
             }
         print_json(result)
         return
-    click.echo(f"wrote {path} and {path.with_suffix('.json')}")
+    say(f"wrote {path} and {path.with_suffix('.json')}")
     if check is None:
-        click.echo("not checked: onnxruntime is not installed (pip install 'motionkit[onnx]')", err=True)
+        remark("not checked: onnxruntime is not installed (pip install 'motionkit[onnx]')")
         return
-    click.echo(
+    say(
         f"{check.frames} frames in closed loop: joints differ by at most {check.positions:.1e} cm, "
         f"normalised features by {check.features:.1e}; {check.frames_per_second:.0f} frames per second"
     )

@@ -6,21 +6,26 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import default_output, print_json, progress_bar, stdout_console
+from motionkit.cli.common import default_output, print_json, progress_bar
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
+    STDOUT,
+    announce,
+    check_stdout,
     make_noise,
     metrics_line,
     motion_metrics,
+    output_option,
+    shown_name,
     synthesis_options,
+    words_console,
+    write_motion,
 )
 
 
 @click.command("follow-path")
 @click.argument("path")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="The BVH file; named after the path by default."
-)
+@output_option("The BVH file; named after the path by default")
 @click.option(
     "--types",
     default="walking",
@@ -53,9 +58,9 @@ def command(
     named shape: line, circle, figure-eight, square, pentagram, u-turn. Prints how far the root's track
     is from the path.
     """
+    from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
-    from motionkit.motion.bvh import write_bvh
-    from motionkit.synthesis.follow import follow_path
+    from motionkit.synthesis.follow import expected_seconds, follow_path
     from motionkit.synthesis.path import read_path, shape_path
     from motionkit.synthesis.synthesize import SynthesisOptions
 
@@ -65,14 +70,19 @@ def command(
         raise click.UsageError("--types names no motion type")
     if is_file and (size is not None or speed is not None):
         raise click.UsageError("--size and --speed belong to named shapes; a path file says its own")
+    check_stdout(output, {"--view": view, "--json": as_json})
     target = read_path(path) if is_file else shape_path(path, size, kinds, speed)
+    file = output or default_output(f"{Path(path).stem}-{target.parts[0].type}")
+    page_file = file.with_suffix(".html")
+    inputs = (path if is_file else None, model_path, init)
+    check_outputs([file, page_file] if view else [] if file == STDOUT else [file], inputs)
     model = open_model(model_path)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature), character, init, ik, fps)
+    announce(expected_seconds(model, target), model.fps, options)
     with progress_bar() as bar:
         task = bar.add_task("following", total=100)
         result = follow_path(model, target, options, lambda share: bar.update(task, completed=100 * share))
-    file = output or default_output(f"{Path(path).stem}-{target.parts[0].type}")
-    write_bvh(file, result.motion)
+    write_motion(file, result.motion)
     metrics = motion_metrics(result.motion)
     parts = [
         {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
@@ -85,7 +95,7 @@ def command(
         times = [frames / model.fps for frames in result.part_frames]
         bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
         shown = Shown(file.stem, result.motion, bands, target.points)
-        page = write_and_open(file.with_suffix(".html"), [shown], as_json)
+        page = write_and_open(page_file, [shown], as_json)
     if as_json:
         print_json(
             {
@@ -104,24 +114,21 @@ def command(
             }
         )
         return
-    out = stdout_console()
+    out = words_console(output)
     end = "reached the end" if result.finished else "did not reach the end"
     out.print(
-        f"wrote {file}: {result.frames / model.fps:.1f} s along {target.length / 100:.1f} m, {end}",
-        markup=False,
+        f"wrote {shown_name(file)}: {result.frames / model.fps:.1f} s along {target.length / 100:.1f} m, {end}",
     )
     for number, part in enumerate(parts, 1):
         if part["mean_cm"] is None:
-            out.print(f"  part {number} {part['type']}: not reached", markup=False)
+            out.print(f"  part {number} {part['type']}: not reached")
         else:
             out.print(
                 f"  part {number} {part['type']}: {part['mean_cm']:.2f} cm per frame, at most {part['max_cm']:.1f} cm",
-                markup=False,
             )
     out.print(
         f"trajectory distance {result.distance.mean:.2f} cm per frame, at most {result.distance.max:.1f} cm",
-        markup=False,
     )
-    out.print(f"  {metrics_line(metrics)}", markup=False)
+    out.print(f"  {metrics_line(metrics)}")
     if page:
-        out.print(f"wrote {page}", markup=False)
+        out.print(f"wrote {page}")

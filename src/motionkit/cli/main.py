@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import importlib
+import io
+import os
 import signal
 import sys
+import time
 from types import FrameType
+from typing import Any
 
 import click
 
 from motionkit import __version__
-from motionkit.errors import MotionkitError
+from motionkit.cli.common import STOPPED, remark
+from motionkit.errors import MotionkitError, OverwriteError
 
 # Command name to the module under motionkit.cli that defines it as `command`.
 COMMANDS = {
@@ -27,8 +32,19 @@ COMMANDS = {
 }
 
 
+class Stopped(Exception):
+    """The user, or a SIGTERM, has stopped the command."""
+
+
 class CommandGroup(click.Group):
     """Imports a subcommand only when it is asked for, so that `--help` answers at once."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the subcommand; a stop passes click, which would write an empty line, as an exception of ours."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise Stopped from None
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(COMMANDS)
@@ -44,23 +60,40 @@ class CommandGroup(click.Group):
 def cli() -> None:
     """Human motion: train a model on BVH files, control it, write BVH.
 
-    Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage.
+    Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage, 130 stopped.
     """
 
 
 # Seconds until a signal that came during an import is looked at again.
 _IMPORT_WAIT = 0.02
+# Seconds after a signal in which another one changes nothing: what was half written is taken away meanwhile.
+_PATIENCE = 2.0
+_stopped_at = -_PATIENCE
+_told = False
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
     """A terminated command stops as with Ctrl-C, and takes what it has half written away.
 
-    Not in the middle of an import: compiled libraries (torch, PyGLM) crash when their start is broken off.
+    Not in the middle of an import: compiled libraries (torch, PyGLM) crash when their start is broken off. The
+    user is told at once all the same.
     """
+    global _stopped_at
     if _importing(frame) and hasattr(signal, "setitimer"):
+        _tell_stopped()
         signal.setitimer(signal.ITIMER_REAL, _IMPORT_WAIT)
-    else:
+    elif time.monotonic() - _stopped_at > _PATIENCE:
+        _stopped_at = time.monotonic()
         raise KeyboardInterrupt
+
+
+def _tell_stopped() -> None:
+    """Say it once; written past Python's buffers, which a signal may have come into."""
+    global _told
+    if not _told:
+        _told = True
+        after_caret_c = os.linesep if os.isatty(2) else ""
+        os.write(2, f"{after_caret_c}stopped{os.linesep}".encode())
 
 
 def _importing(frame: FrameType | None) -> bool:
@@ -72,37 +105,57 @@ def _importing(frame: FrameType | None) -> bool:
 
 
 def _catch_signals() -> None:
+    global _stopped_at, _told
+    _stopped_at, _told = -_PATIENCE, False
     for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # the last is the timer's, where there is one
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
 
 
+def _show_any_text() -> None:
+    """Characters that the terminal's encoding lacks are shown as codes, instead of ending the command."""
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+
 def main() -> None:
     """Entry point of the console script."""
+    _show_any_text()
     _catch_signals()
     try:
         cli.main(standalone_mode=False)
     except click.UsageError as error:
-        error.show()
+        _show(error)
         sys.exit(2)
     except click.ClickException as error:
-        error.show()
+        _show(error)
         sys.exit(error.exit_code)
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
-    except (click.Abort, KeyboardInterrupt):
-        click.echo("stopped", err=True)
-        sys.exit(1)
+    except (Stopped, click.Abort, KeyboardInterrupt):
+        _tell_stopped()
+        sys.exit(STOPPED)
     except MotionkitError as error:
-        click.echo(f"error: {error}", err=True)
+        remark(f"error: {error}")
+        sys.exit(2 if isinstance(error, OverwriteError) else 1)
+    except MemoryError:
+        remark("error: not enough memory")
         sys.exit(1)
     except BrokenPipeError:
         sys.stderr.close()
         sys.exit(1)
     except OSError as error:
-        click.echo(f"error: {error.filename or 'file system'}: {error.strerror or error}", err=True)
+        remark(f"error: {error.filename or 'file system'}: {error.strerror or error}")
         sys.exit(1)
+
+
+def _show(error: click.ClickException) -> None:
+    with io.StringIO() as shown:
+        error.show(shown)
+        for line in shown.getvalue().rstrip("\n").split("\n"):
+            remark(line)
 
 
 if __name__ == "__main__":

@@ -108,7 +108,7 @@ def command(
         return
     _print_table(report, paired=generated is not None)
     if page:
-        stdout_console().print(f"wrote {page}", markup=False)
+        stdout_console().print(f"wrote {page}")
 
 
 def _view(
@@ -143,11 +143,12 @@ def _print_table(report: MetricReport, paired: bool) -> None:
         table.add_row(row.id, *cells, row.motion.unit)
     console = stdout_console()
     console.print(table)
-    console.print(f"\n{report.frames} frames at {report.fps:g} fps")
+    console.print()
+    console.print(f"{report.frames} frames at {report.fps:g} fps")
     for note in _remarks(report):
-        console.print(f"note: {note}", markup=False)
+        console.print(f"note: {note}")
     for line in _thresholds(report):
-        console.print(line, style="dim", markup=False)
+        console.print(line, style="dim")
 
 
 def _number(value: float | None) -> str:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, print_json, progress_bar
+from motionkit.cli.common import json_option, print_json, progress_bar, remark, say
 from motionkit.errors import MotionkitError
 
 
@@ -19,7 +19,8 @@ def command(source: Path, target: Path, strict: bool, as_json: bool) -> None:
     """Write the mirror image of a BVH file: same hierarchy, same channels, left and right exchanged.
 
     SOURCE and TARGET are two files, or two folders; then every .bvh file below SOURCE is mirrored into
-    the same place below TARGET.
+    the same place below TARGET. Links to folders are followed. What is read is never overwritten: TARGET
+    is another file, or a folder outside SOURCE.
     """
     if source.is_dir():
         _mirror_folder(source, target, strict, as_json)
@@ -30,7 +31,7 @@ def command(source: Path, target: Path, strict: bool, as_json: bool) -> None:
     if as_json:
         print_json({"mirrored": [{"file": str(source), "output": str(target)}], "failed": []})
     else:
-        click.echo(f"{target}: the mirror image of {source}")
+        say(f"{target}: the mirror image of {source}")
 
 
 def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> None:
@@ -40,8 +41,11 @@ def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> N
     failed: list[dict[str, str]] = []
     with progress_bar() as progress:
         task = progress.add_task("mirroring", total=None)
-        for path, error in mirror_folder(source, target, strict):
-            progress.advance(task)
+
+        def show(done: int, total: int) -> None:
+            progress.update(task, completed=done, total=total)
+
+        for path, error in mirror_folder(source, target, strict, show):
             if error is None:
                 mirrored.append({"file": str(path), "output": str(target / path.relative_to(source))})
             else:
@@ -49,8 +53,8 @@ def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> N
     if as_json:
         print_json({"mirrored": mirrored, "failed": failed})
     else:
-        click.echo(f"{target}: {len(mirrored)} of {len(mirrored) + len(failed)} files mirrored")
+        say(f"{target}: {len(mirrored)} of {len(mirrored) + len(failed)} files mirrored")
     for fault in failed:
-        click.echo(f"skipped: {fault['error']}", err=True)
+        remark(f"skipped: {fault['error']}")
     if failed:
         raise MotionkitError(f"{len(failed)} of {len(mirrored) + len(failed)} files could not be mirrored")

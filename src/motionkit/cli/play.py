@@ -7,6 +7,8 @@ from pathlib import Path
 
 import click
 
+from motionkit.cli.common import remark, say
+
 
 def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
     if value is None:
@@ -87,12 +89,12 @@ def command(
             }
             click.echo(json.dumps(places))
         else:
-            click.echo(addresses.socket if headless else addresses.url)
+            say(addresses.socket if headless else addresses.url)
             if addresses.tcp:
-                click.echo(f"newline JSON on {addresses.tcp[0]}:{addresses.tcp[1]}", err=True)
+                remark(f"newline JSON on {addresses.tcp[0]}:{addresses.tcp[1]}")
             if addresses.vmc:
-                click.echo(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}", err=True)
-            click.echo("Ctrl-C ends", err=True)
+                remark(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}")
+            remark("Ctrl-C ends")
         if not headless and not no_open:
             open_in_browser(addresses.url)
 
@@ -103,4 +105,4 @@ def command(
             asyncio.run(PlayServer(session, options).run(ready))
         except KeyboardInterrupt:
             pass  # where the system has no signal handlers for the loop
-    click.echo("stopped", err=True)
+    remark("stopped")

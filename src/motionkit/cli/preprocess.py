@@ -79,8 +79,9 @@ def command(
     """Turn folders of BVH files (DATA) into a dataset for training.
 
     Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
-    the 276 numbers per frame, with mirrored twins and a train/test split. Files that cannot be used are
-    skipped and listed; the dataset then holds the others and the exit code is 1.
+    the 276 numbers per frame, with mirrored twins and a train/test split. Links to
+    folders are followed. Files that cannot be used are skipped and listed; the dataset then holds the
+    others and the exit code is 1.
     """
     from motionkit.data.preprocess import PreprocessOptions, preprocess
 
@@ -145,7 +146,7 @@ def _print(report: PreprocessReport) -> None:
     remarks = stderr_console()
     for file in skipped[:SHOWN_SKIPS]:
         reason = file.skipped
-        remarks.print(f"skipped {reason if file.name in reason else f'{file.name}: {reason}'}", markup=False)
+        remarks.print(f"skipped {reason if file.name in reason else f'{file.name}: {reason}'}")
     if len(skipped) > SHOWN_SKIPS:
         remarks.print(f"... and {len(skipped) - SHOWN_SKIPS} more; --json lists all")
 
@@ -161,7 +162,7 @@ def _print_work(report: PreprocessReport) -> None:
     pops = sum(len(file.cleaning["pops"]) for file in used)
     moved = [file for file in used if abs(file.cleaning["floor_shift"]) >= 0.5]
     out = stdout_console()
-    out.print("units: " + "; ".join(f"{name} ({count})" for name, count in units.most_common()), markup=False)
+    out.print("units: " + "; ".join(f"{name} ({count})" for name, count in units.most_common()))
     if missing:
         listed = ", ".join(f"{name} ({count})" for name, count in missing.most_common())
         out.print(f"joints without a source, kept fixed: {listed}")

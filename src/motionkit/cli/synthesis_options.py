@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import json_option, seed_option
+from motionkit.cli.common import json_option, remark, seed_option, stderr_console, stdout_console
 from motionkit.cli.showing import view_option
 
 if TYPE_CHECKING:
+    from motionkit.cli.console import PlainConsole
     from motionkit.motion.motion import Motion
     from motionkit.synthesis.rollout import Noise
+    from motionkit.synthesis.synthesize import SynthesisOptions
 
 SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
+
+
+STDOUT = Path("-")
+LONG_SECONDS = 900.0  # of motion, from which on a command says so before it begins
 
 
 def noise_options(function: Callable) -> Callable:
@@ -75,6 +84,58 @@ def synthesis_options(function: Callable) -> Callable:
     for option in reversed(options):
         function = option(function)
     return function
+
+
+def output_option(text: str) -> Callable:
+    """The -o of commands that write BVH, to a file or to standard output."""
+    kind: Any = click.Path(path_type=Path)
+    return click.option(
+        "-o", "--output", type=kind, help=f"{text}; - writes to standard output, and messages to stderr."
+    )
+
+
+def check_stdout(output: Path | None, others: dict[str, bool]) -> None:
+    """Raise UsageError where the BVH goes to standard output beside options that do not go with that."""
+    for name, given in others.items():
+        if output == STDOUT and given:
+            raise click.UsageError(f"{name} does not go with -o -, one motion on standard output")
+
+
+def write_motion(path: Path, motion: Motion) -> None:
+    """Write BVH to a file or, for "-", to standard output, and there too nothing if it cannot be written."""
+    from motionkit.motion.bvh import write_bvh
+
+    if path != STDOUT:
+        write_bvh(path, motion)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        made = Path(folder) / "motion.bvh"
+        write_bvh(made, motion)
+        with made.open("rb") as file:
+            shutil.copyfileobj(file, sys.stdout.buffer)
+    sys.stdout.buffer.flush()
+
+
+def shown_name(path: str | Path) -> str:
+    """The name of an output as a reader knows it."""
+    return "standard output" if Path(path) == STDOUT else str(path)
+
+
+def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
+    """Say before long work how much it is; raises ControlError for more than can be made."""
+    from motionkit.synthesis.synthesize import check_size
+
+    check_size(seconds, model_fps, options)
+    if seconds * options.count < LONG_SECONDS:
+        return
+    each = "" if options.count == 1 else f"{options.count} motions of "
+    hours = f"{seconds:.0f} s" if seconds < 3600 else f"{seconds / 3600:.1f} hours"
+    remark(f"{each}{hours} of motion are to be made, which can take minutes; Ctrl-C stops")
+
+
+def words_console(output: Path | None) -> PlainConsole:
+    """Where a command tells what it made: on stdout, unless the motion goes there."""
+    return stderr_console() if output == STDOUT else stdout_console()
 
 
 def make_noise(kind: str, temperature: float | None) -> Noise:

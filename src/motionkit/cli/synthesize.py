@@ -10,10 +10,17 @@ import click
 from motionkit.cli.common import default_output, print_json, progress_bar, stdout_console
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
+    STDOUT,
+    announce,
+    check_stdout,
     make_noise,
     metrics_line,
     motion_metrics,
+    output_option,
+    shown_name,
     synthesis_options,
+    words_console,
+    write_motion,
 )
 
 if TYPE_CHECKING:
@@ -28,9 +35,7 @@ if TYPE_CHECKING:
     "Given more than once, the characters of --count take them in turn.",
 )
 @click.option("--list-types", is_flag=True, help="List the model's motion types and characters.")
-@click.option(
-    "-o", "--output", type=click.Path(path_type=Path), help="The BVH file; named after the types by default."
-)
+@output_option("The BVH file; named after the types by default")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 3600),
@@ -66,6 +71,7 @@ def command(
     With nothing but --types the bundled model is used and the file is written to the current folder.
     The same seed gives the same file.
     """
+    from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
 
     if list_types:
@@ -80,50 +86,58 @@ def command(
 
         if count > MAX_MOTIONS:
             raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
-    from motionkit.motion.bvh import write_bvh
     from motionkit.synthesis.plan import parse_types
     from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 
+    count = max(count, len(types))
+    check_stdout(output, {"--view": view, "--json": as_json, f"--count {count}": count > 1})
     model = open_model(model_path)
     plans = [parse_types(text, seconds, model.phase_seconds) for text in types]
     for part in (part for plan in plans for part in plan):
         model.type_id(part.type)
-    count = max(count, len(plans))
+    base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
+    files = [base] if count == 1 else [_numbered(base, number, count) for number in range(1, count + 1)]
+    page_file = [base.with_suffix(".html")] if view else []
+    check_outputs([] if base == STDOUT else files + page_file, (model_path, init))
     options = SynthesisOptions(count, seed, make_noise(noise, temperature), character, init, ik, fps)
     frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
+    announce(frames / model.fps, model.fps, options)
     with progress_bar() as bar:
         task = bar.add_task("synthesizing", total=frames)
         result = synthesize(model, plans, options, lambda done: bar.update(task, completed=done))
-    base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
     made: list[dict[str, Any]] = []
-    for number, synthesis in enumerate(result.motions, 1):
-        path = base if count == 1 else base.with_name(f"{base.stem}-{number:0{len(str(count))}}{base.suffix}")
-        write_bvh(path, synthesis.motion)
-        made.append(
-            {
-                "file": str(path),
-                "frames": len(synthesis.motion),
-                "fps": synthesis.motion.fps,
-                "types": [[part.type, part.seconds] for part in synthesis.types],
-                "metrics": motion_metrics(synthesis.motion),
-            }
-        )
+    with progress_bar() as bar:
+        for path, synthesis in zip(bar.track(files, description="writing"), result.motions, strict=True):
+            write_motion(path, synthesis.motion)
+            made.append(
+                {
+                    "file": str(path),
+                    "frames": len(synthesis.motion),
+                    "fps": synthesis.motion.fps,
+                    "types": [[part.type, part.seconds] for part in synthesis.types],
+                    "metrics": motion_metrics(synthesis.motion),
+                }
+            )
     page = _view(base, made, result, as_json) if view else None
     rate = result.frames / max(result.seconds, 1e-9)
     if as_json:
         shown = {"roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": seed}
         print_json({"motions": made, **shown, **({"view": str(page)} if page else {})})
         return
-    out = stdout_console()
+    out = words_console(output)
     for entry in made:
         kinds = ", ".join(f"{kind} {time:g} s" for kind, time in entry["types"])
         out.print(
-            f"wrote {entry['file']}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps", markup=False
+            f"wrote {shown_name(entry['file'])}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps",
         )
-        out.print(f"  {metrics_line(entry['metrics'])}", markup=False)
-    out.print(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second", markup=False)
+        out.print(f"  {metrics_line(entry['metrics'])}")
+    out.print(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second")
     if page:
-        out.print(f"wrote {page}", markup=False)
+        out.print(f"wrote {page}")
+
+
+def _numbered(base: Path, number: int, count: int) -> Path:
+    return base.with_name(f"{base.stem}-{number:0{len(str(count))}}{base.suffix}")
 
 
 def _view(base: Path, made: list[dict[str, Any]], result: SynthesisResult, quiet: bool) -> Path:
@@ -142,5 +156,5 @@ def _list(model: Any, as_json: bool) -> None:
         print_json({"types": list(model.types), "characters": list(model.characters), "fps": model.fps})
         return
     out = stdout_console()
-    out.print("types: " + ", ".join(model.types), markup=False)
-    out.print("characters: " + ", ".join(model.characters), markup=False)
+    out.print("types: " + ", ".join(model.types))
+    out.print("characters: " + ", ".join(model.characters))

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import json_option, print_json, seed_option, stderr_console, stdout_console
+from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, stderr_console, stdout_console
+from motionkit.errors import OverwriteError
+from motionkit.files import check_outputs
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -59,6 +61,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     "--minutes", type=click.FloatRange(min=0.01), help="Train for so long; 30 if no --steps are given."
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Train for so many steps.")
+@click.option("--force", is_flag=True, help="Train anew over a model or a run folder that is there.")
 @click.option("--resume", is_flag=True, help="Go on from the run folder's checkpoint.")
 @click.option(
     "--init",
@@ -128,6 +131,7 @@ def command(
     minutes: float | None,
     steps: int | None,
     resume: bool,
+    force: bool,
     init: str | None,
     batch: int | None,
     window: int | None,
@@ -149,6 +153,10 @@ def command(
     Writes a checkpoint every 40 seconds; Ctrl-C writes the model as it is and --resume goes on as if
     nothing had happened. Several processes: torchrun --nproc-per-node N -m motionkit train DATASET ...
     """
+    check_outputs([output], [init if init != "bundled" else None, *dataset.glob("*")])
+    if not resume and not force:
+        _refuse_to_replace(output, run_folder or output.with_suffix(".run"))
+
     from motionkit.training.presets import train_options
     from motionkit.training.trainer import train
 
@@ -190,10 +198,15 @@ def command(
     stdout_console().print(
         f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; loss {result.losses.get('total', 0):.2f}; "
         f"wrote {result.model}",
-        markup=False,
     )
     if not result.finished:
-        sys.exit(1)
+        sys.exit(STOPPED)
+
+
+def _refuse_to_replace(model: Path, run_folder: Path) -> None:
+    for path in (model, run_folder / "checkpoint.safetensors"):
+        if path.exists():
+            raise OverwriteError(f"{path}: exists; go on with --resume, or train anew over it with --force")
 
 
 class _Monitor:
@@ -223,14 +236,14 @@ class _Monitor:
         if self.quiet:
             return
         if event.kind == "note":
-            self.console.print(event.text, markup=False)
+            self.console.print(event.text)
         elif event.kind == "score":
             self.console.print(_score_table(event))
         elif event.kind == "log" and self.live is not None:
             self.live.update(_loss_table(event))
         elif event.kind == "log":
             losses = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
-            self.console.print(f"step {event.step} {event.seconds:.0f} s {losses}", markup=False)
+            self.console.print(f"step {event.step} {event.seconds:.0f} s {losses}")
 
 
 def _loss_table(event: TrainEvent):

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import default_output, json_option, print_json, progress_bar
+from motionkit.cli.common import default_output, json_option, print_json, progress_bar, say
 from motionkit.cli.showing import open_in_browser
+from motionkit.names import visible
 
 if TYPE_CHECKING:
     from motionkit.apps.figure_data import Shown
@@ -73,17 +74,19 @@ def command(
     browser: one HTML file with everything in it, to keep or to send.
     """
     from motionkit.apps.figure_data import Shown
+    from motionkit.files import check_outputs
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
     target = output or default_output(clips[0].stem, ".html")
     _check_options(context, target)
+    check_outputs([target], [*clips, path_file])
     path = None
     if path_file is not None:
         from motionkit.synthesis.path import read_path
 
         path = read_path(path_file).points
     shown = [
-        Shown(name, bvh_to_motion(read_bvh(clip)), path=path)
+        Shown(visible(name), bvh_to_motion(read_bvh(clip)), path=path)
         for name, clip in zip(_names(clips), clips, strict=True)
     ]
     _write(target, shown, poses, every, width)
@@ -96,7 +99,7 @@ def command(
     if as_json:
         print_json({"output": str(target), "clips": facts})
     else:
-        click.echo(f"{target}: {len(clips)} {'clip' if len(clips) == 1 else 'clips'}")
+        say(f"{target}: {len(clips)} {'clip' if len(clips) == 1 else 'clips'}")
 
 
 def _names(clips: Sequence[Path]) -> list[str]:

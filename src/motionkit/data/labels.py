@@ -12,7 +12,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from motionkit.errors import DatasetError
-from motionkit.files import read_text
+from motionkit.files import files_below, read_text
 
 MAX_FRAME = 10**9
 MAX_NAME = 100
@@ -60,7 +60,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
         if folder.is_file():
             found.append((folder, folder.parent))
             continue
-        found.extend((path, folder) for path in sorted(folder.rglob("*")) if path.suffix.lower() == ".bvh")
+        found.extend((path, folder) for path in files_below(folder, ".bvh"))
     if not found:
         raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh files found")
     table = labels if labels is not None else _nearby_labels(folders)

@@ -8,13 +8,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
 import os
-import signal
-import threading
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -34,6 +30,7 @@ from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
+from motionkit.data.workers import Map, worker_processes
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
@@ -182,40 +179,20 @@ def _drop_motions(prepared: list[_Prepared], staging: Path) -> None:
     (staging / MOTIONS).rmdir()
 
 
-def _start_worker() -> None:
-    """One thread; Ctrl-C is the parent's to answer; and an end with the parent, however that ends."""
-    torch.set_num_threads(1)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = multiprocessing.parent_process()
-
-    def watch() -> None:
-        if parent is not None:
-            parent.join()
-            os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
-
-
-# Maps a function over items, in order.
-_Map = Callable[[Callable, list], Iterator]
 # A process takes seconds to import torch: below this many files for each it does not pay.
 _FILES_PER_PROCESS = 40
 
 
+def _single_thread() -> None:
+    torch.set_num_threads(1)
+
+
 @contextmanager
-def _processes(jobs: int, files: int) -> Iterator[_Map]:
+def _processes(jobs: int, files: int) -> Iterator[Map]:
     """A map over files, by one pool of processes for both passes where that pays."""
     wanted = jobs if jobs > 0 else min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
-    if wanted <= 1:
-        yield map
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(wanted, mp_context=context, initializer=_start_worker) as pool:
-        try:
-            yield lambda function, items: pool.map(function, items, chunksize=1)
-        except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            raise
+    with worker_processes(wanted, _single_thread) as each:
+        yield each
 
 
 # ---- pass one: read, map, clean, resample, cut ----
@@ -225,7 +202,7 @@ def _pass_one(
     sources: list[SourceFile],
     staging: Path,
     options: PreprocessOptions,
-    each: _Map,
+    each: Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> list[_Prepared]:
     (staging / MOTIONS).mkdir()
@@ -349,7 +326,7 @@ def _pass_two(
     prepared: list[_Prepared],
     staging: Path,
     options: PreprocessOptions,
-    each: _Map,
+    each: Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], PreprocessReport]:
     references = _references(prepared)

@@ -84,6 +84,7 @@ def evaluate_model(
                 if progress:
                     progress(name, share)
 
+            report(0.0)
             section = SECTIONS[name](trial, report)
             sections.append(replace(section, seconds=time.perf_counter() - began))
     return Scoreboard(settings.as_dict(), sections)

@@ -184,12 +184,22 @@ def evaluate_files(
     """
     first, notes = load_canonical(ground_truth, scales[0], rates[0])
     if generated is None:
-        report = evaluate_motion(first, None, settings, skip)
+        report = _named(str(ground_truth), lambda: evaluate_motion(first, None, settings, skip))
     else:
         second, more = load_canonical(generated, scales[1], rates[1])
         notes += more
-        report = evaluate_motion(second, first, settings, skip, align_start)
+        report = _named(
+            f"{ground_truth} and {generated}",
+            lambda: evaluate_motion(second, first, settings, skip, align_start),
+        )
     return replace(report, notes=(*notes, *report.notes))
+
+
+def _named(files: str, evaluate: Callable[[], MetricReport]) -> MetricReport:
+    try:
+        return evaluate()
+    except MotionkitError as error:
+        raise MotionkitError(f"{files}: {error}") from None
 
 
 def placed_like(motion: Motion, reference: Motion) -> Motion:

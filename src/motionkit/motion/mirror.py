@@ -11,7 +11,7 @@ mirror image of all positions when left and right are equally long.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,7 +20,8 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.errors import MotionkitError, OverwriteError, SkeletonError
+from motionkit.files import check_outputs, files_below
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -367,7 +368,8 @@ def _half_turn_shift(angles: NDArray[np.float64], sign: float) -> float:
 
 
 def mirror_file(source: str | Path, target: str | Path) -> None:
-    """Read a BVH file and write its mirror image; raises MotionkitError that names the file."""
+    """Read a BVH file and write its mirror image elsewhere; raises MotionkitError that names the file."""
+    check_outputs([target], [source])
     bvh = read_bvh(source)
     try:
         mirrored = mirror_bvh(bvh)
@@ -377,21 +379,34 @@ def mirror_file(source: str | Path, target: str | Path) -> None:
 
 
 def mirror_folder(
-    source: str | Path, target: str | Path, strict: bool = False
+    source: str | Path,
+    target: str | Path,
+    strict: bool = False,
+    progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Path, MotionkitError | None]]:
     """Mirror every BVH file below a folder into the same places below another, one at a time.
 
-    Yields each file with None, or with its fault if it could not be mirrored; strict raises that fault.
-    Raises MotionkitError if there is no BVH file.
+    Yields each file with None, or with its fault if it could not be mirrored; strict raises that fault. progress
+    is called with files done and files in all.
+
+    Raises:
+        OverwriteError: before anything is written, if a target would be a source, now or at the next call.
+        MotionkitError: if there is no BVH file.
     """
     source, target = Path(source), Path(target)
-    found = sorted(path for path in source.rglob("*") if path.suffix.lower() == ".bvh" and path.is_file())
+    if target.resolve().is_relative_to(source.resolve()):
+        raise OverwriteError(
+            f"{target}: lies in {source}, which is read; choose another place for the output"
+        )
+    found = files_below(source, ".bvh")
     if not found:
         raise MotionkitError(f"{source}: no BVH file in this folder, expected names that end with .bvh")
-    for path in found:
-        place = target / path.relative_to(source)
+    places = [target / path.relative_to(source) for path in found]
+    check_outputs(places, found)
+    for done, (path, place) in enumerate(zip(found, places, strict=True)):
+        if progress:
+            progress(done, len(found))
         try:
-            _make_folder(place.parent)
             mirror_file(path, place)
         except MotionkitError as error:
             if strict:
@@ -399,10 +414,3 @@ def mirror_folder(
             yield path, error
         else:
             yield path, None
-
-
-def _make_folder(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise MotionkitError(f"{path}: cannot be made a folder ({error.strerror or error})") from None

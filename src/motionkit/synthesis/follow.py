@@ -20,7 +20,7 @@ from motionkit.synthesis.path import SPACING, Path2D
 from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState
 from motionkit.synthesis.start import clip_start, seed_start
 from motionkit.synthesis.steering import STEERED_TYPES
-from motionkit.synthesis.synthesize import SynthesisOptions, finish_motion, inner_threads
+from motionkit.synthesis.synthesize import SynthesisOptions, check_size, finish_motion, inner_threads
 
 # The place on the path is sought from a little behind the last one to a little ahead, so that a path
 # that crosses itself is not cut short.
@@ -67,10 +67,7 @@ class PathFollower:
         self.types = torch.tensor([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
         gaits = [model.gaits.get(part.type) for part in path.parts]
-        typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
-        self.speeds = torch.tensor(
-            [part.speed if part.speed is not None else s for part, s in zip(path.parts, typical, strict=True)]
-        ).clamp(min=20.0)
+        self.speeds = part_speeds(model, path)
         self.facings = torch.tensor([0.0 if gait is None else gait.facing for gait in gaits])
         self.entered = -1  # the part the character is on
         self.arc = 0.0
@@ -79,7 +76,7 @@ class PathFollower:
     @property
     def expected_seconds(self) -> float:
         """How long the path takes at the asked speeds."""
-        return float((SPACING / self.speeds[self.path.part]).sum())
+        return _seconds_along(self.path, self.speeds)
 
     def __call__(self, frame: int, ground: Tensor) -> FrameControls:
         self.arc = self._project(ground[0, :2])
@@ -138,6 +135,24 @@ class PathFollower:
         return torch.nn.functional.one_hot(kinds, self.type_count).float().mean(dim=0)
 
 
+def part_speeds(model: MotionModel, path: Path2D) -> Tensor:
+    """Speed (N,) in cm/s on each part of the path: what is asked for, else what is usual for its type."""
+    gaits = [model.gaits.get(part.type) for part in path.parts]
+    typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
+    return torch.tensor(
+        [part.speed if part.speed is not None else s for part, s in zip(path.parts, typical, strict=True)]
+    ).clamp(min=20.0)
+
+
+def expected_seconds(model: MotionModel, path: Path2D) -> float:
+    """How long the path takes at the asked speeds."""
+    return _seconds_along(path, part_speeds(model, path))
+
+
+def _seconds_along(path: Path2D, speeds: Tensor) -> float:
+    return float((SPACING / speeds[path.part]).sum())
+
+
 def follow_path(
     model: MotionModel,
     path: Path2D,
@@ -147,13 +162,14 @@ def follow_path(
     """Synthesize a motion along a path; the same seed gives the same motion.
 
     Raises:
-        ControlError: for an unknown type or character.
+        ControlError: for an unknown type or character, or a path that takes too long.
     """
     options = options or SynthesisOptions(noise=Noise())
     skeleton = model.character(options.character)
     if options.count != 1:
         raise ControlError("a path is followed by one character at a time")
     first = path.parts[0].type
+    check_size(expected_seconds(model, path), model.fps, options)
     weights = torch.zeros(1, len(model.types))
     weights[0, model.type_id(first)] = 1.0
     start = seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)

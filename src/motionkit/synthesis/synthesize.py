@@ -23,6 +23,8 @@ from motionkit.synthesis.start import clip_start, seed_start
 
 # Characters from which on the cores share the work.
 SHARED_FROM = 32
+# Frames of all characters together, or of the files written: four gigabytes of memory.
+MAX_FRAMES = 500_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,13 +80,14 @@ def synthesize(
     in turn, as they do the names in options.character, which commas separate.
 
     Raises:
-        ControlError: for an unknown type or character, or a count below one.
+        ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
     """
     options = options or SynthesisOptions()
     count = options.count
     if count < 1:
         raise ControlError(f"expected a count of at least 1, found {count}")
     plans = _plans(parts)
+    check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
     skeletons = [model.character(name.strip()) for name in options.character.split(",")]
     first = torch.stack([plan_weights(model, plan)[0] for plan in plans])
     kinds = [plan[0].type for plan in plans]
@@ -112,6 +115,17 @@ def synthesize(
         motion = finish_motion(model, mine, i, skeleton, options.ik, options.fps)
         motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]])))
     return SynthesisResult(tuple(motions), seconds)
+
+
+def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
+    """Refuse more motion than memory holds, before any is asked for; raises ControlError."""
+    fps = max(model_fps, options.fps or 0.0)
+    most = MAX_FRAMES / options.count / fps
+    if seconds > most:
+        raise ControlError(
+            f"{seconds:.0f} s of motion for each of {options.count} at {fps:g} fps are "
+            f"{seconds * fps * options.count:,.0f} frames, expected at most {MAX_FRAMES:,}: {most:.0f} s for each"
+        )
 
 
 def _plans(parts: Sequence[TypePart] | Sequence[Sequence[TypePart]]) -> list[list[TypePart]]:

@@ -1,0 +1,225 @@
+"""Where commands write: never over what they read, into folders that are made, to standard output."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from motionkit.errors import OverwriteError
+from motionkit.files import atomic_write, check_outputs, files_below
+from motionkit.motion.bvh import read_bvh
+
+from .test_mirror import RIG
+
+QUICK = ("--preset", "tiny", "--batch", 2, "--window", 16, "--splices", 0, "--device", "cpu")
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Every file below a folder."""
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def home(tmp_path: Path, tiny_model_file: Path, dataset_folder: Path) -> Path:
+    """A user's folder: clips, a link to one, a model, a path, a dataset."""
+    (tmp_path / "d" / "sub").mkdir(parents=True)
+    (tmp_path / "d" / "a.bvh").write_text(RIG)
+    (tmp_path / "d" / "sub" / "sub").mkdir()
+    (tmp_path / "d" / "sub" / "a.bvh").write_text(RIG.replace("0.05", "0.1"))
+    (tmp_path / "a.bvh").write_text(RIG)
+    (tmp_path / "link.bvh").symlink_to("a.bvh")
+    (tmp_path / "m.safetensors").write_bytes(tiny_model_file.read_bytes())
+    (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,2,walking\n")
+    (tmp_path / "x.json").write_text("{}")
+    (tmp_path / "ds").symlink_to(dataset_folder)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (["mirror", "a.bvh", "a.bvh"], "a.bvh: is read by this command"),
+        (["mirror", "a.bvh", "./d/../a.bvh"], "d/../a.bvh: is read by this command"),
+        (["mirror", "a.bvh", "link.bvh"], "link.bvh: is read by this command"),
+        (["mirror", "d", "d"], "d: lies in d, which is read"),
+        (["mirror", "d", "d/new"], "d/new: lies in d, which is read"),
+        (["mirror", "d/sub", "d"], "d/a.bvh: is read by this command"),
+        (
+            ["synthesize", "--types", "idle:0.1", "--model", "m.safetensors", "-o", "m.safetensors"],
+            "m.safetensors: is",
+        ),
+        (["synthesize", "--types", "idle:0.1", "--init", "a.bvh", "-o", "a.bvh"], "a.bvh: is read"),
+        (["synthesize", "--types", "idle:0.1", "--view", "-o", "v.html"], "v.html: would be written twice"),
+        (["follow-path", "way.csv", "-o", "way.csv"], "way.csv: is read"),
+        (["follow-path", "line", "--view", "-o", "v.html"], "v.html: would be written twice"),
+        (["export", "--onnx", "m.json"], "m.json: would be written twice"),
+        (["export", "--model", "m.safetensors", "--onnx", "m.safetensors"], "m.safetensors: is read"),
+        (["train", "ds", "-o", "m.safetensors", *QUICK, "--steps", 1], "m.safetensors: exists"),
+        (
+            ["train", "ds", "-o", "m.safetensors", "--init", "m.safetensors", "--force", *QUICK],
+            "m.safetensors: is",
+        ),
+        (["evaluate", "m.safetensors", "ds", "-o", "ds/manifest.json"], "ds/manifest.json: is read"),
+        (["evaluate", "m.safetensors", "ds", "-o", "r.md", "-o", "./r.md"], "r.md: would be written twice"),
+    ],
+)
+def test_nothing_that_is_read_is_written(motionkit, home: Path, words: list, complaint: str) -> None:
+    """link.bvh leads to a.bvh; d/sub/sub, if it held files, would be mirrored onto d/sub."""
+    if words == ["mirror", "d/sub", "d"]:
+        (home / "d" / "sub" / "sub" / "a.bvh").write_text(RIG)
+        complaint = "d/sub/a.bvh: is read by this command"
+    before = contents(home)
+    said = motionkit(*words)
+    assert said.code == 2 and said.err.startswith(f"error: {complaint}") and said.err.count("\n") == 1
+    assert contents(home) == before
+
+
+def test_a_run_that_is_there_is_not_begun_anew_unasked(motionkit, home: Path, monkeypatch) -> None:
+    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+    words = ("train", "ds", "-o", "new.safetensors", *QUICK, "--steps", 1)
+    assert motionkit(*words).code == 0
+    (home / "new.safetensors").unlink()
+    before = contents(home)
+    said = motionkit(*words)
+    assert said.code == 2 and "new.run/checkpoint.safetensors: exists; go on with --resume" in said.err
+    assert contents(home) == before
+    assert motionkit(*words, "--force").code == 0 and (home / "new.safetensors").is_file()
+
+
+def test_the_check_before_the_work(tmp_path: Path) -> None:
+    (tmp_path / "a").write_text("x")
+    os.link(tmp_path / "a", tmp_path / "b")
+    check_outputs([tmp_path / "c", tmp_path / "new" / "c"], [tmp_path / "a", None, tmp_path / "nothing"])
+    with pytest.raises(OverwriteError, match="is read"):
+        check_outputs([tmp_path / "b"], [tmp_path / "a"])
+    with pytest.raises(OverwriteError, match="twice"):
+        check_outputs([tmp_path / "new", tmp_path / "x" / ".." / "new"], [])
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["synthesize", "--types", "idle:0.1", "-o", "new/deep/x.bvh", "--model", "m.safetensors"],
+        ["follow-path", "line", "--size", 0.2, "-o", "new/deep/x.bvh", "--model", "m.safetensors"],
+        ["mirror", "a.bvh", "new/deep/x.bvh"],
+        ["view", "a.bvh", "-o", "new/deep/x.bvh.html", "--no-open"],
+        ["view", "a.bvh", "-o", "new/deep/x.bvh.png", "--width", 600],
+    ],
+)
+def test_folders_are_made(motionkit, home: Path, words: list) -> None:
+    assert motionkit(*words).code == 0
+    assert [path.name.split(".")[0] for path in (home / "new" / "deep").iterdir()] == ["x"]
+
+
+def test_a_file_in_the_place_of_a_folder(tmp_path: Path, motionkit) -> None:
+    (tmp_path / "a.bvh").write_text(RIG)
+    assert motionkit("mirror", "a.bvh", "a.bvh/x.bvh").failed_with(
+        "a.bvh/x.bvh: cannot be written", "is not a folder"
+    )
+
+
+@pytest.mark.parametrize(
+    "words", [["synthesize", "--types", "idle:0.1"], ["follow-path", "line", "--size", "0.2"]]
+)
+def test_motion_on_standard_output(words: list[str], tmp_path: Path, tiny_model_file: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "motionkit", *words, "--model", tiny_model_file, "-o", "-"],
+        cwd=tmp_path, capture_output=True, timeout=60,
+    )  # fmt: skip
+    assert done.returncode == 0 and done.stderr.startswith(b"wrote standard output: ")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "x.bvh").write_bytes(done.stdout)
+    assert len(read_bvh(tmp_path / "x.bvh").values) >= 6
+
+
+@pytest.mark.parametrize("words", [["--view"], ["--json"], ["--count", "2"]])
+def test_what_does_not_go_with_standard_output(motionkit, tmp_path: Path, words: list[str]) -> None:
+    said = motionkit("synthesize", "--types", "idle:0.1", "-o", "-", *words)
+    assert said.code == 2 and " ".join(words) in said.err and not said.out and not list(tmp_path.iterdir())
+
+
+def linked_clips(folder: Path) -> Path:
+    """Clips, one folder of them behind two links, and links that lead in circles or nowhere."""
+    (folder / "outside" / "running").mkdir(parents=True)
+    clips = folder / "clips"
+    (clips / "walking").mkdir(parents=True)
+    (clips / "walking" / "a.bvh").write_text(RIG)
+    (folder / "outside" / "running" / "b.BVH").write_text(RIG)
+    (clips / "again").symlink_to("walking")
+    (clips / "more").symlink_to(folder / "outside")
+    (clips / "twice").symlink_to(folder / "outside")
+    (clips / "walking" / "up").symlink_to("..")
+    (folder / "outside" / "back").symlink_to(clips)
+    (clips / "nowhere").symlink_to("gone")
+    return clips
+
+
+def test_links_to_folders_are_followed_once(tmp_path: Path, motionkit) -> None:
+    clips = linked_clips(tmp_path)
+    assert files_below(clips, ".bvh") == [clips / "more" / "running" / "b.BVH", clips / "walking" / "a.bvh"]
+    said = motionkit("mirror", clips, "out", "--json")
+    assert len(json.loads(said.out)["mirrored"]) == 2 and said.code == 0
+    assert sorted(contents(tmp_path / "out")) == ["more/running/b.BVH", "walking/a.bvh"]
+
+
+def test_linked_folders_of_a_dataset(tmp_path: Path, clips_folder: Path, motionkit) -> None:
+    (tmp_path / "clips").mkdir()
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "1.bvh").write_bytes((clips_folder / "walk_02.bvh").read_bytes())
+    (tmp_path / "clips" / "strolling").symlink_to("../real")
+    (tmp_path / "real" / "loop").symlink_to("../clips")
+    said = motionkit("preprocess", "clips", "-o", "ds", "--jobs", 1, "--json")
+    value = json.loads(said.out)
+    assert said.code == 0 and list(value["types"]) == ["strolling"] and len(value["files"]) == 1
+
+
+def test_a_fault_while_writing_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), atomic_write(tmp_path / "x" / "y"):
+        raise ZeroDivisionError
+    assert not contents(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        (
+            ["synthesize", "--types", "idle", "--seconds", 3600, "--count", 4096],
+            "884,736,000 frames, expected at most",
+        ),
+        (
+            ["synthesize", "--types", "idle:3600,walking:3600", "--fps", 480],
+            "at 480 fps are 3,456,000 frames",
+        ),
+        (["synthesize", "--types", ",".join(["idle:3600"] * 5)], "18000 s of motion for each of 1 at 60 fps"),
+        (["follow-path", "far.json"], "50000 s of motion for each of 1 at 60 fps are 3,000,000 frames"),
+    ],
+)
+def test_more_than_memory_holds_is_refused_before_it_is_asked_for(
+    motionkit, home: Path, words: list, complaint: str
+) -> None:
+    part = {"type": "walking", "speed": 0.05, "points": [[0, 0], [0, 9999.99]]}
+    (home / "far.json").write_text(json.dumps({"parts": [part]}))
+    before = contents(home)
+    assert motionkit(*words, "--model", "m.safetensors").failed_with(complaint)
+    assert contents(home) == before
+
+
+def test_long_work_says_so_before_it_begins(motionkit, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    part = {"type": "walking", "speed": 0.5, "points": [[0, 0], [0, 2500]]}
+    (home / "far.json").write_text(json.dumps({"parts": [part]}))
+
+    def refuse(*_: object) -> None:
+        raise OverwriteError("the work")
+
+    monkeypatch.setattr("motionkit.synthesis.follow.follow_path", refuse)
+    said = motionkit("follow-path", "far.json", "--model", "m.safetensors")
+    assert said.err.splitlines() == [
+        "1.4 hours of motion are to be made, which can take minutes; Ctrl-C stops", "error: the work",
+    ]  # fmt: skip
+    assert motionkit("follow-path", "line", "--model", "m.safetensors").err == "error: the work\n"
