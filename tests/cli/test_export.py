@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import pytest
 
+from motionkit.apps.onnx_export import export_onnx
+from motionkit.errors import MotionkitError
 from motionkit.models.checkpoint import MotionModel, save_model
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
@@ -38,6 +42,58 @@ def test_bad_input(motionkit: Callable, tiny_model_file: Path) -> None:
     assert motionkit(*words, "/dev/null/x.onnx").failed_with("/dev/null/x.onnx: cannot be written")
     assert motionkit(*words, "x.onnx", "--character", "giant").failed_with("unknown character 'giant'")
     assert motionkit("export").code == motionkit(*words, "x.onnx", "--weights", "int4").code == 2
+
+
+@pytest.mark.parametrize("name", ["x.json", "x.JSON"])
+def test_a_graph_is_not_written_where_its_metadata_go(
+    motionkit: Callable, tiny_model_file: Path, tmp_path: Path, name: str
+) -> None:
+    done = motionkit("export", "--model", tiny_model_file, "--onnx", name)
+    assert done.failed_with(f"{name}: the metadata go into a file of this name")
+    assert not list(tmp_path.glob("*.[jJ]*"))
+
+
+def test_files_of_other_kinds_are_not_overwritten(
+    motionkit: Callable, tiny_model_file: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "package.json").write_text('{"name": "mine"}')
+    done = motionkit("export", "--model", tiny_model_file, "--onnx", "package.onnx")
+    assert done.failed_with("package.json: is there already and not written by export")
+    assert (tmp_path / "package.json").read_text() == '{"name": "mine"}'
+    model = tmp_path / "own.safetensors"
+    model.write_bytes(tiny_model_file.read_bytes())
+    done = motionkit("export", "--model", model, "--onnx", model)
+    assert done.code == 2 and "would overwrite the model" in done.err
+    assert model.read_bytes() == tiny_model_file.read_bytes()
+
+
+@pytest.mark.parametrize("before", [False, True])
+@pytest.mark.parametrize("fails_at", ["write", "fsync", "replace 1", "replace 2"])
+def test_graph_and_metadata_appear_together(
+    tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_at: str, before: bool
+) -> None:
+    graph, beside = tmp_path / "x.onnx", tmp_path / "x.json"
+    if before:
+        graph.write_bytes(b"old")
+        beside.write_text('{"format": "motionkit-onnx-5"}')
+    calls = []
+
+    def full(*words: object, real: Callable) -> object:
+        calls.append(words)
+        if len(calls) >= int(fails_at[-1:] if fails_at[-1:].isdecimal() else 1):
+            raise OSError(28, "No space left on device")
+        return real(*words)
+
+    if fails_at == "write":
+        monkeypatch.setattr("motionkit.apps.onnx_export.json.dump", partial(full, real=json.dump))
+    else:
+        name = fails_at.split()[0]
+        monkeypatch.setattr(os, name, partial(full, real=getattr(os, name)))
+    with pytest.raises(MotionkitError, match="No space left"):
+        export_onnx(tiny_model, graph)
+    left = {path.name for path in tmp_path.iterdir()}
+    assert left in (set(), {"x.onnx", "x.json"}) and (before or not left)
+    assert not left or graph.read_bytes() == b"old"
 
 
 def test_a_network_that_recomputes(motionkit: Callable, tiny_model: MotionModel, tmp_path: Path) -> None:

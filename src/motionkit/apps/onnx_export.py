@@ -8,10 +8,13 @@ how to drive it.
 from __future__ import annotations
 
 import json
+import os
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 import torch
@@ -21,11 +24,11 @@ from motionkit import __version__
 from motionkit.apps.onnx_body import write_body
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_network import present_name, state_shapes, write_network
-from motionkit.errors import ModelError
+from motionkit.errors import ModelError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS
 from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS
 from motionkit.features.layout import FEATURE_COUNT, column_names
-from motionkit.files import atomic_write
+from motionkit.files import atomic_write, read_json
 from motionkit.models.checkpoint import MotionModel
 from motionkit.models.step import NetworkStep
 from motionkit.models.step_weights import pack
@@ -41,7 +44,8 @@ from motionkit.synthesis.start import seed_start
 if TYPE_CHECKING:
     from onnx import ModelProto
 
-FORMAT = "motionkit-onnx-5"
+FORMAT_NAME = "motionkit-onnx-"
+FORMAT = f"{FORMAT_NAME}5"
 WEIGHTS = ("float32", "int8")
 OUTLINE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
 
@@ -187,17 +191,63 @@ class ExportCheck:
     frames_per_second: float
 
 
+def metadata_path(path: str | Path) -> Path:
+    """Where the metadata of a graph go; raises MotionkitError if that would be the graph, or a file of another kind."""
+    path = Path(path)
+    if path.suffix.lower() == ".json":
+        raise MotionkitError(
+            f"{path}: the metadata go into a file of this name; give the graph another ending, such as .onnx"
+        )
+    beside = path.with_suffix(".json")
+    if beside.is_file() and not _is_metadata(beside):
+        raise MotionkitError(
+            f"{beside}: is there already and not written by export; move it, or name the graph otherwise"
+        )
+    return beside
+
+
+def _is_metadata(path: Path) -> bool:
+    try:
+        described = read_json(path)
+    except MotionkitError:
+        return False
+    return isinstance(described, dict) and str(described.get("format", "")).startswith(FORMAT_NAME)
+
+
+@contextmanager
+def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
+    """Open two files for writing that appear together: what is there is a graph with its own metadata, or no graph."""
+    placing = False
+    try:
+        # The last one opened is put in place first.
+        with atomic_write(graph, "wb") as first, atomic_write(beside) as second:
+            yield first, second
+            for file in (first, second):  # so that a full disk is found before anything is changed
+                file.flush()
+                os.fsync(file.fileno())
+            placing = True
+            Path(os.path.realpath(graph)).unlink(missing_ok=True)
+    except BaseException:
+        if placing and not graph.exists():
+            beside.unlink(missing_ok=True)
+        raise
+
+
 def export_onnx(
     model: MotionModel, path: str | Path, character: str = "default", weights: str = "float32"
 ) -> ExportCheck | None:
-    """Write graph and metadata (the same name with .json), then run both; None without onnxruntime."""
+    """Write graph and metadata (the same name with .json), then run both; None without onnxruntime.
+
+    Raises:
+        ModelError: if the model cannot be exported.
+        ControlError: for an unknown character.
+        MotionkitError: if a place cannot be written or holds what is no export; both files are as before then.
+    """
     path = Path(path)
-    proto = build_graph(model, character, weights)
-    described = metadata(model, character, weights)
-    with atomic_write(path, "wb") as file:
-        file.write(proto.SerializeToString())
-    with atomic_write(path.with_suffix(".json")) as file:
-        json.dump(described, file)
+    beside = metadata_path(path)
+    with _both(path, beside) as (graph, text):
+        graph.write(build_graph(model, character, weights).SerializeToString())
+        json.dump(metadata(model, character, weights), text)
     try:
         import onnxruntime  # noqa: F401
     except ImportError:

@@ -39,14 +39,15 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
     onnxruntime installed, graph and motionkit then run 600 frames side by side, and the largest
     difference is printed.
     """
-    from motionkit.apps.onnx_export import export_onnx
+    from motionkit.apps.onnx_export import export_onnx, metadata_path
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
 
-    check_outputs([path, path.with_suffix(".json")], [model_path])
+    beside = metadata_path(path)  # before the model is read
+    check_outputs([path, beside], [model_path])
     check = export_onnx(open_model(model_path), path, character, weights)
     if as_json:
-        result: dict = {"file": str(path), "metadata": str(path.with_suffix(".json"))}
+        result: dict = {"file": str(path), "metadata": str(beside)}
         if check is not None:
             result |= {
                 "frames": check.frames,
@@ -56,7 +57,7 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
             }
         print_json(result)
         return
-    say(f"wrote {path} and {path.with_suffix('.json')}")
+    say(f"wrote {path} and {beside}")
     if check is None:
         remark("not checked: onnxruntime is not installed (pip install 'motionkit[onnx]')")
         return
