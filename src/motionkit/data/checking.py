@@ -47,8 +47,10 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
 
     types: Any = manifest.get("types")
     bodies: Any = manifest.get("bodies")
-    named = isinstance(types, list) and all(isinstance(t, str) and not type_fault(t) for t in types)
-    check("types", named and 0 < len(types) <= MAX_TYPES and len(set(types)) == len(types), "distinct names")
+    check("types", isinstance(types, list) and all(isinstance(t, str) for t in types), "names")
+    faults = [type_fault(t) for t in types if type_fault(t)]
+    check("types", not faults, f"names of motion types, found {''.join(faults[:1])}")
+    check("types", 0 < len(types) <= MAX_TYPES and len(set(types)) == len(types), "distinct names")
     check("fps", _number(manifest.get("fps"), 1.0, 1000.0), "a number from 1 to 1000")
     check("layout", manifest.get("layout") in LAYOUTS, f"one of {', '.join(LAYOUTS)}")
     body = (JOINT_COUNT, 3)
