@@ -54,6 +54,8 @@ def value_name(option: click.Option) -> str:
         return "\\|".join(str(choice) for choice in kind.choices)
     if isinstance(kind, (click.IntRange, click.FloatRange)):
         return ("whole number" if isinstance(kind, click.IntRange) else "number") + limits(kind)
+    if isinstance(kind, click.Tuple):
+        return " and ".join(word.name for word in kind.types)
     names = {"integer": "whole number", "float": "number", "text": "text", "path": "path"}
     names |= {"file": "file", "directory": "folder"}
     return names.get(kind.name, kind.name)

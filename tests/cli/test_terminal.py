@@ -123,6 +123,7 @@ def clip(tmp_path: Path) -> Path:
         (["synthesize", "--model", "MODEL", "--types", "idle:0.1", "--count", 3], "writing"),
         (["follow-path", "line", "--model", "MODEL", "--size", 0.2], "following"),
         (["evaluate", "MODEL", "DATASET", "--quick", "--only", "likeness"], "likeness"),
+        (["metrics", "CLIPS"], "measuring"),
     ],
 )
 def test_every_bar_fits_and_is_taken_away(
@@ -136,7 +137,7 @@ def test_every_bar_fits_and_is_taken_away(
     clip.rename(folder / "clip.bvh")
     places = {
         "CLIP": folder / "clip.bvh", "FOLDER": folder, "CLIPS": clips_folder, "MODEL": tiny_model_file,
-        "DATASET": dataset_folder, "WALKS": clips_folder,
+        "DATASET": dataset_folder,
     }  # fmt: skip
     code, text = in_terminal(columns, *(places.get(word, word) for word in words))
     assert code == 0, text

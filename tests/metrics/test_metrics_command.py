@@ -93,7 +93,7 @@ def test_faults_are_one_line_without_a_traceback(
         ((files[0], str(bad)), 1, "bad.bvh:"),
         ((files[0], files[1], "--skip", "70"), 1, "nothing to compare"),
         ((files[0], str(tmp_path / "none.bvh")), 2, "does not exist"),
-        ((str(tmp_path),), 2, "is a directory"),
+        ((files[0], str(tmp_path)), 2, "two files or two folders"),
     ):
         monkeypatch.setattr(sys, "argv", ["motionkit", "metrics", *arguments])
         with pytest.raises(SystemExit) as stopped:

@@ -2,22 +2,45 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import math
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import default_output, json_option, print_json, stdout_console
+from motionkit.cli.common import (
+    default_output,
+    json_option,
+    print_json,
+    progress_bar,
+    remark,
+    say,
+    stdout_console,
+)
 from motionkit.cli.showing import view_option, write_and_open
+from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings
+from motionkit.names import visible
 
 if TYPE_CHECKING:
+    from motionkit.metrics.pairs import Pair, PairResult
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricValue
 
-_FILE = click.Path(exists=True, dir_okay=False)
+_FILE: Any = click.Path(exists=True, dir_okay=False, path_type=Path)
+_PLACE: Any = click.Path(exists=True, path_type=Path)
+CSV_COLUMNS = (
+    "ground_truth", "generated", "frames", "metric", "unit", "value", "ground_truth_value", "ratio", "reason",
+)  # fmt: skip
+# Of many pairs one table shows so much; the next one, --csv and --json have all.
+_OF_EACH = {
+    True: ("afs", "jerk", "ssim-window", "mpjpe", "path-mean"),
+    False: ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean"),
+}
 
 
 def _finite(ctx: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
@@ -45,10 +68,22 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     MPJPE and trajectory distance (path) for the pair. docs/metrics.md defines every id. Other rigs are
     mapped onto the 23 canonical joints, other rates brought to 60 fps, and different lengths compared
     over the frames both have; the notes under the table say what was done.
+
+    Both may be folders: then files of the same name in both are pairs, and what has no partner is listed;
+    one folder alone is measured file by file. Files of other names are paired by --pair, as often as needed.
+    Of many pairs the table shows each and their mean, and the exit code is 1 if any was left out.
     """,
 )
-@click.argument("ground_truth", type=_FILE)
-@click.argument("generated", type=_FILE, required=False)
+@click.argument("ground_truth", type=_PLACE, required=False)
+@click.argument("generated", type=_PLACE, required=False)
+@click.option(
+    "--pair",
+    "given_pairs",
+    type=(_FILE, _FILE),
+    multiple=True,
+    metavar="GROUND_TRUTH GENERATED",
+    help="Two files to measure side by side; may be given again and again.",
+)
 @click.option(
     "--skip",
     type=click.IntRange(min=0),
@@ -73,9 +108,11 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
 @_positive("--generated-fps", "Rate of GENERATED, where its header is wrong.")
 @view_option
 @json_option
+@click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV, one row for each metric.")
 def command(
-    ground_truth: str,
-    generated: str | None,
+    ground_truth: Path | None,
+    generated: Path | None,
+    given_pairs: tuple[tuple[Path, Path], ...],
     skip: int,
     align_start: bool,
     scale: float | None,
@@ -84,44 +121,150 @@ def command(
     generated_fps: float | None,
     view: bool,
     as_json: bool,
+    as_csv: bool,
     floor: float | None,
     **thresholds: float,
 ) -> None:
+    if as_json and as_csv:
+        raise click.UsageError("--json and --csv exclude each other")
+    if (ground_truth is None) != bool(given_pairs):
+        raise click.UsageError("give GROUND_TRUTH, alone or with GENERATED, or --pair")
+    if ground_truth and generated and ground_truth.is_dir() != generated.is_dir():
+        raise click.UsageError("GROUND_TRUTH and GENERATED are two files or two folders")
+    many = bool(given_pairs) or (ground_truth is not None and ground_truth.is_dir())
+    if view and many:
+        raise click.UsageError("--view shows one file or one pair")
+    paired = bool(given_pairs) or generated is not None
     for name, given in (
         ("--align-start", align_start),
         ("--generated-scale", generated_scale),
         ("--generated-fps", generated_fps),
     ):
-        if given and generated is None:
+        if given and not paired:
             raise click.UsageError(f"{name} needs a second file, GENERATED")
 
+    from motionkit.metrics.pairs import PairResult, find_pairs
     from motionkit.metrics.report import evaluate_files
 
     settings = replace(MetricSettings(floor=floor), **thresholds)  # type: ignore[arg-type]
-    report = evaluate_files(
-        ground_truth, generated, settings, skip, align_start, (scale, generated_scale), (fps, generated_fps)
-    )
-    page = _view(ground_truth, generated, (fps, generated_fps), as_json) if view else None
-    if as_json:
-        files = {"ground_truth": ground_truth, "generated": generated}
-        print_json({**files, **report.as_dict(), **({"view": str(page)} if page else {})})
+    scales, rates = (scale, generated_scale), (fps, generated_fps)
+
+    def evaluate(truth: Path, made: Path | None) -> MetricReport:
+        return evaluate_files(truth, made, settings, skip, align_start, scales, rates)
+
+    if ground_truth is None or many:
+        pairs, lonely = (
+            (list(given_pairs), []) if ground_truth is None else find_pairs(ground_truth, generated)
+        )
+        _measure_many(pairs, lonely, evaluate, as_json, as_csv)
         return
-    _print_table(report, paired=generated is not None)
+    report = evaluate(ground_truth, generated)
+    page = _view(ground_truth, generated, rates, as_json or as_csv) if view else None
+    result = PairResult(ground_truth, generated, report)
+    if as_json:
+        print_json({**result.as_dict(), **({"view": str(page)} if page else {})})
+        return
+    if as_csv:
+        _print_csv([result])
+    else:
+        _print_table(report, paired)
     if page:
-        stdout_console().print(f"wrote {page}")
+        (remark if as_csv else say)(f"wrote {page}")
+
+
+def _measure_many(
+    pairs: Sequence[Pair],
+    lonely: Sequence[Path],
+    evaluate: Callable[[Path, Path | None], MetricReport],
+    as_json: bool,
+    as_csv: bool,
+) -> None:
+    """Measure and print all pairs; raises MotionkitError at the end if any could not be."""
+    from motionkit.metrics.pairs import evaluate_pairs, mean_rows
+
+    with progress_bar() as bar:
+        found = bar.track(evaluate_pairs(pairs, evaluate), total=len(pairs), description="measuring")
+        results = list(found)
+    failed = [result for result in results if result.report is None]
+    if as_json:
+        means = {row.id: {k: v for k, v in asdict(row).items() if k != "id"} for row in mean_rows(results)}
+        left = [str(path) for path in lonely]
+        print_json(
+            {"pairs": [result.as_dict() for result in results], "mean": means, "without_partner": left}
+        )
+    elif as_csv:
+        _print_csv(results)
+    else:
+        _print_tables(results)
+    for result in failed:
+        remark(f"left out: {result.error}")
+    for path in lonely:
+        remark(f"left out: {path} has no partner of the same name")
+    if failed or lonely:
+        raise MotionkitError(
+            f"{len(failed)} of {len(pairs)} not measured, {len(lonely)} files without a partner"
+        )
+
+
+def _print_csv(results: Sequence[PairResult]) -> None:
+    """One row for each metric of each pair, for spreadsheets and data frames."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for result in results:
+        if result.report is None:
+            continue
+        names = visible(result.ground_truth), "" if result.generated is None else visible(result.generated)
+        for row in result.report.rows:
+            truth = None if row.ground_truth is None else row.ground_truth.value
+            values = row.id, row.motion.unit, row.motion.value, truth, row.ratio, row.motion.reason
+            writer.writerow([*names, result.report.frames, *values])
+    click.echo(text.getvalue(), nl=False)
+
+
+def _print_tables(results: Sequence[PairResult]) -> None:
+    """Some metrics of every pair, then the means of all."""
+    from rich.table import Table
+
+    from motionkit.metrics.pairs import mean_rows
+
+    measured = [result for result in results if result.report is not None]
+    if not measured:
+        return
+    paired = measured[0].generated is not None
+    each = Table(box=None, header_style="bold", pad_edge=False)
+    each.add_column("file", overflow="fold")
+    for name in _OF_EACH[paired]:
+        each.add_column(name, justify="right", overflow="fold")
+    for result in measured:
+        assert result.report is not None
+        each.add_row(result.name, *(_number(result.report.value(name)) for name in _OF_EACH[paired]))
+    means = Table(box=None, header_style="bold", pad_edge=False)
+    means.add_column("metric", overflow="fold")
+    for heading in (*(("ground truth", "generated") if paired else ("mean",)), "lowest", "highest"):
+        means.add_column(heading, justify="right", overflow="fold")
+    means.add_column("unit", overflow="fold")
+    for row in mean_rows(measured):
+        truth = [_number(row.ground_truth)] if paired else []
+        means.add_row(row.id, *truth, *map(_number, (row.value, row.lowest, row.highest)), row.unit)
+    console = stdout_console()
+    console.print(each)
+    console.print()
+    console.print(f"means of {len(measured)} {'pairs' if paired else 'files'}, each counting the same:")
+    console.print(means)
 
 
 def _view(
-    ground_truth: str, generated: str | None, fps: tuple[float | None, float | None], quiet: bool
+    ground_truth: Path, generated: Path | None, fps: tuple[float | None, float | None], quiet: bool
 ) -> Path:
     """Write a page of the files as they are to the current folder."""
     from motionkit.apps.figure_data import Shown
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
-    files = [Path(file) for file in (ground_truth, generated) if file is not None]
+    files = [file for file in (ground_truth, generated) if file is not None]
     words = ("ground truth", "generated") if generated is not None else ("",)
     shown = [
-        Shown(f"{file.stem} {word}".strip(), bvh_to_motion(read_bvh(file), fps=rate))
+        Shown(visible(f"{file.stem} {word}".strip()), bvh_to_motion(read_bvh(file), fps=rate))
         for file, word, rate in zip(files, words, fps, strict=False)
     ]
     return write_and_open(default_output("-".join(file.stem for file in files), ".html"), shown, quiet)

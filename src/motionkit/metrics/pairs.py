@@ -1,0 +1,112 @@
+"""Many files, or many pairs of them, measured one after another, and the means over all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motionkit.errors import MotionkitError
+from motionkit.files import files_below
+from motionkit.metrics.report import MetricReport
+
+Pair = tuple[Path, Path | None]  # ground truth, generated
+
+
+@dataclass(frozen=True)
+class PairResult:
+    """A pair's report, or why there is none."""
+
+    ground_truth: Path
+    generated: Path | None
+    report: MetricReport | None = None
+    error: str = ""
+
+    @property
+    def name(self) -> str:
+        """What to call the pair: the measured file."""
+        return (self.generated or self.ground_truth).name
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        files = {
+            "ground_truth": str(self.ground_truth),
+            "generated": None if self.generated is None else str(self.generated),
+        }
+        return {**files, **({"error": self.error} if self.report is None else self.report.as_dict())}
+
+
+@dataclass(frozen=True)
+class MeanRow:
+    """One metric over many pairs; None where no pair gives it. lowest and highest are of the measured files."""
+
+    id: str
+    unit: str
+    value: float | None
+    ground_truth: float | None
+    lowest: float | None
+    highest: float | None
+    count: int
+
+
+def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], list[Path]]:
+    """The BVH files below one folder, or those below two folders paired by their paths in them.
+
+    Returns the pairs, and the files of either folder that have no partner in the other. Raises MotionkitError
+    where that leaves nothing to measure.
+    """
+    truths = {
+        path.relative_to(ground_truth).with_suffix(""): path for path in files_below(ground_truth, ".bvh")
+    }
+    if not truths:
+        raise MotionkitError(f"{ground_truth}: no .bvh files found")
+    if generated is None:
+        return [(path, None) for path in truths.values()], []
+    made = {path.relative_to(generated).with_suffix(""): path for path in files_below(generated, ".bvh")}
+    pairs: list[Pair] = [(truths[name], made[name]) for name in truths if name in made]
+    if not pairs:
+        raise MotionkitError(f"{ground_truth} and {generated}: no two .bvh files have the same name")
+    lonely = [path for name, path in truths.items() if name not in made]
+    return pairs, lonely + [path for name, path in made.items() if name not in truths]
+
+
+def evaluate_pairs(
+    pairs: Sequence[Pair], evaluate: Callable[[Path, Path | None], MetricReport]
+) -> Iterator[PairResult]:
+    """Measure one pair after another; a pair that cannot be measured has its error in the place of a report."""
+    for ground_truth, generated in pairs:
+        try:
+            yield PairResult(ground_truth, generated, evaluate(ground_truth, generated))
+        except MotionkitError as error:
+            yield PairResult(ground_truth, generated, error=str(error))
+
+
+def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
+    """Each metric's mean over the pairs that give it, every pair counting the same however long it is."""
+    reports = [result.report for result in results if result.report is not None]
+    rows = []
+    for first in reports[0].rows if reports else ():
+        of_pairs = [row for report in reports for row in report.rows if row.id == first.id]
+        values = [row.motion.value for row in of_pairs if row.motion.value is not None]
+        truths = [
+            row.ground_truth.value
+            for row in of_pairs
+            if row.ground_truth is not None and row.ground_truth.value is not None
+        ]
+        rows.append(
+            MeanRow(
+                first.id,
+                first.motion.unit,
+                _mean(values),
+                _mean(truths),
+                min(values, default=None),
+                max(values, default=None),
+                len(values),
+            )
+        )
+    return rows
+
+
+def _mean(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None

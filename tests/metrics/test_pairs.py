@@ -1,0 +1,132 @@
+from __future__ import annotations
+
+import csv
+import io
+import json
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from motionkit.cli.main import main
+from motionkit.motion.bvh import write_bvh
+
+from .conftest import swaying
+
+
+@pytest.fixture
+def folders(tmp_path: Path) -> Path:
+    """truth/ and made/ with two pairs of the same names, one of them in a subfolder, and one file alone in each."""
+    for number, name in enumerate(("a.bvh", "deep/b.bvh", "only-truth.bvh")):
+        write_bvh(tmp_path / "truth" / name, swaying(frames=40, seed=number))
+    for number, name in enumerate(("a.BVH", "deep/b.bvh", "b.bvh")):
+        write_bvh(tmp_path / "made" / name, swaying(frames=50, seed=number + 5))
+    return tmp_path
+
+
+@pytest.fixture
+def metrics(
+    folders: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str, str]]:
+    """A function that runs the command in the folder above truth/ and made/: exit code, stdout, stderr."""
+    monkeypatch.chdir(folders)
+
+    def run(*words: object) -> tuple[int, str, str]:
+        monkeypatch.setattr(sys, "argv", ["motionkit", "metrics", *map(str, words)])
+        code = 0
+        try:
+            main()
+        except SystemExit as stop:
+            code = int(stop.code or 0)
+        return code, *capsys.readouterr()
+
+    return run
+
+
+def test_two_folders_are_paired_by_name_and_give_what_each_pair_gives(metrics) -> None:
+    code, out, err = metrics("truth", "made", "--json")
+    value = json.loads(out)
+    assert code == 1 and err.splitlines() == [
+        "left out: truth/only-truth.bvh has no partner of the same name",
+        "left out: made/b.bvh has no partner of the same name",
+        "error: 0 of 2 not measured, 2 files without a partner",
+    ]
+    assert value["without_partner"] == ["truth/only-truth.bvh", "made/b.bvh"]
+    assert [pair["ground_truth"] for pair in value["pairs"]] == ["truth/a.bvh", "truth/deep/b.bvh"]
+    alone = [json.loads(metrics(p["ground_truth"], p["generated"], "--json")[1]) for p in value["pairs"]]
+    assert value["pairs"] == alone
+    jerks = [next(row["value"] for row in pair["metrics"] if row["id"] == "jerk") for pair in alone]
+    mean = value["mean"]["jerk"]
+    assert mean["value"] == pytest.approx(sum(jerks) / 2) and mean["count"] == 2
+    assert (mean["lowest"], mean["highest"]) == (min(jerks), max(jerks))
+
+
+def test_pairs_by_option_and_the_tables(metrics) -> None:
+    words = ("--pair", "truth/a.bvh", "made/b.bvh", "--pair", "truth/only-truth.bvh", "made/a.BVH")
+    code, out, err = metrics(*words)
+    assert code == 0 and err == "" and "means of 2 pairs" in out
+    assert all(word in out for word in ("b.bvh", "a.BVH", "mpjpe", "lowest", "ssim-channel", "path-coverage"))
+    assert max(map(len, out.splitlines())) <= 80
+
+
+def test_a_folder_alone(metrics) -> None:
+    code, out, _ = metrics("truth")
+    assert code == 0 and "means of 3 files" in out and "mpjpe" not in out and "generated" not in out
+
+
+def test_csv_has_a_row_for_each_metric_of_each_pair(metrics) -> None:
+    _, out, _ = metrics("truth", "made", "--csv")
+    rows = list(csv.DictReader(io.StringIO(out)))
+    value = json.loads(metrics("truth", "made", "--json")[1])
+    found = {(row["ground_truth"], row["metric"]): row for row in rows}
+    assert len(found) == len(rows) == sum(len(pair["metrics"]) for pair in value["pairs"])
+    for pair in value["pairs"]:
+        for metric in pair["metrics"]:
+            row = found[pair["ground_truth"], metric["id"]]
+            assert float(row["value"]) == metric["value"] and row["unit"] == metric["unit"]
+            assert float(row["ground_truth_value"]) == metric["ground_truth"]
+    single = list(csv.DictReader(io.StringIO(metrics("truth/a.bvh", "--csv")[1])))
+    assert {row["generated"] for row in single} == {""} and "jerk" in {row["metric"] for row in single}
+
+
+def test_a_pair_that_cannot_be_measured_is_left_out_and_named(metrics, folders: Path) -> None:
+    (folders / "truth" / "a.bvh").write_text("HIERARCHY\n")
+    write_bvh(folders / "one.bvh", swaying(frames=1))
+    words = ("--pair", "truth/a.bvh", "made/a.BVH", "--pair", "truth/deep/b.bvh", "one.bvh")
+    code, out, err = metrics(*words, "--pair", "truth/deep/b.bvh", "made/b.bvh", "--json")
+    assert code == 1 and err.splitlines()[0].startswith("left out: truth/a.bvh")
+    assert "truth/deep/b.bvh and one.bvh: nothing to compare" in err.splitlines()[1]
+    assert ["error" in pair for pair in json.loads(out)["pairs"]] == [True, True, False]
+
+
+def test_a_file_of_one_frame_is_named(metrics, folders: Path) -> None:
+    write_bvh(folders / "one.bvh", swaying(frames=1))
+    code, out, err = metrics("one.bvh")
+    assert (code, out) == (1, "") and err.startswith("error: one.bvh: nothing to compare: 1 frames at 60 fps")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["truth", "made/b.bvh"],
+        ["truth", "--pair", "truth/a.bvh", "made/b.bvh"],
+        ["truth", "made", "--view"],
+        ["truth", "made", "--json", "--csv"],
+        ["truth", "--align-start"],
+        ["--pair", "truth/a.bvh"],
+    ],
+)
+def test_wrong_usage(metrics, words: list[str]) -> None:
+    code, out, err = metrics(*words)
+    assert code == 2 and not out and "Error: " in err
+
+
+def test_folders_without_pairs(metrics, folders: Path) -> None:
+    (folders / "empty").mkdir()
+    assert metrics("empty") == (1, "", "error: empty: no .bvh files found\n")
+    assert metrics("truth", "empty") == (
+        1,
+        "",
+        "error: truth and empty: no two .bvh files have the same name\n",
+    )
