@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
 
-from motionkit.cli.common import remark, say
+from motionkit.cli.common import remark, say, visible
 
 
 def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -17,6 +20,24 @@ def _target(context: click.Context, parameter: click.Parameter, value: str | Non
     if not host or not port.isdecimal() or not 0 < int(port) < 65536:
         raise click.BadParameter(f"expected HOST:PORT such as 127.0.0.1:39539, found {value!r}")
     return host.strip("[]"), int(port)
+
+
+class _VisibleLines(logging.Formatter):
+    """Nothing a client sent may steer the terminal, not even out of a traceback."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        return "\n".join(visible(line) for line in super().format(record).splitlines())
+
+
+@contextmanager
+def _visible_log() -> Iterator[None]:
+    handler = logging.StreamHandler()
+    handler.setFormatter(_VisibleLines())
+    logging.getLogger().addHandler(handler)
+    try:
+        yield
+    finally:
+        logging.getLogger().removeHandler(handler)
 
 
 @click.command("play")
@@ -38,7 +59,8 @@ def _target(context: click.Context, parameter: click.Parameter, value: str | Non
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="The address to listen on. Others than this machine can connect if you name one they reach.",
+    help="The address to listen on. Others than this machine can connect if you name one they reach; they need "
+    "the token that is printed with it.",
 )
 @click.option("--no-open", is_flag=True, help="Do not open the browser.")
 @click.option("--headless", is_flag=True, help="Serve no page, only programs.")
@@ -86,6 +108,7 @@ def command(
                 "socket": addresses.socket,
                 "tcp": addresses.tcp,
                 "vmc": addresses.vmc,
+                "token": addresses.token,
             }
             click.echo(json.dumps(places))
         else:
@@ -94,13 +117,15 @@ def command(
                 remark(f"newline JSON on {addresses.tcp[0]}:{addresses.tcp[1]}")
             if addresses.vmc:
                 remark(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}")
+            if addresses.token:
+                remark("who has this address, with its token, may steer; TCP clients send the token first")
             remark("Ctrl-C ends")
         if not headless and not no_open:
             open_in_browser(addresses.url)
 
     session = Session(open_model(model_path), character)
     options = ServerOptions(host, port, tcp, vmc, page=not headless)
-    with inner_threads(1):
+    with inner_threads(1), _visible_log():
         try:
             asyncio.run(PlayServer(session, options).run(ready))
         except KeyboardInterrupt:

@@ -482,3 +482,10 @@ def test_a_lost_connection_is_told_and_found_again(page: Page) -> None:
         "document.getElementById('notice').hidden && motionkit.own?.root", timeout=PATIENCE
     )
     wait_frames(page, 5)
+
+
+def test_the_page_steers_with_the_token_of_its_address(serve: Callable, open_page: Callable) -> None:
+    server = serve(host="0.0.0.0")
+    port = server.addresses.url.rpartition(":")[2]
+    page = open_page(f"http://127.0.0.1:{port}", 320, 240)
+    page.wait_for_function("motionkit.own?.root", timeout=PATIENCE)

@@ -32,10 +32,12 @@ class Client:
         self._frame: str | bytes | None = None
         self._wake = asyncio.Event()
         self._ending = self._gone = False
-        self.stalled = False
+        self.stalled = self.let_go = False
+        self.heard = now  # when it last said something
 
     def charge(self, size: int, now: float) -> None:
         """Count a message of so many bytes; raises TooManyMessages."""
+        self.heard = now
         self._charge(1.0 + size / BYTES_PER_UNIT, now)
 
     def charge_work(self, request: Request, now: float) -> None:
@@ -63,6 +65,11 @@ class Client:
         """Send a last event, after which pump returns."""
         self.tell(event)
         self._ending = True
+
+    def dismiss(self, event: dict[str, Any]) -> None:
+        """Send a last event, after which the connection is to be closed."""
+        self.let_go = True
+        self.end(event)
 
     def leave(self) -> None:
         """Send nothing any more, and let pump return."""

@@ -11,6 +11,7 @@ class Limits:
 
     Attributes:
         clients: connected at the same time, by WebSocket and TCP together.
+        idle_seconds: after which a client that says nothing makes room for another, if all places are taken.
         characters: in the world.
         message_bytes: of one request.
         messages_per_second: in the long run; as many may come at once.
@@ -22,6 +23,7 @@ class Limits:
     """
 
     clients: int = 16
+    idle_seconds: float = 60.0
     characters: int = 8
     message_bytes: int = 65536
     messages_per_second: int = 200

@@ -41,8 +41,8 @@ class Live:
     # ---- clients ----
 
     async def join(self, as_json: bool) -> Client | None:
-        """A new client with its hello under way; None if there are as many as there may be."""
-        if len(self.clients) + self._joining >= self.session.limits.clients:
+        """A new client with its hello under way; None if there are as many as there may be, and none is idle."""
+        if len(self.clients) + self._joining >= self.session.limits.clients and not self._let_one_go():
             return None
         self._joining += 1
         try:
@@ -50,6 +50,16 @@ class Live:
                 return self._welcome(as_json)
         finally:
             self._joining -= 1
+
+    def _let_one_go(self) -> bool:
+        """Close the client that has said nothing for longest, if that is long enough."""
+        quiet = min(self.clients.values(), key=lambda client: client.heard, default=None)
+        if quiet is None or self.clock() - quiet.heard < self.session.limits.idle_seconds:
+            return False
+        said = ProtocolError("another client needs the place; send a ping now and then to keep yours")
+        quiet.dismiss(error_event(said, closing=True))
+        self.leave(quiet)
+        return True
 
     def _welcome(self, as_json: bool) -> Client:
         self._last_client += 1

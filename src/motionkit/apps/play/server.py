@@ -4,14 +4,19 @@ from __future__ import annotations
 
 import asyncio
 import errno
+import hmac
 import json
 import logging
+import re
+import secrets
 import signal
 import socket as socketlib
 from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
 from contextlib import AsyncExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers, MultipleValuesError
@@ -39,7 +44,13 @@ from motionkit.errors import MotionkitError
 SOCKET_PATH = "/live"
 CLOSE_SECONDS = 1.0  # granted to clients when the server ends
 WAITING_BYTES = 8192
+TOKEN_SECONDS = 10.0  # a TCP client has to send the token, where one is asked for
+WAITING_ROOM = 4  # times as many TCP connections as clients may be open
 CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013
+
+
+LONGEST_METHOD = 20
+_METHOD = re.compile(rb"[A-Z]{1,%d}(?= |$)" % LONGEST_METHOD)
 
 
 class ServeError(MotionkitError):
@@ -59,12 +70,13 @@ class ServerOptions:
 
 @dataclass(frozen=True)
 class Addresses:
-    """Where the server is reached."""
+    """Where the server is reached; url and socket hold the token, where one is asked for."""
 
     url: str
     socket: str
     tcp: tuple[str, int] | None
     vmc: tuple[str, int] | None
+    token: str | None = None
 
 
 class PlayServer:
@@ -79,6 +91,9 @@ class PlayServer:
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # of the TCP port
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
+        # Where others than this machine can connect, only those who were told the address may.
+        self.token = None if is_loopback(options.host) else secrets.token_urlsafe(18)
+        self._cookie = ""  # its name; known with the port, as cookies do not tell ports apart
 
     async def run(self, ready: Callable[[Addresses], None] | None = None) -> None:
         """Serve until cancelled or told to stop by SIGINT or SIGTERM.
@@ -114,7 +129,8 @@ class PlayServer:
                 self._web_client,
                 host,
                 options.port,
-                process_request=self._answer,
+                process_request=self._answer_method,
+                create_connection=_Connection,
                 compression=None,
                 max_size=self.live.session.limits.message_bytes,
                 close_timeout=CLOSE_SECONDS,
@@ -133,13 +149,25 @@ class PlayServer:
             except OSError as error:
                 raise _serve_error(host, options.tcp, "--tcp", error) from None
             open_.push_async_callback(self._close_tcp, server)
-            tcp = (host, server.sockets[0].getsockname()[1])
-        name = f"[{host}]" if ":" in host else host
-        return Addresses(f"http://{name}:{port}/", f"ws://{name}:{port}{SOCKET_PATH}", tcp, options.vmc)
+            tcp = (reachable_name(host), server.sockets[0].getsockname()[1])
+        self._cookie = f"motionkit-{port}"
+        name = reachable_name(host)
+        name = f"[{name}]" if ":" in name else name
+        query = "" if self.token is None else f"?token={self.token}"
+        url, live = f"http://{name}:{port}/{query}", f"ws://{name}:{port}{SOCKET_PATH}{query}"
+        return Addresses(url, live, tcp, options.vmc, self.token)
 
     # ---- HTTP ----
 
-    def _answer(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+    def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+        """The response to GET, or to HEAD, which is the same without its body."""
+        assert isinstance(connection, _Connection)
+        response = self._answer(request)
+        if connection.method != b"HEAD":
+            return response
+        return _method_refused() if response is None else replace(response, body=b"")
+
+    def _answer(self, request: HttpRequest) -> Response | None:
         """The response to a plain request, None where a WebSocket may be opened."""
         try:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
@@ -147,23 +175,38 @@ class PlayServer:
             return _response(HTTPStatus.BAD_REQUEST, "one Host and one Origin at most")
         if not host_allowed(host, self._names, self._numbers):
             return _response(HTTPStatus.FORBIDDEN, "this server does not go by that name")
-        path = request.path.partition("?")[0]
+        path, _, query = request.path.partition("?")
         if path == SOCKET_PATH:
             if not origin_allowed(origin, host):
                 return _response(HTTPStatus.FORBIDDEN, "only the page of this server may connect")
-            return None
+            return None if self._knows_token(request, query) else _token_missing()
         if path == "/" and self._page is not None:
-            return _response(
-                HTTPStatus.OK,
-                self._page,
-                "text/html; charset=utf-8",
-                {"Content-Security-Policy": policy(host)},
-            )
+            if not self._knows_token(request, query):
+                return _token_missing()
+            headers = {"Content-Security-Policy": policy(host)}
+            if self.token is not None:  # with which the page opens its socket
+                headers["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+            return _response(HTTPStatus.OK, self._page, "text/html; charset=utf-8", headers)
         recording = find_recording(path, self.live.recordings)
         if recording is not None:
             named = {"Content-Disposition": 'attachment; filename="motionkit-recording.bvh"'}
             return _response(HTTPStatus.OK, recording, "text/plain; charset=utf-8", named)
         return _response(HTTPStatus.NOT_FOUND, "not found")
+
+    def _knows_token(self, request: HttpRequest, query: str) -> bool:
+        """Whether a request holds the token in its address or its cookie, or none is asked for."""
+        told = parse_qs(query).get("token", [])
+        for line in request.headers.get_all("Cookie"):
+            with suppress(CookieError):
+                cookie = SimpleCookie(line).get(self._cookie)
+                told += [] if cookie is None else [cookie.value]
+        return self.token is None or any(self._is_token(word) for word in told)
+
+    def _is_token(self, word: object) -> bool:
+        # In the same time whatever is wrong with it.
+        return isinstance(word, str) and hmac.compare_digest(
+            word.encode("utf-8", "replace"), (self.token or "").encode()
+        )
 
     # ---- clients ----
 
@@ -195,12 +238,14 @@ class PlayServer:
         self._connections[task] = writer
         _send_late(writer.transport)
         try:
-            client = await self.live.join(as_json=True)
+            lines = self._lines(reader)
+            fault = await self._tcp_fault(lines)
+            client = None if fault else await self.live.join(as_json=True)
             if client is None:
-                full = error_event(ProtocolError("too many clients"), closing=True)
-                writer.write(json.dumps(full).encode() + b"\n")
+                refused = error_event(ProtocolError(fault or "too many clients"), closing=True)
+                writer.write(json.dumps(refused).encode() + b"\n")
             else:
-                await self._attend(client, self._lines(reader), send, writer.transport.abort)
+                await self._attend(client, lines, send, writer.transport.abort)
             # What the client still sends is read, or the system would drop what it has not read of ours.
             with suppress(OSError, asyncio.TimeoutError):
                 writer.write_eof()
@@ -208,6 +253,18 @@ class PlayServer:
         finally:
             writer.close()
             del self._connections[task]
+
+    async def _tcp_fault(self, lines: AsyncIterator[str]) -> str | None:
+        """Why a TCP client may not join, None if it may: it has to send the token first, where one is asked for."""
+        if len(self._connections) > WAITING_ROOM * self.live.session.limits.clients:
+            return "too many connections"
+        if self.token is None:
+            return None
+        with suppress(ProtocolError, StopAsyncIteration, asyncio.TimeoutError, ValueError, RecursionError):
+            told = json.loads(await asyncio.wait_for(lines.__anext__(), TOKEN_SECONDS))
+            if isinstance(told, dict) and self._is_token(told.get("token")):
+                return None
+        return 'expected the token of this server first: {"token": "..."}'
 
     async def _close_web(self, server: Server) -> None:
         """Close port and connections; who has not ended by then, such as one who says nothing, is not waited for."""
@@ -238,8 +295,11 @@ class PlayServer:
         def sent_all(_: asyncio.Task) -> None:
             if client.stalled:
                 abort()
+            elif client.let_go:  # once the last event is through
+                loop.call_later(CLOSE_SECONDS, abort)
 
-        pump = asyncio.get_running_loop().create_task(client.pump(send))
+        loop = asyncio.get_running_loop()
+        pump = loop.create_task(client.pump(send))
         pump.add_done_callback(sent_all)
         try:
             async for message in messages:
@@ -295,6 +355,42 @@ class PlayServer:
         return transport
 
 
+class _Connection(ServerConnection):
+    """A connection that tells HTTP methods apart: websockets takes in GET alone, some versions anything."""
+
+    method: bytes | None = None
+    _begun = b""
+    _refused = False
+
+    def data_received(self, data: bytes) -> None:
+        if self._refused:
+            return
+        if self.method is None:
+            data = self._begun = self._begun + data
+            word = _METHOD.match(data)
+            if word is None or (word.end() == len(data) and len(data) <= LONGEST_METHOD):
+                if word is not None or not data:
+                    return  # the rest of the word is still to come
+                self.method = b""  # no HTTP: websockets closes it
+            else:
+                self.method = word[0]
+            self._begun = b""
+            if self.method == b"HEAD":
+                data = b"GET" + data[len(b"HEAD") :]
+            elif self.method not in (b"", b"GET"):
+                self._refuse()
+                return
+        super().data_received(data)
+
+    def _refuse(self) -> None:
+        self._refused = True
+        assert isinstance(self.transport, asyncio.Transport)
+        self.transport.write(_method_refused().serialize())
+        # What it still sends is read for a while, or it might not get the answer.
+        self.transport.write_eof()
+        asyncio.get_running_loop().call_later(CLOSE_SECONDS, self.transport.abort)
+
+
 def _send_late(transport: asyncio.BaseTransport) -> None:
     """Keep little waiting on the way, so that a slow client gets new frames instead of old ones."""
     assert isinstance(transport, asyncio.WriteTransport)
@@ -335,6 +431,36 @@ def _response(
         }
     )
     return Response(status.value, status.phrase, headers, data)
+
+
+def _method_refused() -> Response:
+    return _response(
+        HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered", more={"Allow": "GET, HEAD"}
+    )
+
+
+def _token_missing() -> Response:
+    return _response(
+        HTTPStatus.FORBIDDEN,
+        "this server asks for a token; use the whole address that motionkit play printed",
+    )
+
+
+def reachable_name(host: str) -> str:
+    """The host to reach a server at that listens on a host: an address of this machine for all addresses."""
+    if host not in ("", "0.0.0.0", "::"):
+        return host
+    family, away, here = (
+        (socketlib.AF_INET6, "2001:db8::1", "::1")
+        if host == "::"
+        else (socketlib.AF_INET, "192.0.2.1", "127.0.0.1")
+    )
+    try:
+        with socketlib.socket(family, socketlib.SOCK_DGRAM) as probe:
+            probe.connect((away, 9))  # sends nothing; only asks which way it would go
+            return str(probe.getsockname()[0])
+    except OSError:
+        return here
 
 
 def _serve_error(host: str, port: int, option: str, error: OSError) -> ServeError:
