@@ -333,3 +333,11 @@ def test_files_twice_within_a_ten_thousandth(tmp_path: Path) -> None:
     mirror_file(tmp_path / "b.bvh", tmp_path / "c.bvh")
     assert (tmp_path / "a.bvh").read_text() == (tmp_path / "c.bvh").read_text()
     np.testing.assert_allclose(read_bvh(tmp_path / "c.bvh").values, bvh.values, atol=1e-4)
+
+
+def test_a_bone_without_length_whose_twin_is_ten_kilometres_long(make_motion) -> None:
+    """Its misfit is so large that a thousandth more is the same number."""
+    bvh = motion_to_bvh(make_motion(4))
+    bvh.skeleton.offsets[bvh.skeleton.index("LeftForeArm")] = 0.0
+    bvh.skeleton.offsets[bvh.skeleton.index("RightForeArm"), 0] = -1e7
+    assert np.isfinite(mirror_bvh(bvh).values).all()

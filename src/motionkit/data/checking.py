@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
@@ -133,7 +134,9 @@ def open_array(path: Path, name: str, rows: int) -> np.ndarray:
     columns, dtype, _, _ = ARRAY_KINDS[name]
     check_regular(path, MAX_ARRAY_BYTES, "an array of the dataset", DatasetError)
     try:
-        array = np.lib.format.open_memmap(path, mode="r")
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a header that numpy has to guess at is not ours
+            array = np.lib.format.open_memmap(path, mode="r")
     except Exception as error:  # numpy's reader of headers raises whatever Python's parser does
         said = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise DatasetError(f"{path}: cannot be read ({said})") from None

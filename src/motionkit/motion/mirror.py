@@ -213,7 +213,7 @@ def _own_reflections(
             pose = 0.0 if known else float(quat_angle(means[joint], turned)) / torch.pi
             costs.append((bones + 0.5 * pose, signs))
         best = min(cost for cost, _ in costs)
-        found.append(next(signs for cost, signs in costs if cost < best + 1e-3))
+        found.append(next(signs for cost, signs in costs if cost <= best + 1e-3))
     return tuple(found)
 
 
