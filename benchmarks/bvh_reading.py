@@ -15,7 +15,6 @@ from pathlib import Path
 
 import bvhio
 import numpy as np
-import torch
 from common import SAMPLE_FOLDER, print_table, time_in_turn
 
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
@@ -27,10 +26,12 @@ from motionkit.motion.skeleton import canonical_skeleton
 def generated_file(frames: int) -> BvhFile:
     """A canonical body that swings its joints."""
     skeleton = canonical_skeleton()
-    time = torch.arange(frames, dtype=torch.float64)[:, None, None] / 60.0
-    phase = torch.arange(len(skeleton) * 3, dtype=torch.float64).reshape(1, -1, 3)
-    root = torch.tensor([0.0, 95.0, 0.0]).expand(frames, 3)
-    return motion_to_bvh(Motion(skeleton, expmap_to_quat(0.4 * torch.sin(time + phase)).float(), root, 60.0))
+    time = np.arange(frames, dtype=np.float64)[:, None, None] / 60.0
+    phase = np.arange(len(skeleton) * 3, dtype=np.float64).reshape(1, -1, 3)
+    root = np.broadcast_to(np.array([0.0, 95.0, 0.0], np.float32), (frames, 3))
+    return motion_to_bvh(
+        Motion(skeleton, expmap_to_quat(0.4 * np.sin(time + phase)).astype(np.float32), root, 60.0)
+    )
 
 
 def with_frames(bvh: BvhFile, frames: int) -> BvhFile:
@@ -55,9 +56,7 @@ def main() -> None:
     parser.add_argument("file", nargs="?", type=Path, help="the BVH file to read")
     parser.add_argument("--frames", type=int, help="repeat or cut the file to so many frames")
     parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--threads", type=int, default=1, help="torch threads")
     arguments = parser.parse_args()
-    torch.set_num_threads(arguments.threads)
     with tempfile.TemporaryDirectory() as folder:
         path = chosen_file(arguments.file, arguments.frames, Path(folder))
         bvh = read_bvh(path)

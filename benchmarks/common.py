@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
-import torch
 
 SAMPLE_FOLDER = Path(__file__).resolve().parent.parent / "examples" / "data"
 
@@ -44,8 +43,8 @@ def percentiles(seconds: Sequence[float]) -> tuple[float, float, float]:
 def machine_line() -> str:
     """Processor, cores and versions, to be read beside every figure."""
     return (
-        f"{processor_name()}, {os.cpu_count()} cores, {torch.get_num_threads()} torch threads, "
-        f"Python {platform.python_version()}, torch {torch.__version__}"
+        f"{processor_name()}, {os.cpu_count()} cores, "
+        f"Python {platform.python_version()}, numpy {np.__version__}"
     )
 
 

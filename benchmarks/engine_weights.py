@@ -14,10 +14,10 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
-import torch
 from common import print_table
 
 from motionkit.apps.onnx_export import WEIGHTS, OnnxStep, build_graph
+from motionkit.arrays import Array
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.metrics.foot_sliding import average_foot_sliding
@@ -39,20 +39,21 @@ def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> 
     recorded = plan_signals(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
     if speed is None:
         return recorded
-    ahead = torch.zeros(len(TRAJECTORY_OFFSETS), 2)
-    ahead[:, 1] = speed / model.fps * torch.tensor(TRAJECTORY_OFFSETS)
-    way = torch.cat([ahead, torch.tensor([0.0, 1.0]).expand_as(ahead)]).reshape(1, -1).expand(frames, -1)
-    none = torch.zeros(frames)
-    return Signals(torch.zeros_like(recorded.guide), none, way, none + 1.0, none - 1.0)
+    ahead = np.zeros((len(TRAJECTORY_OFFSETS), 2), np.float32)
+    ahead[:, 1] = speed / model.fps * np.array(TRAJECTORY_OFFSETS)
+    facing = np.tile(np.float32([0.0, 1.0]), (len(TRAJECTORY_OFFSETS), 1))
+    way = np.tile(np.concatenate([ahead, facing]).reshape(1, -1), (frames, 1))
+    none = np.zeros(frames, np.float32)
+    return Signals(np.zeros_like(recorded.guide), none, way, none + 1.0, none - 1.0)
 
 
-def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> torch.Tensor:
+def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
     """Joint positions (T, 23, 3) in cm of the graph on its own output."""
     graph = OnnxStep(path)
     start = seed_start(model, kind, 1)
     graph.values["type_weights"][0, model.type_id(kind)] = 1.0
     graph.values["progress"][:], graph.values["grip"][:] = -1.0, 1.0
-    poses, contacts = model.scaling.normalize(start.features)[0].numpy(), start.contacts[0].numpy()
+    poses, contacts = model.scaling.normalize(start.features)[0], start.contacts[0]
     for t in range(len(poses)):
         graph.values["pose"][:], graph.values["contacts"][:] = poses[t], contacts[t]
         if t + 1 < len(poses):
@@ -67,17 +68,17 @@ def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> torch.Ten
         noise[1] = keeps_too * noise[1] + takes_too * noise[0]
         graph.values["noise"][:] = settings.temperature * model.noise.get(kind, 1.0) * noise[1]
         for name, values in vars(asked).items():
-            graph.values[name][:] = values[frame].numpy()
+            graph.values[name][:] = values[frame]
         out.append(graph.step()["positions"][0].copy())
-    return torch.from_numpy(np.stack(out))
+    return np.stack(out)
 
 
-def measures(positions: torch.Tensor, fps: float) -> list[str]:
+def measures(positions: Array, fps: float) -> list[str]:
     """Speed, sliding, heights, jerk."""
     feet = foot_positions(positions)
     heights = positions[..., 1]
     return [
-        f"{torch.diff(positions, dim=0).norm(dim=-1).mean() * fps:.1f}",
+        f"{np.linalg.norm(np.diff(positions, axis=0), axis=-1).mean() * fps:.1f}",
         f"{average_foot_sliding(feet, floor_height(feet)).value:.3f}",
         f"{heights[:, 0].mean():.1f}",
         f"{heights.min():.1f}",
@@ -92,7 +93,6 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=20.0, help="of each type")
     arguments = parser.parse_args()
     model = open_model(arguments.model)
-    torch.set_num_threads(1)
     rows = []
     with tempfile.TemporaryDirectory() as folder:
         paths = {weights: Path(folder) / f"{weights}.onnx" for weights in WEIGHTS}

@@ -25,7 +25,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
-import torch
+import numpy as np
 from common import percentiles, print_table
 
 from motionkit.apps.play.requests import Request
@@ -193,9 +193,9 @@ def _response(
 ) -> float:
     shown = [next(c for c in event["characters"] if c["id"] == number) for _, event in frames]
     body = Body(
-        torch.tensor([c["rotations"] for c in shown]),
-        torch.tensor([c["positions"] for c in shown]),
-        torch.tensor([c["heading"] for c in shown]),
+        np.array([c["rotations"] for c in shown]),
+        np.array([c["positions"] for c in shown]),
+        np.array([c["heading"] for c in shown]),
         fps,
     )
     seconds = response_seconds(command.answers(body), fps)
@@ -252,7 +252,6 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=2, help="how often each command is given")
     parser.add_argument("--no-browser", action="store_true", help="leave the page out")
     arguments = parser.parse_args()
-    torch.set_num_threads(1)
     model = open_model(arguments.model)
     budget = 1000.0 / model.fps
     rows, alone = [], None

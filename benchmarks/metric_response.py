@@ -9,7 +9,7 @@ import sys
 from dataclasses import replace
 from pathlib import Path
 
-import torch
+import numpy as np
 
 from motionkit.metrics.loading import load_canonical
 from motionkit.metrics.report import evaluate_motion
@@ -26,25 +26,25 @@ COLUMNS = (
 def harmed(motion: Motion) -> dict[str, Motion]:
     """The motion, and what each harm makes of it."""
     turns, places, frames = motion.local_rotations, motion.root_positions, len(motion)
-    first = turns[:1].expand_as(turns)
-    shakes = 0.02 * torch.randn(frames, turns.shape[1], 3, generator=torch.Generator().manual_seed(0))
-    fast, aside = places.clone(), places.clone()
+    first = np.broadcast_to(turns[:1], turns.shape)
+    shakes = 0.02 * np.random.default_rng(0).standard_normal((frames, turns.shape[1], 3), np.float32)
+    fast, aside = places.copy(), places.copy()
     fast[:, ::2] += 0.2 * (places[:, ::2] - places[0, ::2])
     ahead = places[-1, ::2] - places[0, ::2]
-    across = torch.stack([-ahead[1], ahead[0]]) / ahead.norm()
-    aside[:, ::2] += across * torch.linspace(0.0, 40.0, frames)[:, None]
+    across = np.stack([-ahead[1], ahead[0]]) / np.linalg.norm(ahead)
+    aside[:, ::2] += across * np.linspace(0.0, 40.0, frames, dtype=np.float32)[:, None]
     return {
         "itself": motion,
         "all joints tremble (0.02 rad)": replace(
             motion, local_rotations=quat_multiply(turns, expmap_to_quat(shakes))
         ),
-        "pose frozen, root moves on": replace(motion, local_rotations=first.clone()),
+        "pose frozen, root moves on": replace(motion, local_rotations=first.copy()),
         "halfway to its first pose": replace(
-            motion, local_rotations=quat_slerp(turns, first, torch.tensor(0.5))
+            motion, local_rotations=quat_slerp(turns, first, np.array(0.5, np.float32))
         ),
         "root 20 % too fast": replace(motion, root_positions=fast),
         "drifts 40 cm sideways": replace(motion, root_positions=aside),
-        "five frames late": replace(motion, local_rotations=torch.cat([first[:5], turns[:-5]])),
+        "five frames late": replace(motion, local_rotations=np.concatenate([first[:5], turns[:-5]])),
     }
 
 

@@ -22,13 +22,14 @@ import numpy as np
 import torch
 from common import percentiles, print_table
 
+from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel
-from motionkit.models.network import PartTransformer
 from motionkit.models.step import NetworkStep
 from motionkit.models.step_kernel import StepKernel, kernel_library
-from motionkit.models.step_weights import Floats, StepWeights, pack
+from motionkit.models.step_weights import StepWeights, pack
+from motionkit.models.weights import NetworkWeights
 from motionkit.synthesis.character import CharacterStream
 from motionkit.synthesis.rollout import FrameControls
 from motionkit.synthesis.stepping import TorchStep
@@ -39,25 +40,32 @@ Step = Callable[[], object]
 class WindowStep(TorchStep):
     """The paper's way: the last 87 frames through the whole network, of which the last prediction counts."""
 
-    def __init__(self, network: PartTransformer, batch: int) -> None:
+    def __init__(self, network: NetworkWeights, batch: int) -> None:
         super().__init__(network, batch)
         sizes = (FEATURE_COUNT, CONTACT_COUNT, network.control_size)
-        self.past = [torch.zeros(batch, network.config.receptive_field, size) for size in sizes]
+        self.past = [np.zeros((batch, network.config.receptive_field, size), np.float32) for size in sizes]
 
     @torch.inference_mode()
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
         """Take in a frame and predict the next."""
-        new = (torch.tensor(v)[:, None] for v in (x, contacts, controls))
-        self.past = [torch.cat([past[:, 1:], now], dim=1) for past, now in zip(self.past, new, strict=True)]
-        made = self.network(*self.past)
+        new = (v[:, None] for v in (x, contacts, controls))
+        self.past = [
+            np.concatenate([past[:, 1:], now], axis=1) for past, now in zip(self.past, new, strict=True)
+        ]
+        made = self.network(*(torch.from_numpy(past) for past in self.past))
         self.mean[:], self.log_sigma[:] = made.mean[:, -1].numpy(), made.log_sigma[:, -1].numpy()
         self.contact_logits[:] = made.contact_logits[:, -1].numpy()
 
 
 def asked_of(model: MotionModel, count: int) -> FrameControls:
     """Every character in a type of its own."""
-    weights = torch.eye(len(model.types))[torch.arange(count) % len(model.types)]
-    return FrameControls(weights, torch.zeros(count, 24), torch.zeros(count), torch.full((count,), -1.0))
+    weights = np.eye(len(model.types), dtype=np.float32)[np.arange(count) % len(model.types)]
+    return FrameControls(
+        weights,
+        np.zeros((count, 24), np.float32),
+        np.zeros(count, np.float32),
+        np.full((count,), -1.0, np.float32),
+    )
 
 
 def characters(
@@ -86,7 +94,7 @@ def floor(weights: StepWeights, bits: int) -> Step:
     """One sum over as much memory as the weights take."""
     modules = (weights.shallow, weights.deep)
     size = sum(array.size for module in modules for array in vars(module).values()) + weights.head.size
-    memory = torch.ones(size * bits // 32)
+    memory = np.ones(size * bits // 32, np.float32)
     return lambda: memory.sum()
 
 
@@ -97,7 +105,7 @@ def graph(model: MotionModel, folder: Path, weights: str) -> Step:
     path = folder / f"{weights}.onnx"
     path.write_bytes(build_graph(model, weights=weights).SerializeToString())
     step = OnnxStep(path)
-    step.values["type_weights"][:] = asked_of(model, 1).type_weights.numpy()
+    step.values["type_weights"][:] = asked_of(model, 1).type_weights
     step.values["progress"][:], step.values["grip"][:] = -1.0, 1.0
     return step.step
 

@@ -21,13 +21,12 @@ from torch import Tensor, nn
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.encode import identity_references
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.features.normalize import Scaling
 from motionkit.models.attention import LocalAttention
 from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import PRESETS, preset
 from motionkit.motion.skeleton import canonical_skeleton
-from motionkit.training.losses import Batch, total_loss, training_losses
+from motionkit.training.losses import Batch, FeatureSpace, total_loss, training_losses
 
 TYPES = tuple(f"type-{i}" for i in range(21))
 LOSS_SCALE = 1.0 / FEATURE_COUNT
@@ -82,7 +81,7 @@ def random_batch(batch: int, frames: int) -> Batch:
         (normal(CONTACT_COUNT) > 0).float(),
         normal(ControlLayout(TYPES).size),
         normal(TRAJECTORY_COUNT),
-        canonical_skeleton().offsets.expand(batch, -1, -1),
+        torch.from_numpy(canonical_skeleton().offsets).expand(batch, -1, -1),
         torch.ones(batch, frames),
     )
 
@@ -92,14 +91,16 @@ def training_step(network: PartTransformer, batch: Batch, bfloat16: bool) -> Cal
     network.train()
     modules = ConsistencyModules(network)
     optimizer = torch.optim.AdamW([*network.parameters(), *modules.parameters()], lr=1e-4)
-    scaling = Scaling(torch.zeros(FEATURE_COUNT), torch.ones(FEATURE_COUNT))
-    references = identity_references()
+    references = torch.from_numpy(identity_references())
+    space = FeatureSpace(
+        torch.zeros(FEATURE_COUNT), torch.ones(FEATURE_COUNT), references, network.config.layout, 60.0
+    )
 
     def step() -> None:
         with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
             prediction = network(batch.inputs, batch.contacts, batch.controls)
         prediction = replace(prediction, shallow=prediction.shallow.float(), deep=prediction.deep.float())
-        terms = training_losses(network, modules, prediction, batch, scaling, references, 60.0)
+        terms = training_losses(network, modules, prediction, batch, space)
         optimizer.zero_grad(set_to_none=True)
         (total_loss(terms) * LOSS_SCALE).backward()
         nn.utils.clip_grad_norm_(network.parameters(), 1.0)

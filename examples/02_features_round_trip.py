@@ -8,7 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import torch
+import numpy as np
 
 from motionkit.data.cleaning import clean
 from motionkit.features.decode import decode_motion
@@ -24,11 +24,13 @@ def print_round_trip(motion: Motion, layout: str) -> None:
     """What one layout of the 276 numbers loses, and how far its root rotation leaps."""
     encoded = encode_motion(motion, layout=layout)
     decoded = decode_motion(encoded.features, motion.skeleton, motion.fps, encoded.ground[0], layout=layout)
-    distance = (motion_kinematics(decoded)[1] - motion_kinematics(motion)[1]).norm(dim=-1).max()
-    turn = quat_angle(decoded.local_rotations.double(), motion.local_rotations.double()).max()
+    distance = np.linalg.norm(motion_kinematics(decoded)[1] - motion_kinematics(motion)[1], axis=-1).max()
+    turn = quat_angle(
+        decoded.local_rotations.astype(np.float64), motion.local_rotations.astype(np.float64)
+    ).max()
     root = encoded.features[:, feature_layout(layout).blocks["root_rotation"]]
-    leap = torch.diff(root, dim=0).norm(dim=-1).max()
-    print(f"{layout}: joints within {distance:.5f} cm, rotations within {torch.rad2deg(turn):.5f} degrees")
+    leap = np.linalg.norm(np.diff(root, axis=0), axis=-1).max()
+    print(f"{layout}: joints within {distance:.5f} cm, rotations within {np.rad2deg(turn):.5f} degrees")
     print(f"  largest step of the root rotation from frame to frame: {leap:.2f}")
 
 
@@ -42,7 +44,7 @@ def main() -> None:
     motion = resample(motion, 60.0)
     for layout in LAYOUTS:
         print_round_trip(motion, layout)
-    contacts = encode_motion(motion).contacts.mean(dim=0)
+    contacts = encode_motion(motion).contacts.mean(axis=0)
     for name, share in zip(("left foot", "left toe", "right foot", "right toe"), contacts, strict=True):
         print(f"{name} on the floor: {100 * share:.0f} % of the frames")
 

@@ -8,19 +8,20 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-import torch
+import numpy as np
 
+from motionkit.arrays import Array, normalized
 from motionkit.models.bundled import open_model
 from motionkit.motion.bvh import write_bvh
 from motionkit.synthesis.follow import follow_path
 from motionkit.synthesis.path import PathPart, make_path
 
 
-def spiral(turns: float, radius: float) -> torch.Tensor:
+def spiral(turns: float, radius: float) -> Array:
     """Points (N, 2) x, z in cm from the origin outwards."""
-    share = torch.linspace(0.15, 1.0, int(120 * turns) + 2)
-    angle = 2 * torch.pi * turns * share
-    points = radius * share[:, None] * torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
+    share = np.linspace(0.15, 1.0, int(120 * turns) + 2, dtype=np.float32)
+    angle = 2 * np.pi * turns * share
+    points = radius * share[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
     return points - points[0]
 
 
@@ -35,7 +36,7 @@ def main() -> None:
 
     # In Python lengths are centimetres; files and options of the command are in metres.
     walk = spiral(arguments.turns, 100.0 * arguments.radius)
-    way = torch.nn.functional.normalize(walk[-1] - walk[-2], dim=0)
+    way = normalized(walk[-1] - walk[-2])
     run = walk[-1] + way * 100.0 * arguments.run
     path = make_path([PathPart(walk, "walking", speed=130.0), PathPart(run[None], "running", speed=300.0)])
 

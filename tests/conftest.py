@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
 
+import numpy as np
 import pytest
-import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
@@ -76,18 +76,18 @@ def make_motion() -> Callable[..., Motion]:
         swing: float = 0.5,
     ) -> Motion:
         skeleton = skeleton or canonical_skeleton()
-        generator = torch.Generator().manual_seed(seed)
-        seconds = torch.arange(frames, dtype=torch.float64)[:, None, None] / fps
+        random = np.random.default_rng(seed)
+        seconds = np.arange(frames)[:, None, None] / fps
         shape = (1, len(skeleton), 3)
-        rates = 0.2 + torch.rand(shape, generator=generator, dtype=torch.float64)
-        phases = 6.28 * torch.rand(shape, generator=generator, dtype=torch.float64)
-        heights = swing * torch.randn(shape, generator=generator, dtype=torch.float64)
-        turns = expmap_to_quat(heights * torch.sin(6.28 * rates * seconds + phases))
-        places = torch.stack(
-            [50.0 * seconds[:, 0, 0], 95.0 + torch.sin(9.0 * seconds[:, 0, 0]), 0.0 * seconds[:, 0, 0]],
-            dim=-1,
+        rates = 0.2 + random.random(shape)
+        phases = 6.28 * random.random(shape)
+        heights = swing * random.standard_normal(shape)
+        turns = expmap_to_quat(heights * np.sin(6.28 * rates * seconds + phases))
+        places = np.stack(
+            [50.0 * seconds[:, 0, 0], 95.0 + np.sin(9.0 * seconds[:, 0, 0]), 0.0 * seconds[:, 0, 0]],
+            axis=-1,
         )
-        return Motion(skeleton, turns.float(), places.float(), fps)
+        return Motion(skeleton, turns.astype(np.float32), places.astype(np.float32), fps)
 
     return make
 

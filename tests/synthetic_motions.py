@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -23,19 +23,19 @@ from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, JOINT_NAMES, can
 TOE_HEIGHT = 4.1  # where a standing toe of the canonical skeleton is; cleaning leaves such clips alone
 
 
-def _about(axis: str, angle: Tensor) -> Tensor:
-    expmap = torch.zeros(*angle.shape, 3, dtype=torch.float64)
+def _about(axis: str, angle: Array) -> Array:
+    expmap = np.zeros((*angle.shape, 3), np.float64)
     expmap[..., "XYZ".index(axis)] = angle
     return expmap_to_quat(expmap)
 
 
-def standing_rotations(frames: int) -> Tensor:
+def standing_rotations(frames: int) -> Array:
     """Local rotations (T, 23, 4): legs straight down, arms hanging, everything else as in the rest pose."""
-    rotations = quat_identity((frames, JOINT_COUNT), torch.float64)
+    rotations = quat_identity((frames, JOINT_COUNT), np.float64)
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         thigh, arm, fore = (JOINT_NAMES.index(side + n) for n in ("UpLeg", "Arm", "ForeArm"))
         toe = JOINT_NAMES.index(side + "Foot")
-        angle = torch.full((frames,), sign * math.radians(20.0), dtype=torch.float64)
+        angle = np.full((frames,), sign * math.radians(20.0), np.float64)
         rotations[:, thigh] = _about("Z", -angle)
         rotations[:, toe] = _about("Z", angle)
         rotations[:, arm] = _about("Z", -3.6 * angle)
@@ -46,8 +46,8 @@ def standing_rotations(frames: int) -> Tensor:
 def _grounded(motion: Motion) -> Motion:
     """The motion with its lowest toe at standing height in every frame."""
     _, positions = motion_kinematics(motion)
-    toes = positions[:, [FOOT_JOINTS[1], FOOT_JOINTS[3]], 1].amin(dim=1)
-    root = motion.root_positions.clone()
+    toes = positions[:, [FOOT_JOINTS[1], FOOT_JOINTS[3]], 1].min(axis=1)
+    root = motion.root_positions.copy()
     root[:, 1] += TOE_HEIGHT - toes
     return Motion(motion.skeleton, motion.local_rotations, root, motion.fps)
 
@@ -66,13 +66,13 @@ def make_walk(
 
     crouch bends hips, knees and ankles, in radians of the knee.
     """
-    time = torch.arange(frames, dtype=torch.float64) / fps
+    time = np.arange(frames, dtype=np.float64) / fps
     beat = 2 * math.pi * cadence * time + phase
     rotations = standing_rotations(frames)
     for side, sign in (("Left", 1.0), ("Right", -1.0)):
         at = {n: JOINT_NAMES.index(side + n) for n in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm")}
-        thigh = sign * swing * torch.sin(beat)
-        knee = swing * (1.0 + torch.sin(beat * 1.0 + (0.0 if sign > 0 else math.pi) - 1.2))
+        thigh = sign * swing * np.sin(beat)
+        knee = swing * (1.0 + np.sin(beat * 1.0 + (0.0 if sign > 0 else math.pi) - 1.2))
         ankle = 0.3 * (thigh - knee) - 0.5 * crouch
         rotations[:, at["UpLeg"]] = quat_multiply(
             _about("X", -thigh - 0.5 * crouch), rotations[:, at["UpLeg"]]
@@ -81,13 +81,13 @@ def make_walk(
         rotations[:, at["Foot"]] = quat_multiply(_about("X", ankle), rotations[:, at["Foot"]])
         rotations[:, at["Arm"]] = quat_multiply(_about("X", 0.7 * thigh), rotations[:, at["Arm"]])
     sway = JOINT_NAMES.index("Spine")
-    rotations[:, sway] = _about("Y", 0.22 * swing * torch.sin(beat))
+    rotations[:, sway] = _about("Y", 0.22 * swing * np.sin(beat))
     yaw = turn * time
-    rotations[:, 0] = quat_multiply(quat_from_yaw(yaw), _about("X", 0.05 + 0.02 * torch.sin(2 * beat)))
-    steps = speed / fps * torch.stack([torch.sin(yaw), torch.cos(yaw)], dim=-1)
-    xz = torch.cumsum(steps, dim=0) - steps[:1]
-    root = torch.stack([xz[:, 0], torch.full_like(time, 95.0), xz[:, 1]], dim=-1)
-    return _grounded(Motion(canonical_skeleton(), rotations.float(), root.float(), fps))
+    rotations[:, 0] = quat_multiply(quat_from_yaw(yaw), _about("X", 0.05 + 0.02 * np.sin(2 * beat)))
+    steps = speed / fps * np.stack([np.sin(yaw), np.cos(yaw)], axis=-1)
+    xz = np.cumsum(steps, axis=0) - steps[:1]
+    root = np.stack([xz[:, 0], np.full_like(time, 95.0), xz[:, 1]], axis=-1)
+    return _grounded(Motion(canonical_skeleton(), rotations.astype(np.float32), root.astype(np.float32), fps))
 
 
 def make_idle(frames: int = 180, fps: float = 60.0, phase: float = 0.0) -> Motion:
@@ -97,17 +97,19 @@ def make_idle(frames: int = 180, fps: float = 60.0, phase: float = 0.0) -> Motio
 
 def make_jump(frames: int = 150, fps: float = 60.0, side: float = 1.0, phase: float = 0.0) -> Motion:
     """Hops in place on the left leg (side 1) or the right one (side -1), the other leg held up."""
-    time = torch.arange(frames, dtype=torch.float64) / fps
+    time = np.arange(frames, dtype=np.float64) / fps
     beat = 2 * math.pi * 1.2 * time + phase
     rotations = standing_rotations(frames)
     up = "Right" if side > 0 else "Left"
     thigh, knee = JOINT_NAMES.index(up + "UpLeg"), JOINT_NAMES.index(up + "Leg")
-    rotations[:, thigh] = quat_multiply(_about("X", -0.9 - 0.1 * torch.sin(beat)), rotations[:, thigh])
-    rotations[:, knee] = _about("X", 1.3 + 0.1 * torch.sin(beat))
-    root = torch.stack([torch.sin(beat), torch.full_like(time, 95.0), torch.zeros_like(time)], dim=-1)
-    motion = _grounded(Motion(canonical_skeleton(), rotations.float(), root.float(), fps))
-    hop = 12.0 * torch.sin(beat).clamp(min=0.0)
-    motion.root_positions[:, 1] += hop.float()
+    rotations[:, thigh] = quat_multiply(_about("X", -0.9 - 0.1 * np.sin(beat)), rotations[:, thigh])
+    rotations[:, knee] = _about("X", 1.3 + 0.1 * np.sin(beat))
+    root = np.stack([np.sin(beat), np.full_like(time, 95.0), np.zeros_like(time)], axis=-1)
+    motion = _grounded(
+        Motion(canonical_skeleton(), rotations.astype(np.float32), root.astype(np.float32), fps)
+    )
+    hop = 12.0 * np.maximum(np.sin(beat), 0.0)
+    motion.root_positions[:, 1] += hop.astype(np.float32)
     return motion
 
 
@@ -115,29 +117,29 @@ def make_cartwheel(
     frames: int = 180, fps: float = 60.0, yaw: float = 0.0, side: float = 1.0, turns: float = 1.0
 ) -> Motion:
     """A body that stands, turns over sideways in its own plane, and stands again, without turning its facing."""
-    time = torch.arange(frames, dtype=torch.float64) / fps
-    share = ((time - 0.25 * time[-1]) / (0.5 * time[-1])).clamp(0.0, 1.0)
+    time = np.arange(frames, dtype=np.float64) / fps
+    share = np.clip((time - 0.25 * time[-1]) / (0.5 * time[-1]), 0.0, 1.0)
     eased = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
     roll = -side * 2 * math.pi * turns * eased
     rotations = standing_rotations(frames)
     for name, sign in (("LeftArm", 1.0), ("RightArm", -1.0)):  # arms overhead while inverted
         joint = JOINT_NAMES.index(name)
-        lift = math.radians(140.0) * torch.sin(math.pi * eased)
+        lift = math.radians(140.0) * np.sin(math.pi * eased)
         rotations[:, joint] = quat_multiply(_about("Z", sign * lift), rotations[:, joint])
-    facing = quat_from_yaw(torch.full((frames,), yaw, dtype=torch.float64))
+    facing = quat_from_yaw(np.full((frames,), yaw, np.float64))
     rotations[:, 0] = quat_multiply(facing, _about("Z", roll))
-    across = torch.stack([side * 160.0 * eased, torch.zeros_like(time), torch.zeros_like(time)], dim=-1)
+    across = np.stack([side * 160.0 * eased, np.zeros_like(time), np.zeros_like(time)], axis=-1)
     root = quat_rotate(facing, across)
-    upright = make_idle(frames, fps).root_positions[:, 1].double()
-    root[:, 1] = upright - 25.0 * torch.sin(math.pi * eased)
-    return Motion(canonical_skeleton(), rotations.float(), root.float(), fps)
+    upright = make_idle(frames, fps).root_positions[:, 1].astype(np.float64)
+    root[:, 1] = upright - 25.0 * np.sin(math.pi * eased)
+    return Motion(canonical_skeleton(), rotations.astype(np.float32), root.astype(np.float32), fps)
 
 
 def make_dance(frames: int = 240, fps: float = 60.0) -> Motion:
     """A spinning body whose arms, thighs and spine turn through pi and on."""
     motion = make_walk(frames, fps, speed=40.0, turn=2.5)
-    time = torch.arange(frames, dtype=torch.float64) / fps
-    rotations = motion.local_rotations.double()
+    time = np.arange(frames, dtype=np.float64) / fps
+    rotations = motion.local_rotations.astype(np.float64)
     for name, axis, rate in (
         ("LeftArm", "X", 1.7),
         ("RightArm", "Z", -2.1),
@@ -147,17 +149,17 @@ def make_dance(frames: int = 240, fps: float = 60.0) -> Motion:
     ):
         joint = JOINT_NAMES.index(name)
         rotations[:, joint] = quat_multiply(_about(axis, rate * time), rotations[:, joint])
-    return Motion(motion.skeleton, rotations.float(), motion.root_positions, fps)
+    return Motion(motion.skeleton, rotations.astype(np.float32), motion.root_positions, fps)
 
 
 def placed(motion: Motion, yaw: float = 0.0, move: tuple[float, float] = (0.0, 0.0)) -> Motion:
     """The motion turned about Y through the origin, then moved by x, z in cm."""
-    turn = quat_from_yaw(torch.tensor(yaw, dtype=torch.float64))
-    rotations = motion.local_rotations.double().clone()
-    rotations[:, 0] = quat_multiply(turn.expand_as(rotations[:, 0]), rotations[:, 0])
-    root = quat_rotate(turn, motion.root_positions.double())
-    root = root + torch.tensor([move[0], 0.0, move[1]], dtype=torch.float64)
-    return Motion(motion.skeleton, rotations.float(), root.float(), motion.fps)
+    turn = quat_from_yaw(np.array(yaw, np.float64))
+    rotations = motion.local_rotations.astype(np.float64).copy()
+    rotations[:, 0] = quat_multiply(np.broadcast_to(turn, rotations[:, 0].shape), rotations[:, 0])
+    root = quat_rotate(turn, motion.root_positions.astype(np.float64))
+    root = root + np.array([move[0], 0.0, move[1]], np.float64)
+    return Motion(motion.skeleton, rotations.astype(np.float32), root.astype(np.float32), motion.fps)
 
 
 LABELS = """file,start_frame,end_frame,type,subject,fps,split,note

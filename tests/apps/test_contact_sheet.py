@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from motionkit.apps.contact_sheet import contact_sheet, pose_frames, write_contact_sheet
 from motionkit.apps.contact_sheet_geometry import (
@@ -29,8 +28,8 @@ def standing(frames: int = 40, travel: float = 0.0) -> Motion:
     """The rest pose on the floor, pushed along X by travel cm a frame."""
     skeleton = canonical_skeleton()
     height = -float(skeleton.rest_positions()[:, 1].min())
-    root = torch.zeros(frames, 3)
-    root[:, 0] = torch.arange(frames) * travel
+    root = np.zeros((frames, 3), np.float32)
+    root[:, 0] = np.arange(frames) * travel
     root[:, 1] = height
     return Motion(skeleton, quat_identity((frames, len(skeleton))), root, 60.0)
 
@@ -58,15 +57,15 @@ def test_pushed_feet_slide_and_lifted_feet_do_not() -> None:
     foot = pushed.feet["left"]
     assert sliding_frames(pushed, foot).all()
     lifted = standing(travel=3.0)
-    up = torch.where(torch.arange(40) >= 20, 30.0, 0.0)
-    root = lifted.root_positions + up[:, None] * torch.tensor([0.0, 1.0, 0.0])
+    up = np.where(np.arange(40) >= 20, 30.0, 0.0)
+    root = lifted.root_positions + up[:, None] * np.array([0.0, 1.0, 0.0], np.float32)
     flying = motion_figure(replace(lifted, root_positions=root))
     assert not low_frames(flying, foot)[20:].any() and not sliding_frames(flying, foot)[20:].any()
 
 
 def test_a_floating_body_keeps_the_floor_at_zero() -> None:
     motion = standing()
-    floating = replace(motion, root_positions=motion.root_positions + torch.tensor([0.0, 25.0, 0.0]))
+    floating = replace(motion, root_positions=motion.root_positions + np.array([0.0, 25.0, 0.0], np.float32))
     figure = motion_figure(floating)
     assert figure.floor == 0.0
     assert figure.positions[..., 1].min() > 20.0
@@ -74,8 +73,8 @@ def test_a_floating_body_keeps_the_floor_at_zero() -> None:
 
 def test_z_up_rigs_stand_up() -> None:
     motion = standing()
-    turn = torch.tensor([0.5**0.5, 0.5**0.5, 0.0, 0.0])  # a quarter turn about X: Y becomes Z
-    rotations = motion.local_rotations.clone()
+    turn = np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0], np.float32)  # a quarter turn about X: Y becomes Z
+    rotations = motion.local_rotations.copy()
     rotations[:, 0] = turn
     root = motion.root_positions[:, [0, 2, 1]]
     figure = motion_figure(replace(motion, local_rotations=rotations, root_positions=root))
@@ -107,15 +106,15 @@ def test_left_is_blue_and_right_is_orange() -> None:
 @pytest.mark.parametrize("scale", [1e-3, 1.0, 1e3])
 def test_any_rig_without_sides_names_or_size_can_be_drawn(scale: float) -> None:
     skeleton = Skeleton(
-        ("a", "b", "c"), (-1, 0, 1), torch.tensor([[0.0, 0, 0], [0, 1, 0], [0, 1, 1]]) * scale
+        ("a", "b", "c"), (-1, 0, 1), np.array([[0.0, 0, 0], [0, 1, 0], [0, 1, 1]], np.float32) * scale
     )
-    motion = Motion(skeleton, quat_identity((5, 3)), torch.zeros(5, 3), 30.0)
+    motion = Motion(skeleton, quat_identity((5, 3)), np.zeros((5, 3), np.float32), 30.0)
     assert contact_sheet([("worm", motion)], width=700).height > 100
 
 
 def test_a_single_joint_can_be_drawn() -> None:
-    skeleton = Skeleton(("only",), (-1,), torch.zeros(1, 3))
-    motion = Motion(skeleton, quat_identity((4, 1)), torch.zeros(4, 3), 30.0)
+    skeleton = Skeleton(("only",), (-1,), np.zeros((1, 3), np.float32))
+    motion = Motion(skeleton, quat_identity((4, 1)), np.zeros((4, 3), np.float32), 30.0)
     assert contact_sheet([("point", motion)]).height > 100
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 
 from motionkit.apps.body import make_body
 from motionkit.apps.contact_sheet_geometry import motion_figure
@@ -43,10 +42,10 @@ def body_of(motion: Motion) -> tuple[Surface, np.ndarray]:
     bones = [j for _, j in motion_figure(motion).bones if j < len(motion.skeleton)]
     surface, pose = make_body(motion, bones)
     turns, places = motion_kinematics(motion)
-    matrices = quat_to_matrix(turns).double().numpy()
+    matrices = quat_to_matrix(turns).astype(np.float64)
     moved = [
         surface.posed(pose.matrices_from(r, p))
-        for r, p in zip(matrices, places.double().numpy(), strict=True)
+        for r, p in zip(matrices, places.astype(np.float64), strict=True)
     ]
     return surface, np.array(moved)
 
@@ -77,10 +76,8 @@ def dog(frames: int = 3) -> Motion:
     offsets = [(0, 0, 0), (0, 0, 50), (0, 20, 20), (0, 5, -30)]
     for x, z in ((8, 0), (-8, 0), (8, -5), (-8, -5)):
         offsets += [(x, -5, z), (0, -40, 0)]
-    skeleton = Skeleton(
-        tuple(names), parents, torch.tensor(offsets, dtype=torch.float32), {2: (0.0, 0.0, 12.0)}
-    )
-    roots = torch.tensor([[0.0, 45.0, 0.0]]).expand(frames, 3).contiguous()
+    skeleton = Skeleton(tuple(names), parents, np.array(offsets, np.float32), {2: (0.0, 0.0, 12.0)})
+    roots = np.broadcast_to(np.array([[0.0, 45.0, 0.0]], np.float32), (frames, 3))
     return Motion(skeleton, quat_identity((frames, len(names))), roots, 30.0)
 
 
@@ -95,14 +92,14 @@ def test_packing_keeps_numbers(kind: str) -> None:
 def test_frames_survive_packing() -> None:
     motion = make_walk(90)
     data = figure_data(Shown("walk", motion))
-    rotations = torch.from_numpy(unpack(data["rotations"]).astype(np.float64))
-    rotations = rotations / rotations.norm(dim=-1, keepdim=True)
+    rotations = unpack(data["rotations"]).astype(np.float64)
+    rotations = rotations / np.linalg.norm(rotations, axis=-1, keepdims=True)
     kept = replace(
         motion,
         local_rotations=rotations,
-        root_positions=torch.from_numpy(unpack(data["roots"]).astype(np.float64) / data["scale"]),
+        root_positions=unpack(data["roots"]).astype(np.float64) / data["scale"],
     )
-    error = (motion_kinematics(kept)[1] - motion_kinematics(motion)[1]).abs().max()
+    error = np.abs(motion_kinematics(kept)[1] - motion_kinematics(motion)[1]).max()
     assert float(error) < 0.1, f"{float(error):.3f} cm"
 
 
@@ -119,8 +116,8 @@ def test_units_are_guessed(factor: float) -> None:
 
 def test_z_up_is_turned_upright() -> None:
     motion = make_walk(60)
-    quarter = expmap_to_quat(torch.tensor([torch.pi / 2, 0.0, 0.0])).expand(60, 4)
-    rotations = motion.local_rotations.clone()
+    quarter = np.broadcast_to(expmap_to_quat(np.array([np.pi / 2, 0.0, 0.0], np.float32)), (60, 4))
+    rotations = motion.local_rotations.copy()
     rotations[:, 0] = quat_multiply(quarter, rotations[:, 0])
     tilted = replace(
         motion, local_rotations=rotations, root_positions=quat_rotate(quarter, motion.root_positions)
@@ -128,7 +125,7 @@ def test_z_up_is_turned_upright() -> None:
     for given, expected in zip(
         *(motion_kinematics(in_metres(m)[0])[1] for m in (tilted, motion)), strict=True
     ):
-        torch.testing.assert_close(given, expected, atol=1e-4, rtol=0)
+        np.testing.assert_allclose(given, expected, atol=1e-4, rtol=0)
 
 
 @pytest.mark.parametrize("source", ["walk", "16_05", "dog"])
@@ -160,14 +157,14 @@ def test_a_rest_pose_without_sense_gives_the_same_body() -> None:
     """All bones along one axis at rest: the body is made in a frame that shows it."""
     motion, _, _ = in_metres(make_walk(40))
     turns, places = motion_kinematics(motion)
-    lengths = motion.skeleton.offsets.norm(dim=-1)
-    straight = torch.stack([torch.zeros(23), lengths, torch.zeros(23)], dim=-1)
+    lengths = np.linalg.norm(motion.skeleton.offsets, axis=-1)
+    straight = np.stack([np.zeros(23, np.float32), lengths, np.zeros(23, np.float32)], axis=-1)
     rig = replace(motion.skeleton, offsets=straight, end_sites={})
     # The same places, frame by frame, by joints that translate.
     from motionkit.motion.rotations import quat_inverse
 
     parents = list(motion.skeleton.parents)
-    local = torch.zeros_like(places)
+    local = np.zeros_like(places)
     for joint, parent in enumerate(parents):
         if parent >= 0:
             local[:, joint] = quat_rotate(
@@ -179,7 +176,7 @@ def test_a_rest_pose_without_sense_gives_the_same_body() -> None:
 
 
 def test_a_single_joint_is_drawn() -> None:
-    lone = Skeleton(("box",), (-1,), torch.zeros(1, 3))
-    motion = Motion(lone, quat_identity((4, 1)), torch.zeros(4, 3), 30.0)
+    lone = Skeleton(("box",), (-1,), np.zeros((1, 3), np.float32))
+    motion = Motion(lone, quat_identity((4, 1)), np.zeros((4, 3), np.float32), 30.0)
     data = figure_data(Shown("box", motion))
     assert data["body"]["points"]["shape"][0] > 0 and data["frames"] == 4

@@ -9,7 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from PIL import Image
 
 from motionkit.apps.figure_data import Shown
@@ -66,8 +65,8 @@ SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116))  # of the first three
 def turned(motion: Motion, degrees: float) -> Motion:
     """The motion turned about the vertical axis through the origin."""
     half = math.radians(degrees) / 2
-    turn = torch.tensor([math.cos(half), 0.0, math.sin(half), 0.0]).expand(len(motion), 4)
-    rotations = motion.local_rotations.clone()
+    turn = np.broadcast_to(np.array([math.cos(half), 0.0, math.sin(half), 0.0], np.float32), (len(motion), 4))
+    rotations = motion.local_rotations.copy()
     rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
     return replace(motion, local_rotations=rotations, root_positions=quat_rotate(turn, motion.root_positions))
 
@@ -96,7 +95,7 @@ def test_nobody_walks_out_of_the_picture(directions: tuple[int, ...]) -> None:
 
 def test_a_single_figure_stays_in_the_picture_too() -> None:
     leap = make_walk(121)
-    leap.root_positions[:, 1] += 200.0 * torch.sin(torch.linspace(0.0, math.pi, 121))
+    leap.root_positions[:, 1] += 200.0 * np.sin(np.linspace(0.0, math.pi, 121, dtype=np.float32))
     scenery = Scenery([Shown("leap", leap)], 240, 180)
     for time in (0.0, 0.5, 1.0, 2.0):
         corners = scenery.framing.camera(time).screen(scenery.actors[0].triangles(time)[0])

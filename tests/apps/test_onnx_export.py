@@ -59,10 +59,10 @@ VARIANTS: list[dict] = [
 
 @pytest.mark.parametrize("change", VARIANTS)
 def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None:
-    network = PartTransformer(replace(preset("tiny"), **change), tiny_model.controls.size).eval()
+    network = PartTransformer(replace(preset("tiny"), **change), tiny_model.controls.size)
     assert network.momentum is not None
     torch.nn.init.uniform_(network.momentum, -0.2, 0.2)  # zero at the start
-    model, path = replace(tiny_model, network=network), tmp_path / "model.onnx"
+    model, path = replace(tiny_model, network=network.weights()), tmp_path / "model.onnx"
     path.write_bytes(build_graph(model).SerializeToString())
     assert check_export(model, path, "default", frames=60).positions < 0.05
 
@@ -97,7 +97,7 @@ def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
     check = export_onnx(replace(tiny_model, characters=tall), tmp_path / "tall.onnx", "tall")
     assert check is not None and check.positions < 0.05
     offsets = json.loads((tmp_path / "tall.json").read_text())["offsets"]
-    assert np.allclose(offsets, tall["tall"].numpy(), atol=1e-3)
+    assert np.allclose(offsets, tall["tall"], atol=1e-3)
 
 
 def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Path) -> None:
@@ -196,7 +196,7 @@ def test_frames_are_counted_round(tiny_model: MotionModel, exported: Path) -> No
 @pytest.mark.parametrize("name", ["trajectory", "progress", "noise", "type_weights"])
 def test_every_control_counts(exported: Path, name: str) -> None:
     made = []
-    for value in (0.0, 1.0):
+    for value in (0.0, 0.25):
         graph = OnnxStep(exported)
         graph.values["given"][:] = 1.0
         graph.values[name][:] = value

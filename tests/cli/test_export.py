@@ -98,7 +98,7 @@ def test_graph_and_metadata_appear_together(
 
 def test_a_network_that_recomputes(motionkit: Callable, tiny_model: MotionModel, tmp_path: Path) -> None:
     config = replace(preset("tiny"), position="sinusoidal")
-    network = PartTransformer(config, tiny_model.controls.size).eval()
+    network = PartTransformer(config, tiny_model.controls.size).weights()
     save_model(tmp_path / "paper.safetensors", replace(tiny_model, network=network))
     done = motionkit("export", "--onnx", "out.onnx", "--model", "paper.safetensors")
     assert done.failed_with("cannot be packed", "sinusoidal") and not (tmp_path / "out.onnx").exists()

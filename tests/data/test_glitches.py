@@ -1,15 +1,16 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array
 from motionkit.data.glitches import LEAP_DISTANCE, cut_at_leaps, find_leaps
 from motionkit.motion.kinematics import motion_kinematics
 from synthetic_motions import make_cartwheel, make_walk
 
 
-def walk_positions(frames: int = 60) -> torch.Tensor:
-    return motion_kinematics(make_walk(frames))[1].clone()
+def walk_positions(frames: int = 60) -> Array:
+    return motion_kinematics(make_walk(frames))[1].copy()
 
 
 def test_honest_motion_has_no_leaps() -> None:
@@ -19,7 +20,7 @@ def test_honest_motion_has_no_leaps() -> None:
 
 def test_a_joint_that_leaps_and_goes_on_is_found() -> None:
     positions = walk_positions()
-    positions[30:, 4] += torch.tensor([0.0, 1.6 * LEAP_DISTANCE, 0.0])
+    positions[30:, 4] += np.array([0.0, 1.6 * LEAP_DISTANCE, 0.0], np.float32)
     assert find_leaps(positions) == [30]
 
 
@@ -32,7 +33,7 @@ def test_a_root_that_leaps_with_the_whole_body_is_no_leap_of_a_joint() -> None:
 def test_a_body_that_leaps_ten_metres_is_cut_there() -> None:
     positions = walk_positions()
     positions[30] += 1e7  # there and back
-    positions[40:] += torch.tensor([0.0, 0.0, 2000.0])
+    positions[40:] += np.array([0.0, 0.0, 2000.0], np.float32)
     assert find_leaps(positions) == [30, 31, 40]
 
 

@@ -3,8 +3,8 @@
 import math
 
 import numpy as np
-import torch
 
+from motionkit.arrays import Array
 from motionkit.data.phases import NO_PHASE, PhaseRule, mirror_phases, phase_rules, phase_track, turns_over
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT
@@ -13,12 +13,12 @@ from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
 
 
-def rolled(degrees: float, frames: int = 40) -> torch.Tensor:
+def rolled(degrees: float, frames: int = 40) -> Array:
     """Features of a body that rolls about Z to an angle and back."""
     rotations = quat_identity((frames, 23))
-    half = 0.5 * math.radians(degrees) * torch.sin(torch.linspace(0, math.pi, frames))
-    rotations[:, 0, 0], rotations[:, 0, 3] = torch.cos(half), torch.sin(half)
-    root = torch.tensor([0.0, 95.0, 0.0]).expand(frames, 3)
+    half = 0.5 * math.radians(degrees) * np.sin(np.linspace(0, math.pi, frames, dtype=np.float32))
+    rotations[:, 0, 0], rotations[:, 0, 3] = np.cos(half), np.sin(half)
+    root = np.broadcast_to(np.array([0.0, 95.0, 0.0], np.float32), (frames, 3))
     return encode_motion(Motion(canonical_skeleton(), rotations, root, 60.0)).features
 
 
@@ -44,17 +44,17 @@ def test_phase_runs_through_each_stretch():
     assert np.all(phase_track(features, types, {}, DEFAULT_LAYOUT) == NO_PHASE)
 
 
-def strikes(right: bool, count: int = 2, hop: bool = False) -> torch.Tensor:
+def strikes(right: bool, count: int = 2, hop: bool = False) -> Array:
     """Features of one who stands, and count times lifts a foot to the hips, or hops with both feet."""
     frames = 90 * count
-    height = torch.tensor([0.5 * (1 - math.cos(2 * math.pi * (t % 90 - 20) / 50)) if 20 < t % 90 < 70 else 0.0
-                           for t in range(frames)])  # fmt: skip
-    rotations, root = quat_identity((frames, 23)), torch.tensor([0.0, 95.0, 0.0]).repeat(frames, 1)
+    height = np.array([0.5 * (1 - math.cos(2 * math.pi * (t % 90 - 20) / 50)) if 20 < t % 90 < 70 else 0.0
+                           for t in range(frames)], np.float32)  # fmt: skip
+    rotations, root = quat_identity((frames, 23)), np.tile(np.float32([0.0, 95.0, 0.0]), (frames, 1))
     if hop:
         root[:, 1] += 30.0 * height
     else:
         leg = JOINT_NAMES.index("RightUpLeg" if right else "LeftUpLeg")
-        rotations[:, leg, 0], rotations[:, leg, 1] = torch.cos(0.9 * height), -torch.sin(0.9 * height)
+        rotations[:, leg, 0], rotations[:, leg, 1] = np.cos(0.9 * height), -np.sin(0.9 * height)
     return encode_motion(Motion(canonical_skeleton(), rotations, root, 60.0)).features
 
 
@@ -69,9 +69,9 @@ def test_kicks_run_through_the_half_of_their_side():
         assert 0.3 < len(shown) / len(track) < 0.9
         assert (shown.min(), shown.max() > 0.45) == ((0.5, True) if right else (0.0, True))
         assert (shown.max() < 0.5) != right
-        mirrored = mirror_phases(torch.from_numpy(track), torch.ones(len(track), dtype=torch.bool))
+        mirrored = mirror_phases(track, np.ones(len(track), bool))
         there = mirrored[mirrored >= 0]
-        assert torch.equal(mirrored >= 0, torch.from_numpy(track >= 0))
+        assert np.array_equal(mirrored >= 0, track >= 0)
         assert (there.max() < 0.5) == right
 
 

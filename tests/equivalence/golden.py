@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.data.dataset import Dataset
+from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.models.bundled import load_bundled_model
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion

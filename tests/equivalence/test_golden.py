@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from equivalence.golden import CASES, FILE, features
 
 # Kernels, numpy and other machines differ in the last digits, and closed loops carry that on.

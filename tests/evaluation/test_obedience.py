@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-import torch
+import numpy as np
 
 from motionkit.evaluation.body import body_of
 from motionkit.evaluation.obedience import Judge, measure_obedience
@@ -22,15 +22,15 @@ def test_a_batch_moves_as_synthesize_does(tiny_model: MotionModel) -> None:
     found = roll_plans(tiny_model, [Plan(tuple(parts), 0), Plan(tuple(parts), 0)], still)
     alone = synthesize(tiny_model, parts, SynthesisOptions(noise=still)).motions[0].motion
     for each in found:
-        assert torch.allclose(each.body.positions, motion_kinematics(alone)[1], atol=1e-2)
-        assert torch.equal(each.motion(tiny_model).root_positions, each.body.positions[:, 0])
+        assert np.allclose(each.body.positions, motion_kinematics(alone)[1], atol=1e-2)
+        assert np.array_equal(each.motion(tiny_model).root_positions, each.body.positions[:, 0])
 
 
 def test_plans_differ_in_what_is_asked(tiny_model: MotionModel) -> None:
     plans = [Plan((TypePart(kind, 0.3),), choice) for kind in ("walking", "cartwheel") for choice in (0, 1)]
     found = roll_plans(tiny_model, plans, Noise("mean"))
     assert len(found) == 4 and {len(p.body) for p in found} == {18}
-    assert not torch.allclose(found[0].body.positions, found[2].body.positions)
+    assert not np.allclose(found[0].body.positions, found[2].body.positions)
 
 
 def test_lasting_types_have_to_last_and_others_to_come_once(real: RealMotion) -> None:
@@ -38,8 +38,8 @@ def test_lasting_types_have_to_last_and_others_to_come_once(real: RealMotion) ->
     walk, stand = make_walk(300, turn=0.0), make_idle(300)
     both = Motion(
         walk.skeleton,
-        torch.cat([walk.local_rotations, stand.local_rotations]),
-        torch.cat([walk.root_positions, stand.root_positions + walk.root_positions[-1]]),
+        np.concatenate([walk.local_rotations, stand.local_rotations]),
+        np.concatenate([walk.root_positions, stand.root_positions + walk.root_positions[-1]]),
         60.0,
     )
     assert judge.obeys("walking", body_of(walk))

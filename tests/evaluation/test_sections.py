@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation.body import body_of
@@ -57,7 +57,7 @@ def test_every_path_of_known_types_is_measured(
 
 
 def test_an_answer_has_to_hold() -> None:
-    flags = torch.zeros(120, dtype=torch.bool)
+    flags = np.zeros(120, bool)
     flags[10:20] = True
     assert response_seconds(flags, 60.0) is None
     flags[60:80] = True
@@ -78,15 +78,17 @@ def test_a_frozen_and_a_sinking_body_are_told() -> None:
     still = make_walk(600, speed=0.0, swing=0.0)
     assert frozen_seconds(body_of(still), 0.1) == pytest.approx(10.0)
     assert frozen_seconds(body_of(make_walk(600)), 0.1) == 0.0
-    root = still.root_positions.clone()
-    root[:, 1] -= torch.linspace(0.0, 30.0, 600)
+    root = still.root_positions.copy()
+    root[:, 1] -= np.linspace(0.0, 30.0, 600, dtype=np.float32)
     sinking = Motion(still.skeleton, still.local_rotations, root, 60.0)
     assert height_drift(body_of(sinking)) == pytest.approx(-20.0, abs=0.5)
 
 
 def test_feet_of_who_floats_are_higher(real: RealMotion) -> None:
     bodies = [stretch.body for stretch in real.of_type("walking")]
-    raised = [replace(body, positions=body.positions + torch.tensor([0.0, 6.0, 0.0])) for body in bodies]
+    raised = [
+        replace(body, positions=body.positions + np.array([0.0, 6.0, 0.0], np.float32)) for body in bodies
+    ]
     assert foot_height(raised) == pytest.approx(foot_height(bodies) + 6.0, abs=1e-3)
     half = [body.cut(0, len(body) // 2) for body in raised]  # leaps do not hide that the rest stands
     assert foot_height([*bodies, *half]) < foot_height(bodies) + 3.0
@@ -135,8 +137,8 @@ def test_without_held_out_clips_likeness_says_so(
 
 def test_the_fastest_joint_is_found(real: RealMotion) -> None:
     motion = make_idle(60)
-    rotations = motion.local_rotations.clone()
-    rotations[30, 4] = torch.tensor([math.cos(0.5), math.sin(0.5), 0.0, 0.0])
+    rotations = motion.local_rotations.copy()
+    rotations[30, 4] = np.array([math.cos(0.5), math.sin(0.5), 0.0, 0.0], np.float32)
     speed, joint = fastest_turn(body_of(Motion(motion.skeleton, rotations, motion.root_positions, 60.0)))
     assert joint == "LeftToeBase" and speed == pytest.approx(math.degrees(1.0) * 60.0, rel=0.05)
     limit, largest = recorded_limit(real)

@@ -2,9 +2,10 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array
 from motionkit.data.dataset import ClipData, mirror_clip
 from motionkit.errors import SkeletonError
 from motionkit.features.decode import decode_motion, integrate_ground
@@ -28,15 +29,15 @@ MOTIONS = {
 }
 
 
-def mirrored_references(motion: Motion) -> torch.Tensor:
+def mirrored_references(motion: Motion) -> Array:
     """Mean rotations of a motion and its mirror image, as preprocess makes them."""
-    quats = motion.local_rotations.double()
-    moment = torch.einsum("tja,tjb->jab", quats, quats)
-    flip = torch.diag(torch.tensor([1.0, 1.0, -1.0, -1.0], dtype=torch.float64))
-    return mean_rotation(moment + flip @ moment[list(MIRROR_JOINTS)] @ flip).float()
+    quats = motion.local_rotations.astype(np.float64)
+    moment = np.einsum("tja,tjb->jab", quats, quats)
+    flip = np.diag(np.array([1.0, 1.0, -1.0, -1.0], np.float64))
+    return mean_rotation(moment + flip @ moment[list(MIRROR_JOINTS)] @ flip).astype(np.float32)
 
 
-def there_and_back(motion: Motion, references: torch.Tensor | None, layout: str) -> Motion:
+def there_and_back(motion: Motion, references: Array | None, layout: str) -> Motion:
     encoded = encode_motion(motion, references, layout)
     return decode_motion(encoded.features, motion.skeleton, motion.fps, encoded.ground[0], references, layout)
 
@@ -48,9 +49,11 @@ def test_round_trip(name: str, with_references: bool, layout: str) -> None:
     motion = MOTIONS[name]()
     references = mirrored_references(motion) if with_references else None
     back = there_and_back(motion, references, layout)
-    degrees = torch.rad2deg(quat_angle(motion.local_rotations.double(), back.local_rotations.double()))
+    degrees = np.rad2deg(
+        quat_angle(motion.local_rotations.astype(np.float64), back.local_rotations.astype(np.float64))
+    )
     assert degrees.max() < 0.01
-    distance = (motion_kinematics(motion)[1] - motion_kinematics(back)[1]).norm(dim=-1)
+    distance = np.linalg.norm(motion_kinematics(motion)[1] - motion_kinematics(back)[1], axis=-1)
     assert distance.max() < 0.01
 
 
@@ -58,7 +61,7 @@ def test_round_trip(name: str, with_references: bool, layout: str) -> None:
 def test_round_trip_far_from_the_origin_and_at_another_rate(layout: str) -> None:
     motion = placed(make_walk(200, fps=30.0), 2.0, (800.0, -600.0))
     back = there_and_back(motion, None, layout)
-    distance = (motion_kinematics(motion)[1] - motion_kinematics(back)[1]).norm(dim=-1)
+    distance = np.linalg.norm(motion_kinematics(motion)[1] - motion_kinematics(back)[1], axis=-1)
     assert distance.max() < 0.01
 
 
@@ -72,8 +75,8 @@ def test_features_do_not_tell_place_or_heading(name: str, layout: str) -> None:
     velocities = [n for n in feature_layout(layout).blocks if "velocit" in n]
     for block, columns in feature_layout(layout).blocks.items():
         tolerance = 2e-2 if block in velocities else 1e-3
-        assert (here.features[:, columns] - there.features[:, columns]).abs().max() < tolerance, block
-    assert torch.equal(here.contacts, there.contacts)
+        assert np.abs(here.features[:, columns] - there.features[:, columns]).max() < tolerance, block
+    assert np.array_equal(here.contacts, there.contacts)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -83,72 +86,85 @@ def test_mirror_in_features_is_the_mirror_of_the_motion(name: str, layout: str) 
     references = mirrored_references(motion)
     encoded = encode_motion(motion, references, layout)
     data = as_clip(encoded)
-    mirrored = mirror_clip(data, feature_layout(layout), torch.tensor([0]), torch.tensor([False]))
+    mirrored = mirror_clip(data, feature_layout(layout), np.array([0]), np.array([False]))
     truth = encode_motion(mirror_motion(motion), references, layout)
-    assert (mirrored.features - truth.features).abs().max() < 5e-3
-    assert torch.equal(mirrored.contacts, truth.contacts)
-    assert (mirrored.ground[:, :2] - truth.ground[:, :2]).abs().max() < 1e-3
-    turn = torch.remainder(mirrored.ground[:, 2] - truth.ground[:, 2] + math.pi, 2 * math.pi) - math.pi
-    assert turn.abs().max() < 1e-4
+    assert np.abs(mirrored.features - truth.features).max() < 5e-3
+    assert np.array_equal(mirrored.contacts, truth.contacts)
+    assert np.abs(mirrored.ground[:, :2] - truth.ground[:, :2]).max() < 1e-3
+    turn = np.remainder(mirrored.ground[:, 2] - truth.ground[:, 2] + math.pi, 2 * math.pi) - math.pi
+    assert np.abs(turn).max() < 1e-4
 
 
 def as_clip(encoded: EncodedMotion) -> ClipData:
-    types = torch.zeros(len(encoded.features), dtype=torch.long)
-    none = torch.full((len(types),), -1.0)
+    types = np.zeros(len(encoded.features), np.int64)
+    none = np.full((len(types),), -1.0, np.float32)
     return ClipData(
-        encoded.features, encoded.contacts, encoded.ground, types, none, torch.zeros(len(types), GUIDE_COUNT)
+        encoded.features,
+        encoded.contacts,
+        encoded.ground,
+        types,
+        none,
+        np.zeros((len(types), GUIDE_COUNT), np.float32),
     )
 
 
 def test_mirroring_a_clip_twice_gives_it_back() -> None:
     data = as_clip(encode_motion(make_walk(60)))
     layout = feature_layout()
-    swap, sided = torch.tensor([0]), torch.tensor([True])
+    swap, sided = np.array([0]), np.array([True])
     once = mirror_clip(data, layout, swap, sided)
     twice = mirror_clip(once, layout, swap, sided)
-    assert not torch.equal(once.features, data.features)
+    assert not np.array_equal(once.features, data.features)
     for name in ("features", "contacts", "ground", "types", "phases"):
-        assert torch.equal(getattr(twice, name), getattr(data, name))
+        assert np.array_equal(getattr(twice, name), getattr(data, name))
 
 
 def test_rotations_followed_through_pi_do_not_jump() -> None:
-    angle = torch.linspace(0.0, 1.35 * math.pi, 200, dtype=torch.float64)
-    track = torch.zeros(200, 1, 3, dtype=torch.float64)
+    angle = np.linspace(0.0, 1.35 * math.pi, 200, dtype=np.float64)
+    track = np.zeros((200, 1, 3), np.float64)
     track[:, 0, 1] = angle
-    maps = relative_expmaps(expmap_to_quat(track), torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double())
-    assert torch.allclose(maps, track, atol=1e-6)
+    maps = relative_expmaps(
+        expmap_to_quat(track), np.array([[1.0, 0.0, 0.0, 0.0]], np.float32).astype(np.float64)
+    )
+    assert np.allclose(maps, track, atol=1e-6)
 
 
 def test_rotations_beyond_the_fold_are_written_the_short_way_round() -> None:
-    angle = torch.linspace(0.0, 2 * math.pi, 300, dtype=torch.float64)
-    track = torch.zeros(300, 1, 3, dtype=torch.float64)
+    angle = np.linspace(0.0, 2 * math.pi, 300, dtype=np.float64)
+    track = np.zeros((300, 1, 3), np.float64)
     track[:, 0, 2] = angle
-    maps = relative_expmaps(expmap_to_quat(track), torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double())
-    assert maps.norm(dim=-1).max() < 1.41 * math.pi
-    assert maps[-1].norm() < 1e-6, "a full turn and none are one pose"
+    maps = relative_expmaps(
+        expmap_to_quat(track), np.array([[1.0, 0.0, 0.0, 0.0]], np.float32).astype(np.float64)
+    )
+    assert np.linalg.norm(maps, axis=-1).max() < 1.41 * math.pi
+    assert np.linalg.norm(maps[-1]) < 1e-6, "a full turn and none are one pose"
 
 
 def test_velocities_are_backward_differences_in_the_heading_frame() -> None:
     motion = placed(make_walk(60, speed=120.0, turn=0.0), 1.2)
     encoded = encode_motion(motion)
     step = encoded.features[1:, feature_layout().blocks["root_xz_velocity"]]
-    assert torch.allclose(step[:, 1], torch.full((59,), 120.0), atol=0.5)
-    assert step[:, 0].abs().max() < 12.0  # the heading sways by 0.1 rad about the way
-    assert torch.equal(encoded.features[0, 0], encoded.features[1, 0]), "the first frame repeats the second"
+    assert np.allclose(step[:, 1], np.full((59,), 120.0, np.float32), atol=0.5)
+    assert np.abs(step[:, 0]).max() < 12.0  # the heading sways by 0.1 rad about the way
+    assert np.array_equal(encoded.features[0, 0], encoded.features[1, 0]), (
+        "the first frame repeats the second"
+    )
 
 
 def test_root_height_is_that_of_the_hips() -> None:
     motion = make_walk(60)
     back = decode_motion(encode_motion(motion).features, motion.skeleton, 60.0)
-    assert torch.allclose(back.root_positions[:, 1], motion.root_positions[:, 1], atol=1e-4)
-    assert torch.equal(back.root_positions[0, [0, 2]], torch.zeros(2)), "the origin, facing +Z by default"
+    assert np.allclose(back.root_positions[:, 1], motion.root_positions[:, 1], atol=1e-4)
+    assert np.array_equal(back.root_positions[0, [0, 2]], np.zeros(2, np.float32)), (
+        "the origin, facing +Z by default"
+    )
 
 
 def test_ground_track_of_a_known_walk() -> None:
-    features = torch.zeros(61, 276)
+    features = np.zeros((61, 276), np.float32)
     features[:, 0] = math.pi / 2  # turns a quarter in a second
     features[:, 2] = 100.0  # goes where it faces at 100 cm/s
-    ground = integrate_ground(features, torch.tensor([10.0, 20.0, 0.0]), 60.0)
+    ground = integrate_ground(features, np.array([10.0, 20.0, 0.0], np.float32), 60.0)
     assert ground.shape == (61, 3)
     assert float(ground[-1, 2]) == pytest.approx(math.pi / 2)
     radius = 100.0 / (math.pi / 2)

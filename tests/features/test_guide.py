@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-import torch
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS, OUTLINE_COUNT, fit_outline, guide_signal
 from motionkit.features.layout import feature_layout
 
@@ -11,59 +12,59 @@ LAYOUT = feature_layout()
 POSITIONS = LAYOUT.blocks["joint_positions"]
 
 
-def poses(frames: int = 400, rank: int = 5) -> torch.Tensor:
+def poses(frames: int = 400, rank: int = 5) -> Array:
     """Features (T, 276) whose joint positions vary along a few directions, everything else at random."""
-    generator = torch.Generator().manual_seed(3)
-    features = torch.randn(frames, 276, generator=generator)
+    generator = np.random.default_rng(3)
+    features = generator.standard_normal((frames, 276), np.float32)
     size = POSITIONS.stop - POSITIONS.start
-    directions = torch.randn(rank, size, generator=generator)
-    shares = torch.randn(frames, rank, generator=generator)
-    features[:, POSITIONS] = 10.0 * shares @ directions + torch.linspace(0, 100, size)
+    directions = generator.standard_normal((rank, size), np.float32)
+    shares = generator.standard_normal((frames, rank), np.float32)
+    features[:, POSITIONS] = 10.0 * shares @ directions + np.linspace(0, 100, size, dtype=np.float32)
     return features
 
 
 def test_an_outline_keeps_what_differs() -> None:
     features = poses()
-    outline = fit_outline(features, torch.ones(len(features)), LAYOUT)
+    outline = fit_outline(features, np.ones(len(features), np.float32), LAYOUT)
     shown = outline.of(features)
     assert shown.shape == (400, OUTLINE_COUNT)
     # Five directions and their mirror images: at most ten, so that sixteen tell all.
-    tell = torch.cat([shown, torch.ones(400, 1)], dim=1)
-    found = tell @ torch.linalg.lstsq(tell, features[:, POSITIONS], driver="gelsd").solution
-    assert torch.allclose(found, features[:, POSITIONS], atol=0.05)
+    tell = np.concatenate([shown, np.ones((400, 1), np.float32)], axis=1)
+    found = tell @ np.linalg.lstsq(tell, features[:, POSITIONS], rcond=None)[0]
+    assert np.allclose(found, features[:, POSITIONS], atol=0.05)
 
 
 def test_only_joint_positions_count() -> None:
     features = poses()
-    outline = fit_outline(features, torch.ones(len(features)), LAYOUT)
-    other = torch.randn_like(features)
+    outline = fit_outline(features, np.ones(len(features), np.float32), LAYOUT)
+    other = np.random.default_rng(4).standard_normal(features.shape, np.float32)
     other[:, POSITIONS] = features[:, POSITIONS]
-    assert torch.equal(outline.of(other), outline.of(features))
+    assert np.array_equal(outline.of(other), outline.of(features))
 
 
 def test_mirroring_changes_signs_only() -> None:
     features = poses()
-    outline = fit_outline(features, torch.ones(len(features)), LAYOUT)
+    outline = fit_outline(features, np.ones(len(features), np.float32), LAYOUT)
     columns, signs = LAYOUT.mirror_map()
     plain, mirrored = outline.of(features), outline.of(features[:, columns] * signs)
-    varies = plain.abs().amax(dim=0) > 1e-2
+    varies = np.abs(plain).max(axis=0) > 1e-2
     assert int(varies.sum()) >= 5
-    assert torch.allclose(plain.abs()[:, varies], mirrored.abs()[:, varies], atol=2e-3)
-    assert (plain[:, varies] * mirrored[:, varies]).sum(dim=0).lt(0).any(), "some are odd"
+    assert np.allclose(np.abs(plain)[:, varies], np.abs(mirrored)[:, varies], atol=2e-3)
+    assert ((plain[:, varies] * mirrored[:, varies]).sum(axis=0) < 0).any(), "some are odd"
 
 
 def test_weights_say_which_frames_count() -> None:
     features = poses()
-    weights = torch.zeros(400)
+    weights = np.zeros(400, np.float32)
     weights[:100] = 1.0
     a = fit_outline(features, weights, LAYOUT)
-    b = fit_outline(features[:100], torch.ones(100), LAYOUT)
-    assert torch.allclose(a.of(features), b.of(features), atol=1e-3)
+    b = fit_outline(features[:100], np.ones(100, np.float32), LAYOUT)
+    assert np.allclose(a.of(features), b.of(features), atol=1e-3)
 
 
 def test_a_guide_looks_ahead_and_holds_the_last_pose() -> None:
-    outlines = torch.arange(50.0)[:, None].expand(50, OUTLINE_COUNT)
-    guide = guide_signal(outlines, torch.tensor([0, 40]))
+    outlines = np.broadcast_to(np.arange(50.0, dtype=np.float32)[:, None], (50, OUTLINE_COUNT))
+    guide = guide_signal(outlines, np.array([0, 40]))
     assert guide.shape == (2, GUIDE_COUNT)
     ahead = guide.reshape(2, len(GUIDE_OFFSETS), OUTLINE_COUNT)[..., 0]
     assert ahead.tolist() == [[5.0, 15.0, 30.0], [45.0, 49.0, 49.0]]

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
+import numpy as np
 import pytest
-import torch
 
 from motionkit.errors import ModelError
 from motionkit.features.layout import (
@@ -44,16 +44,16 @@ def test_column_names_are_unique(version: str) -> None:
 @pytest.mark.parametrize("version", LAYOUTS)
 def test_mirroring_columns_twice_changes_nothing(version: str) -> None:
     columns, signs = feature_layout(version).mirror_map()
-    x = torch.randn(5, 276)
+    x = np.random.default_rng(0).standard_normal((5, 276), np.float32)
     once = x[:, columns] * signs
-    assert not torch.equal(once, x)
-    assert torch.equal(once[:, columns] * signs, x)
+    assert not np.array_equal(once, x)
+    assert np.array_equal(once[:, columns] * signs, x)
 
 
 def test_contact_mirror_is_its_own_inverse_and_swaps_sides() -> None:
     swap = contact_mirror()
     assert swap.tolist() == [2, 3, 0, 1]
-    assert torch.equal(swap[swap], torch.arange(4))
+    assert np.array_equal(swap[swap], np.arange(4))
 
 
 def test_unknown_version_is_a_model_error() -> None:

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
 from motionkit.features.layout import feature_layout
 from motionkit.features.normalize import (
@@ -22,15 +21,15 @@ def test_moments_in_pieces_are_those_of_the_whole() -> None:
     for piece in np.array_split(rows, 6):
         moments.add(piece)
     mean, std = moments.mean_std()
-    assert torch.allclose(mean, torch.from_numpy(rows.mean(0)), atol=1e-5)
-    assert torch.allclose(std, torch.from_numpy(rows.std(0)), atol=1e-5)
+    assert np.allclose(mean, rows.mean(0), atol=1e-5)
+    assert np.allclose(std, rows.std(0), atol=1e-5)
 
 
 def test_large_values_do_not_lose_their_deviation() -> None:
     rows = 1e4 + np.random.default_rng(0).normal(0.0, 0.5, (400, 1))
     moments = RunningMoments(1)
     moments.add(rows)
-    assert float(moments.mean_std()[1]) == pytest.approx(float(rows.std()), rel=1e-4)
+    assert float(moments.mean_std()[1][0]) == pytest.approx(float(rows.std()), rel=1e-4)
 
 
 def test_no_column_is_divided_by_less_than_its_share_of_the_block() -> None:
@@ -44,7 +43,7 @@ def test_no_column_is_divided_by_less_than_its_share_of_the_block() -> None:
     scaling = feature_scaling(moments, layout)
     raw = moments.mean_std()[1][block]
     assert float(scaling.std[block.start]) == pytest.approx(
-        BLOCK_FLOOR * float(raw.square().mean().sqrt()), rel=1e-5
+        BLOCK_FLOOR * float(np.sqrt(np.square(raw).mean())), rel=1e-5
     )
     assert float(scaling.std[block.start + 1]) == pytest.approx(float(raw[1]))
     assert (scaling.std > 0).all()
@@ -54,19 +53,19 @@ def test_a_block_that_never_moves_can_still_be_divided_by() -> None:
     moments = RunningMoments(276)
     moments.add(np.ones((10, 276)))
     scaling = feature_scaling(moments, feature_layout())
-    assert torch.isfinite(scaling.normalize(torch.ones(276))).all()
+    assert np.isfinite(scaling.normalize(np.ones(276, np.float32))).all()
 
 
 def test_trajectory_floors() -> None:
     moments = RunningMoments(24)
     moments.add(np.zeros((10, 24)))
     std = trajectory_scaling(moments).std
-    assert torch.equal(std[:12], torch.full((12,), TRAJECTORY_FLOOR))
-    assert torch.allclose(std[12:], torch.full((12,), DIRECTION_FLOOR))
+    assert np.array_equal(std[:12], np.full((12,), TRAJECTORY_FLOOR))
+    assert np.allclose(std[12:], np.full((12,), DIRECTION_FLOOR))
 
 
 def test_normalize_and_back() -> None:
-    scaling = Scaling(torch.tensor([1.0, -2.0]), torch.tensor([3.0, 0.5]))
-    x = torch.tensor([[4.0, -2.5]])
-    assert torch.equal(scaling.normalize(x), torch.tensor([[1.0, -1.0]]))
-    assert torch.equal(scaling.denormalize(scaling.normalize(x)), x)
+    scaling = Scaling(np.array([1.0, -2.0], np.float32), np.array([3.0, 0.5], np.float32))
+    x = np.array([[4.0, -2.5]], np.float32)
+    assert np.array_equal(scaling.normalize(x), np.array([[1.0, -1.0]], np.float32))
+    assert np.array_equal(scaling.denormalize(scaling.normalize(x)), x)

@@ -215,9 +215,6 @@ def refuses_or_works_apart(work: Callable[[], object]) -> None:
 def _limit_child() -> None:
     import resource  # not on Windows
 
-    import torch
-
-    torch.set_num_threads(1)
     signal.signal(signal.SIGALRM, signal.SIG_DFL)
     signal.alarm(CASE_SECONDS)
     pages = int(Path("/proc/self/statm").read_text().split()[0])

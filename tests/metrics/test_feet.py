@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.ground import floor_height, foot_skate_ratio, penetration
@@ -13,10 +14,10 @@ from motionkit.metrics.value import MetricSettings
 from .conftest import still_feet
 
 
-def sliding(cm_per_frame: float, height: float = 0.0, joint: int = 1, frames: int = 61) -> torch.Tensor:
+def sliding(cm_per_frame: float, height: float = 0.0, joint: int = 1, frames: int = 61) -> Array:
     feet = still_feet(frames)
-    feet[:, joint, 0] = 0.6 * cm_per_frame * torch.arange(frames)
-    feet[:, joint, 2] = -0.8 * cm_per_frame * torch.arange(frames)
+    feet[:, joint, 0] = 0.6 * cm_per_frame * np.arange(frames)
+    feet[:, joint, 2] = -0.8 * cm_per_frame * np.arange(frames)
     feet[:, joint, 1] += height
     return feet
 
@@ -38,7 +39,7 @@ def test_floor_ignores_jumps_swings_and_single_sunken_frames() -> None:
 
 def test_floor_of_a_clip_that_never_stands_still_is_near_its_lowest_level() -> None:
     feet = still_feet(100)
-    feet[..., 2] = torch.arange(100)[:, None] * 5.0
+    feet[..., 2] = np.arange(100)[:, None] * 5.0
     assert floor_height(feet) == 0.0
     assert floor_height(feet[:1]) == 0.0
 

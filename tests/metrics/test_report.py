@@ -2,8 +2,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
 
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.metrics.report import PAIR_METRICS, MetricReport, evaluate_motion, placed_like
@@ -114,7 +114,7 @@ def test_jerk_is_compared_at_the_lowest_rate_given() -> None:
 
 
 def test_skipped_frames_do_not_count(motion: Motion) -> None:
-    spoiled = replace(motion, root_positions=motion.root_positions.clone())
+    spoiled = replace(motion, root_positions=motion.root_positions.copy())
     spoiled.root_positions[:20, 0] += 500.0
     assert evaluate_motion(spoiled, motion).value("path-mean") > 50.0
     report = evaluate_motion(spoiled, motion, skip=20)
@@ -159,9 +159,9 @@ def test_refusals(motion: Motion) -> None:
     with pytest.raises(MotionkitError, match="no metric 'fid'"):
         evaluate_motion(motion).value("fid")
     with pytest.raises(SkeletonError, match="the ground truth has 1"):
-        bone = Skeleton(("Hips",), (-1,), torch.zeros(1, 3))
+        bone = Skeleton(("Hips",), (-1,), np.zeros((1, 3), np.float32))
         evaluate_motion(motion, Motion(bone, motion.local_rotations[:, :1], motion.root_positions, 60.0))
-    broken = replace(motion, root_positions=motion.root_positions.clone())
+    broken = replace(motion, root_positions=motion.root_positions.copy())
     broken.root_positions[7, 1] = float("nan")
     with pytest.raises(MotionkitError, match="not finite in frame 7"):
         evaluate_motion(broken)

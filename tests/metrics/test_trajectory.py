@@ -3,23 +3,23 @@ from __future__ import annotations
 import itertools
 import math
 
+import numpy as np
 import pytest
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics import trajectory as module
 from motionkit.metrics.trajectory import distance_to_path, ground_track, trajectory_distance
 
 
-def line(points: int, length: float = 500.0, sideways: float = 0.0) -> Tensor:
-    z = torch.linspace(0.0, length, points, dtype=torch.float64)
-    return torch.stack([torch.full_like(z, sideways), z], dim=-1)
+def line(points: int, length: float = 500.0, sideways: float = 0.0) -> Array:
+    z = np.linspace(0.0, length, points, dtype=np.float64)
+    return np.stack([np.full_like(z, sideways), z], axis=-1)
 
 
-def circle(radius: float, share: float = 1.0, points: int = 400) -> Tensor:
-    angle = torch.linspace(0.0, 2 * math.pi * share, points, dtype=torch.float64)
-    return radius * torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1)
+def circle(radius: float, share: float = 1.0, points: int = 400) -> Array:
+    angle = np.linspace(0.0, 2 * math.pi * share, points, dtype=np.float64)
+    return radius * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
 
 
 def test_a_path_moved_sideways_is_that_far_away() -> None:
@@ -35,7 +35,7 @@ def test_distance_is_to_segments_so_sampling_does_not_matter() -> None:
 
 
 def test_beyond_the_end_the_distance_is_to_the_end_point() -> None:
-    beyond = torch.tensor([[3.0, 504.0], [0.0, -2.0], [1.0, 20.0]])
+    beyond = np.array([[3.0, 504.0], [0.0, -2.0], [1.0, 20.0]], np.float32)
     assert distance_to_path(beyond, line(2)).tolist() == pytest.approx([5.0, 2.0, 1.0])
 
 
@@ -52,7 +52,7 @@ def test_half_a_circle_covers_half_of_it(share: float) -> None:
 
 
 def test_standing_still_on_the_path_covers_hardly_any_of_it() -> None:
-    result = trajectory_distance(torch.zeros(300, 2), line(2), tolerance=10.0)
+    result = trajectory_distance(np.zeros((300, 2), np.float32), line(2), tolerance=10.0)
     assert result.mean == 0.0 and result.coverage == pytest.approx(10.0 / 500.0, abs=0.005)
 
 
@@ -61,27 +61,27 @@ def test_coverage_does_not_depend_on_the_spacing_of_frames() -> None:
 
 
 def test_a_path_that_is_one_point() -> None:
-    for path in (torch.zeros(1, 2), torch.zeros(5, 2)):
-        result = trajectory_distance(torch.tensor([[3.0, 4.0]]), path)
+    for path in (np.zeros((1, 2), np.float32), np.zeros((5, 2), np.float32)):
+        result = trajectory_distance(np.array([[3.0, 4.0]], np.float32), path)
         assert (result.mean, result.coverage) == (5.0, 1.0)
 
 
 @pytest.mark.parametrize("points", [2, 64, 65, 66, 129, 1000])
 def test_long_paths_equal_the_plain_search(points: int) -> None:
-    draw = torch.Generator().manual_seed(points)
-    path = torch.randn(points, 2, generator=draw, dtype=torch.float64).cumsum(0)
-    track = torch.randn(300, 2, generator=draw, dtype=torch.float64).cumsum(0)
-    expected = torch.full((300,), math.inf, dtype=torch.float64)
+    draw = np.random.default_rng(points)
+    path = draw.standard_normal((points, 2), np.float64).cumsum(0)
+    track = draw.standard_normal((300, 2), np.float64).cumsum(0)
+    expected = np.full((300,), math.inf, np.float64)
     for a, b in itertools.pairwise(path):
-        share = (((track - a) @ (b - a)) / ((b - a) @ (b - a))).clamp(0.0, 1.0)
-        expected = torch.minimum(expected, (track - a - share[:, None] * (b - a)).norm(dim=-1))
+        share = np.clip(((track - a) @ (b - a)) / ((b - a) @ (b - a)), 0.0, 1.0)
+        expected = np.minimum(expected, np.linalg.norm(track - a - share[:, None] * (b - a), axis=-1))
     assert distance_to_path(track, path) == pytest.approx(expected, abs=1e-9)
 
 
 def test_turning_and_moving_both_changes_nothing() -> None:
     track, path = circle(150.0, 0.7), line(30)
     c, s = math.cos(1.0), math.sin(1.0)
-    turn = torch.tensor([[c, s], [-s, c]], dtype=torch.float64)
+    turn = np.array([[c, s], [-s, c]], np.float64)
     first = trajectory_distance(track, path)
     second = trajectory_distance(track @ turn + 40.0, path @ turn + 40.0)
     assert (second.mean, second.max) == pytest.approx((first.mean, first.max))
@@ -89,21 +89,21 @@ def test_turning_and_moving_both_changes_nothing() -> None:
 
 
 def test_the_ground_track_leaves_the_height_out() -> None:
-    assert ground_track(torch.tensor([[1.0, 92.0, 3.0]])).tolist() == [[1.0, 3.0]]
+    assert ground_track(np.array([[1.0, 92.0, 3.0]], np.float32)).tolist() == [[1.0, 3.0]]
 
 
 def test_refusals() -> None:
     with pytest.raises(MotionkitError, match="expected a path of shape"):
-        trajectory_distance(line(3), torch.zeros(0, 2))
+        trajectory_distance(line(3), np.zeros((0, 2), np.float32))
     with pytest.raises(MotionkitError, match="expected a track of shape"):
-        trajectory_distance(torch.zeros(4, 3), line(3))
+        trajectory_distance(np.zeros((4, 3), np.float32), line(3))
     for tolerance in (0.0, -1.0, math.nan):
         with pytest.raises(MotionkitError, match="tolerance"):
             trajectory_distance(line(3), line(3), tolerance)
 
 
 def test_a_path_that_leaps_ten_kilometres_asks_for_no_memory() -> None:
-    path = torch.zeros(60, 2, dtype=torch.float64)
+    path = np.zeros((60, 2), np.float64)
     path[1::2] = 1e6
     assert len(module._sampled(path)) <= 100_000
     result = trajectory_distance(path, path)

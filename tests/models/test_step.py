@@ -46,7 +46,7 @@ def largest_difference(network: PartTransformer, inputs: tuple, way: str) -> flo
         if network.momentum is not None:  # zero at the start
             network.momentum.normal_(generator=torch.Generator().manual_seed(4))
         whole = network(*inputs)
-    step = stepper(pack(network), way, len(inputs[0]))
+    step = stepper(pack(network.weights()), way, len(inputs[0]))
     worst = 0.0
     for t in range(inputs[0].shape[1]):
         step.step(*(v[:, t].numpy() for v in inputs))
@@ -96,7 +96,7 @@ def test_a_character_starts_anew_while_others_go_on(
     make_network: Callable, make_inputs: Callable, frames: int, way: str
 ) -> None:
     network = make_network(preset("tiny"))
-    weights = pack(network)
+    weights = pack(network.weights())
     inputs, own = make_inputs(3, 30), make_inputs(1, 30, seed=1)
     step = stepper(weights, way, 3)
     with torch.no_grad():
@@ -120,7 +120,7 @@ def test_a_character_starts_anew_while_others_go_on(
 
 @pytest.mark.parametrize("way", WAYS)
 def test_reset_forgets_everything(make_network: Callable, make_inputs: Callable, way: str) -> None:
-    weights = pack(make_network(preset("tiny")))
+    weights = pack(make_network(preset("tiny")).weights())
     used, fresh = stepper(weights, way, 1), stepper(weights, way, 1)
     first, other = make_inputs(1, 12), make_inputs(1, 13, seed=5)
     for t in range(13):
@@ -138,10 +138,10 @@ def test_reset_forgets_everything(make_network: Callable, make_inputs: Callable,
 )
 def test_what_cannot_be_packed_says_why(make_network: Callable, change: dict, reason: str) -> None:
     with pytest.raises(ModelError, match=reason):
-        pack(make_network(replace(preset("tiny"), **change)))
+        pack(make_network(replace(preset("tiny"), **change)).weights())
 
 
 def test_memory_per_character_is_that_of_the_rings(make_network: Callable) -> None:
-    step = NetworkStep(pack(make_network(preset("tptn"))), 3)
+    step = NetworkStep(pack(make_network(preset("tptn")).weights()), 3)
     rings = 2 * 2 * 2 * 6 * 8 * 128  # keys and values, modules, parts, layers, window, width
     assert step.bytes_per_character == 4 * (rings + 3 * 281 + 276)

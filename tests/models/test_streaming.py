@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from motionkit.models.presets import PRESETS, preset
-from motionkit.synthesis.stream import NetworkStream
+from motionkit.models.stream import NetworkStream
 
 FIELDS = ("mean", "log_sigma", "trajectory_mean", "trajectory_log_sigma", "contact_logits")
 STREAMED = [name for name, make in PRESETS.items() if make().position == "bias"]

@@ -7,6 +7,7 @@ import random
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.errors import BvhError, MotionkitError
@@ -189,7 +190,7 @@ def test_random_damage_never_surprises(tmp_path: Path, good_text: str) -> None:
         except BvhError as fault:
             assert "\n" not in str(fault)
         else:
-            assert motion.local_rotations.isfinite().all() and motion.root_positions.isfinite().all()
+            assert np.isfinite(motion.local_rotations).all() and np.isfinite(motion.root_positions).all()
 
 
 # ---- plausible numbers ----
@@ -218,7 +219,7 @@ def test_numbers_that_no_motion_has(tmp_path: Path, good_text: str, number: str)
 def test_the_largest_numbers_allowed_stay_finite(tmp_path: Path, good_text: str) -> None:
     path = changed(tmp_path, good_text, 29, " 90.1 ", " -1e7 ")
     motion = bvh_to_motion(read_bvh(path))
-    assert motion.root_positions.square().sum().isfinite()
+    assert np.isfinite(np.square(motion.root_positions).sum())
 
 
 @pytest.mark.parametrize(("time", "frames"), [("10", 3), ("1.01", 3), ("0.00009", 3), ("1", 3605)])

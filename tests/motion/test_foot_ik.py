@@ -2,9 +2,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array
 from motionkit.motion.foot_ik import (
     CLEARANCE,
     CONTACT_OFF,
@@ -28,9 +29,9 @@ LEFT_TOE, RIGHT_TOE = FOOT_JOINTS[1], FOOT_JOINTS[3]
 LEGS = [JOINT_NAMES.index(s + n) for s in ("Left", "Right") for n in ("UpLeg", "Leg", "Foot")]
 
 
-def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> torch.Tensor:
+def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
     """Contacts (T, 4) with the feet down over the given frames."""
-    contacts = torch.zeros(frames, 4)
+    contacts = np.zeros((frames, 4), np.float32)
     for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
         for start, end in spans:
             contacts[start:end, columns] = 1.0
@@ -42,7 +43,7 @@ def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Moti
     return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
 
 
-def toe_track(motion: Motion, toe: int) -> torch.Tensor:
+def toe_track(motion: Motion, toe: int) -> Array:
     return motion_kinematics(motion)[1][:, toe]
 
 
@@ -50,8 +51,8 @@ def drift(motion: Motion, toe: int, start: int, end: int) -> float:
     """How far a toe strays from where it is on average over some frames, cm; it may rise at their ends."""
     track = toe_track(motion, toe)[start:end]
     along, height = track[:, [0, 2]], track[2 * LIFT_FRAMES : -2 * LIFT_FRAMES, 1]
-    aside = (along - along.mean(dim=0)).norm(dim=-1).max()
-    return float(aside.maximum((height - height.mean()).abs().max()))
+    aside = np.linalg.norm(along - along.mean(axis=0), axis=-1).max()
+    return float(max(aside, np.abs(height - height.mean()).max()))
 
 
 @pytest.mark.parametrize("crouch", [0.0, 0.1, 0.4])
@@ -75,18 +76,18 @@ def test_locks_close_together_all_hold() -> None:
     for start, end in spans:
         assert drift(locked, LEFT_TOE, start, end) < 0.1
     # Between two locks the foot goes over from one to the other, not beyond.
-    steps = torch.diff(toe_track(locked, LEFT_TOE), dim=0).norm(dim=-1)
+    steps = np.linalg.norm(np.diff(toe_track(locked, LEFT_TOE), axis=0), axis=-1)
     assert float(steps.max()) < 3.0
 
 
 def test_a_foot_that_slides_far_takes_new_places_without_jumping() -> None:
     motion = sliding(120, 60.0)
     locked = lock_feet(motion, feet_down(120, [(10, 110)], []))
-    steps = torch.diff(toe_track(locked, LEFT_TOE), dim=0).norm(dim=-1)
-    slides = torch.diff(toe_track(motion, LEFT_TOE), dim=0).norm(dim=-1)
+    steps = np.linalg.norm(np.diff(toe_track(locked, LEFT_TOE), axis=0), axis=-1)
+    slides = np.linalg.norm(np.diff(toe_track(motion, LEFT_TOE), axis=0), axis=-1)
     assert float(steps.max()) < 3.0 * float(slides.max())
-    assert (toe_track(locked, LEFT_TOE) - toe_track(motion, LEFT_TOE)).norm(dim=-1).max() < 14.0
-    along = torch.diff(toe_track(locked, LEFT_TOE)[:, [0, 2]], dim=0).norm(dim=-1)
+    assert np.linalg.norm(toe_track(locked, LEFT_TOE) - toe_track(motion, LEFT_TOE), axis=-1).max() < 14.0
+    along = np.linalg.norm(np.diff(toe_track(locked, LEFT_TOE)[:, [0, 2]], axis=0), axis=-1)
     assert int((along[10:109] < 0.01).sum()) > 15, "in between it stands"
 
 
@@ -101,25 +102,25 @@ def test_frames_away_from_a_lock_are_unchanged() -> None:
     motion = sliding()
     locked = lock_feet(motion, feet_down(120, [(50, 70)], []))
     near = 3 * EASE_FRAMES + 1  # the foot eases in and out, the hips a little longer
-    away = torch.ones(120, dtype=torch.bool)
+    away = np.ones(120, bool)
     away[50 - near : 70 + near] = False
     assert int(away.sum()) > 30
-    assert torch.equal(locked.local_rotations[away], motion.local_rotations[away])
-    assert (locked.root_positions - motion.root_positions)[away].abs().max() < 1e-4
+    assert np.array_equal(locked.local_rotations[away], motion.local_rotations[away])
+    assert np.abs((locked.root_positions - motion.root_positions)[away]).max() < 1e-4
 
 
 def test_without_contacts_nothing_changes() -> None:
     motion = sliding()
-    locked = lock_feet(motion, torch.zeros(120, 4))
-    assert torch.equal(locked.local_rotations, motion.local_rotations)
-    assert torch.allclose(locked.root_positions, motion.root_positions)
+    locked = lock_feet(motion, np.zeros((120, 4), np.float32))
+    assert np.array_equal(locked.local_rotations, motion.local_rotations)
+    assert np.allclose(locked.root_positions, motion.root_positions)
 
 
 def test_only_the_legs_turn_and_feet_keep_their_orientation() -> None:
     motion = sliding()
     locked = lock_feet(motion, feet_down(120, [(10, 60)], [(50, 100)]))
     others = [j for j in range(23) if j not in LEGS]
-    assert torch.equal(locked.local_rotations[:, others], motion.local_rotations[:, others])
+    assert np.array_equal(locked.local_rotations[:, others], motion.local_rotations[:, others])
     before, after = motion_kinematics(motion)[0], motion_kinematics(locked)[0]
     for ankle in (FOOT_JOINTS[0], FOOT_JOINTS[2]):
         assert quat_angle(before[:, ankle], after[:, ankle]).max() < 2e-3
@@ -131,21 +132,21 @@ def test_bones_keep_their_lengths() -> None:
     positions = motion_kinematics(locked)[1]
     parents = motion.skeleton.parents
     for joint in range(1, 23):
-        length = (positions[:, joint] - positions[:, parents[joint]]).norm(dim=-1)
-        assert torch.allclose(length, motion.skeleton.offsets[joint].norm(), atol=1e-3)
-    norms = locked.local_rotations.norm(dim=-1)
-    assert torch.allclose(norms, torch.ones_like(norms), atol=1e-5)
+        length = np.linalg.norm(positions[:, joint] - positions[:, parents[joint]], axis=-1)
+        assert np.allclose(length, np.linalg.norm(motion.skeleton.offsets[joint]), atol=1e-3)
+    norms = np.linalg.norm(locked.local_rotations, axis=-1)
+    assert np.allclose(norms, np.ones_like(norms), atol=1e-5)
 
 
 def test_knees_bend_forward_when_the_hips_come_down() -> None:
     """A lock with the hips 6 cm lower: both knees go forward, neither backward nor aside."""
     motion = make_idle(60)
-    root = motion.root_positions.clone()
+    root = motion.root_positions.copy()
     root[20:40, 1] -= 6.0
     lowered = replace(motion, root_positions=root)
     toes = toe_track(motion, LEFT_TOE)[0]
     locked = lock_feet(lowered, feet_down(60, [(0, 60)], [(0, 60)]))
-    assert (toe_track(locked, LEFT_TOE) - toes)[20:40, 1].abs().max() < 1.0
+    assert np.abs((toe_track(locked, LEFT_TOE) - toes)[20:40, 1]).max() < 1.0
     positions = motion_kinematics(locked)[1][30]
     for side in ("Left", "Right"):
         hip, knee, ankle = (positions[JOINT_NAMES.index(side + n)] for n in ("UpLeg", "Leg", "Foot"))
@@ -155,16 +156,16 @@ def test_knees_bend_forward_when_the_hips_come_down() -> None:
 def test_motion_stays_smooth_at_the_edges_of_a_lock() -> None:
     motion = sliding(120, 15.0)
     locked = lock_feet(motion, feet_down(120, [(40, 70)], []))
-    before = torch.diff(motion_kinematics(motion)[1], n=2, dim=0).norm(dim=-1).max()
-    after = torch.diff(motion_kinematics(locked)[1], n=2, dim=0).norm(dim=-1).max()
+    before = np.linalg.norm(np.diff(motion_kinematics(motion)[1], n=2, axis=0), axis=-1).max()
+    after = np.linalg.norm(np.diff(motion_kinematics(locked)[1], n=2, axis=0), axis=-1).max()
     assert float(after) < float(before) + 0.8
 
 
 def test_no_toe_stays_under_the_floor() -> None:
     motion = make_idle(40)
-    motion = replace(motion, root_positions=motion.root_positions - torch.tensor([0.0, 6.0, 0.0]))
+    motion = replace(motion, root_positions=motion.root_positions - np.array([0.0, 6.0, 0.0], np.float32))
     assert float(toe_track(motion, LEFT_TOE)[:, 1].min()) < 0
-    locked = lock_feet(motion, torch.zeros(40, 4))
+    locked = lock_feet(motion, np.zeros((40, 4), np.float32))
     for toe in (LEFT_TOE, RIGHT_TOE):
         assert float(toe_track(locked, toe)[:, 1].min()) > TOE_HEIGHT - 0.1
 
@@ -173,7 +174,7 @@ def test_turned_and_placed_motions_lock_alike() -> None:
     motion, contacts = sliding(), feet_down(120, [(20, 60)], [(60, 100)])
     there = lock_feet(placed(motion, 1.3, (100.0, -50.0)), contacts)
     here = placed(lock_feet(motion, contacts), 1.3, (100.0, -50.0))
-    assert (motion_kinematics(here)[1] - motion_kinematics(there)[1]).abs().max() < 0.05
+    assert np.abs(motion_kinematics(here)[1] - motion_kinematics(there)[1]).max() < 0.05
 
 
 @pytest.mark.parametrize(
@@ -190,24 +191,24 @@ def test_turned_and_placed_motions_lock_alike() -> None:
 )
 def test_locked_spans(level: list[float], spans: list[tuple[int, int]]) -> None:
     assert CONTACT_OFF < 0.5 < CONTACT_ON
-    assert locked_spans(torch.tensor([[v, 0.0] for v in level])) == spans
-    assert locked_spans(torch.tensor([[0.0, v] for v in level])) == spans
+    assert locked_spans(np.array([[v, 0.0] for v in level], np.float32)) == spans
+    assert locked_spans(np.array([[0.0, v] for v in level], np.float32)) == spans
 
 
 def test_a_single_frame_comes_back() -> None:
     motion = make_idle(5).cut(0, 1)
-    assert lock_feet(motion, torch.ones(1, 4)) is motion
+    assert lock_feet(motion, np.ones((1, 4), np.float32)) is motion
 
 
 def test_a_foot_that_has_slid_too_far_steps_over() -> None:
     """It would be seen to skate from its old place to the new one."""
     motion = sliding(120, 60.0)
-    low = motion.root_positions.clone()
+    low = motion.root_positions.copy()
     low[:, 1] -= float(toe_track(motion, LEFT_TOE)[:, 1].max()) - 2.0
     track = toe_track(
         lock_feet(replace(motion, root_positions=low), feet_down(120, [(0, 120)], [])), LEFT_TOE
     )
-    way = torch.diff(track[:, [0, 2]], dim=0).norm(dim=-1)
+    way = np.linalg.norm(np.diff(track[:, [0, 2]], axis=0), axis=-1)
     fast, still, height = way > 2.0, way < 0.05, track[1:, 1]
     assert int(fast.sum()) > 10 and int(still.sum()) > 10
     assert float(height[fast].min()) > TOE_HEIGHT + 0.95 * MAX_CLEARANCE
@@ -216,9 +217,9 @@ def test_a_foot_that_has_slid_too_far_steps_over() -> None:
 
 def test_a_toe_that_moves_along_the_ground_is_off_it() -> None:
     motion = sliding(60, 40.0)
-    low = motion.root_positions - torch.tensor([0.0, 1.0, 0.0])
-    track = toe_track(lock_feet(replace(motion, root_positions=low), torch.zeros(60, 4)), LEFT_TOE)
-    way = torch.diff(track[:, [0, 2]], dim=0).norm(dim=-1)
-    clear = TOE_HEIGHT + (CLEARANCE * way).clamp(max=MAX_CLEARANCE)
+    low = motion.root_positions - np.array([0.0, 1.0, 0.0], np.float32)
+    track = toe_track(lock_feet(replace(motion, root_positions=low), np.zeros((60, 4), np.float32)), LEFT_TOE)
+    way = np.linalg.norm(np.diff(track[:, [0, 2]], axis=0), axis=-1)
+    clear = TOE_HEIGHT + np.minimum(CLEARANCE * way, MAX_CLEARANCE)
     assert float(way.max()) > 0.5
     assert bool((track[1:, 1] > clear - 0.05).all())

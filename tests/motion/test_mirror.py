@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -46,10 +45,12 @@ def rotations(order: str) -> tuple[str, ...]:
 
 def random_motion(skeleton: Skeleton, frames: int = 7, seed: int = 0, spread: float = 0.4) -> Motion:
     """Small random turns about the rest pose, so that the mean pose stays near it."""
-    generator = torch.Generator().manual_seed(seed)
-    quat = torch.randn(frames, len(skeleton), 4, generator=generator) * spread
+    generator = np.random.default_rng(seed)
+    quat = generator.standard_normal((frames, len(skeleton), 4), np.float32) * spread
     quat[..., 0] += 1.0
-    return Motion(skeleton, quat_normalize(quat), torch.randn(frames, 3, generator=generator) * 50.0, 60.0)
+    return Motion(
+        skeleton, quat_normalize(quat), generator.standard_normal((frames, 3), np.float32) * 50.0, 60.0
+    )
 
 
 def world_aligned_rig(left: str = "Left{}", right: str = "Right{}", axis: int = 0) -> Skeleton:
@@ -66,9 +67,9 @@ def world_aligned_rig(left: str = "Left{}", right: str = "Right{}", axis: int = 
         (right.format("Arm"), 5, -15.0, 10.0),
         (right.format("Hand"), 8, -30.0, 0.0),
     )
-    offsets = torch.zeros(len(bones), 3)
-    offsets[:, axis] = torch.tensor([across for *_, across, _ in bones])
-    offsets[:, 1] = torch.tensor([up for *_, up in bones])
+    offsets = np.zeros((len(bones), 3), np.float32)
+    offsets[:, axis] = np.array([across for *_, across, _ in bones])
+    offsets[:, 1] = np.array([up for *_, up in bones])
     names, parents = tuple(bone[0] for bone in bones), tuple(bone[1] for bone in bones)
     return Skeleton(names, parents, offsets, {2: (0.0, 0.0, 8.0), 4: (0.0, 0.0, 8.0)})
 
@@ -89,13 +90,10 @@ def bone_aligned_rig() -> Motion:
         "foot_R",
     )
     parents = (-1, 0, 1, 2, 3, 2, 5, 1, 7, 1, 9)
-    offsets = torch.tensor(
-        [
+    offsets = np.array([
             [0, 0, 0], [0, 90, 0], [20, 0, 0], [15, 0, 12], [25, 0, 0], [15, 0, -12], [-25, 0, 0],
             [-3, -9, 0], [40, 0, 0], [-3, 9, 0], [-40, 0, 0],
-        ],
-        dtype=torch.float32,
-    )  # fmt: skip
+        ], np.float32)  # fmt: skip
     skeleton = Skeleton(names, parents, offsets)
     inverted = (-1.0, -1.0, -1.0)
     matrices = {
@@ -106,19 +104,24 @@ def bone_aligned_rig() -> Motion:
     }
     stance = quat_identity((len(names),))
     for name, matrix in matrices.items():
-        stance[names.index(name)] = matrix_to_quat(torch.tensor(matrix, dtype=torch.float32))
+        stance[names.index(name)] = matrix_to_quat(np.array(matrix, np.float32))
     stance[5] = reflect_rotations(stance[3], (1.0, 1.0, -1.0), inverted)
     stance[9] = reflect_rotations(stance[7], (1.0, -1.0, 1.0), inverted)
     wiggle = random_motion(skeleton, frames=9, seed=3, spread=0.1).local_rotations
     wiggle[:, 0] = quat_identity()
-    return Motion(skeleton, quat_multiply(stance.expand_as(wiggle), wiggle), torch.zeros(9, 3), 30.0)
+    return Motion(
+        skeleton,
+        quat_multiply(np.broadcast_to(stance, wiggle.shape), wiggle),
+        np.zeros((9, 3), np.float32),
+        30.0,
+    )
 
 
 def assert_mirror_image(motion: Motion, mirrored: Motion, tolerance: float = 1e-3) -> None:
     plan = mirror_plan(motion)
     before, after = motion_kinematics(motion)[1], motion_kinematics(mirrored)[1]
-    torch.testing.assert_close(
-        after, before[:, list(plan.twins)] * torch.tensor(plan.world), atol=tolerance, rtol=0
+    np.testing.assert_allclose(
+        after, before[:, list(plan.twins)] * np.array(plan.world), atol=tolerance, rtol=0
     )
 
 
@@ -170,8 +173,8 @@ def test_canonical_mirror_is_the_mirror_image_and_its_own_inverse() -> None:
     mirrored = mirror_motion(motion)
     assert_mirror_image(motion, mirrored)
     again = mirror_motion(mirrored)
-    assert torch.equal(again.local_rotations, motion.local_rotations)
-    assert torch.equal(again.root_positions, motion.root_positions)
+    assert np.array_equal(again.local_rotations, motion.local_rotations)
+    assert np.array_equal(again.root_positions, motion.root_positions)
 
 
 @settings(max_examples=20, deadline=None)
@@ -190,12 +193,10 @@ def test_mirror_image_whatever_the_pose(seed: int, spread: float) -> None:
 def test_reflected_rotations_are_the_matrix_product(
     outer: tuple[float, float, float], inner: tuple[float, float, float], seed: int
 ) -> None:
-    quat = quat_normalize(
-        torch.randn(5, 4, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
-    )
-    expected = torch.diag(torch.tensor(outer).double()) @ quat_to_matrix(quat)
-    expected = expected @ torch.diag(torch.tensor(inner).double())
-    torch.testing.assert_close(quat_to_matrix(reflect_rotations(quat, outer, inner)), expected)
+    quat = quat_normalize(np.random.default_rng(seed).standard_normal((5, 4), np.float64))
+    expected = np.diag(np.array(outer).astype(np.float64)) @ quat_to_matrix(quat)
+    expected = expected @ np.diag(np.array(inner).astype(np.float64))
+    np.testing.assert_allclose(quat_to_matrix(reflect_rotations(quat, outer, inner)), expected)
 
 
 @pytest.mark.parametrize("axis", [0, 2])
@@ -207,10 +208,10 @@ def test_the_plane_follows_the_rig(axis: int) -> None:
 
 
 def test_z_up_is_seen_by_heads_and_feet() -> None:
-    positions = torch.zeros(2, 2, 3)
+    positions = np.zeros((2, 2, 3), np.float32)
     positions[:, 1, 2] = 170.0
     assert is_z_up(positions, ("LeftFoot", "Head"))
-    assert not is_z_up(positions.roll(-1, dims=-1), ("LeftFoot", "Head"))
+    assert not is_z_up(np.roll(positions, -1, axis=-1), ("LeftFoot", "Head"))
 
 
 def test_a_rig_with_axes_along_its_bones() -> None:
@@ -228,13 +229,11 @@ def test_a_rig_with_axes_along_its_bones() -> None:
 
 def test_sides_of_different_length_keep_the_hierarchy() -> None:
     skeleton = world_aligned_rig()
-    longer = replace(
-        skeleton, offsets=skeleton.offsets * torch.where(torch.arange(10)[:, None] == 7, 1.1, 1.0)
-    )
+    longer = replace(skeleton, offsets=skeleton.offsets * np.where(np.arange(10)[:, None] == 7, 1.1, 1.0))
     motion = random_motion(longer)
     mirrored = mirror_motion(motion)
     assert mirrored.skeleton is longer
-    assert torch.equal(mirror_motion(mirrored).local_rotations, motion.local_rotations)
+    assert np.array_equal(mirror_motion(mirrored).local_rotations, motion.local_rotations)
 
 
 def test_bvh_twice_is_exact_and_agrees_with_the_library() -> None:
@@ -245,7 +244,7 @@ def test_bvh_twice_is_exact_and_agrees_with_the_library() -> None:
     np.testing.assert_array_equal(mirror_bvh(mirrored).values, bvh.values)
     library, file = mirror_motion(bvh_to_motion(bvh)), bvh_to_motion(mirrored)
     assert float(quat_angle(library.local_rotations, file.local_rotations).max()) < 1e-3
-    torch.testing.assert_close(library.root_positions, file.root_positions)
+    np.testing.assert_allclose(library.root_positions, file.root_positions)
 
 
 @pytest.mark.parametrize("order", ["XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX"])
@@ -275,14 +274,14 @@ def test_six_channel_joints_mirror_their_places() -> None:
     bvh = random_bvh(skeleton, [ROOT_CHANNELS] * 10, wide=5.0)
     columns = bvh.columns()
     for joint in range(1, 10):
-        bvh.values[:, list(columns[joint])[:3]] += skeleton.offsets[joint].numpy()
+        bvh.values[:, list(columns[joint])[:3]] += skeleton.offsets[joint]
     mirrored = mirror_bvh(bvh)
     assert_mirror_image(bvh_to_motion(bvh), bvh_to_motion(mirrored))
     np.testing.assert_array_equal(mirror_bvh(mirrored).values, bvh.values)
 
 
 def test_no_sides_is_a_clear_error() -> None:
-    skeleton = Skeleton(("a", "b"), (-1, 0), torch.tensor([[0.0, 0, 0], [0, 1, 0]]))
+    skeleton = Skeleton(("a", "b"), (-1, 0), np.array([[0.0, 0, 0], [0, 1, 0]], np.float32))
     with pytest.raises(SkeletonError, match=r"left and a right.*a, b"):
         mirror_motion(random_motion(skeleton))
 

@@ -8,9 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array, normalized
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
@@ -41,27 +40,27 @@ STANCE = {"LeftUpLeg": -20.0, "RightUpLeg": 20.0, "LeftArm": -70.0, "RightArm": 
 
 def walk(frames: int = 60) -> Motion:
     """Someone walking on the spot and turning a little: knees and elbows bend, the torso sways."""
-    phase = torch.arange(frames) * (2 * math.pi / 30.0)
-    expmaps = torch.zeros(frames, len(JOINT_NAMES), 3)
+    phase = np.arange(frames) * (2 * math.pi / 30.0)
+    expmaps = np.zeros((frames, len(JOINT_NAMES), 3), np.float32)
     for name, degrees in STANCE.items():
         expmaps[:, JOINT_NAMES.index(name), 2] = math.radians(degrees)
     turns = quat_identity((frames, len(JOINT_NAMES)))
     for joint, name in enumerate(JOINT_NAMES):
-        swing = 0.05 * torch.sin(phase[:, None] + torch.tensor([0.0, 1.0, 2.0]) + joint)
+        swing = 0.05 * np.sin(phase[:, None] + np.array([0.0, 1.0, 2.0], np.float32) + joint)
         local = expmap_to_quat(expmaps[:, joint])
         if name in HINGES:
             axis, middle, amount = HINGES[name]
-            bend = middle + amount * torch.sin(phase)
-            local = expmap_to_quat(bend[:, None] * torch.tensor(axis))
+            bend = middle + amount * np.sin(phase)
+            local = expmap_to_quat(bend[:, None] * np.array(axis))
         elif name.endswith("UpLeg"):
             side = 1.0 if name.startswith("Left") else -1.0
-            stride = torch.zeros(frames, 3)
-            stride[:, 0] = -0.3 + 0.4 * side * torch.sin(phase)
+            stride = np.zeros((frames, 3), np.float32)
+            stride[:, 0] = -0.3 + 0.4 * side * np.sin(phase)
             local = quat_multiply(expmap_to_quat(stride), local)
         elif not name.endswith(("ToeBase", "Foot")):
             local = quat_multiply(expmap_to_quat(swing), local)
         turns[:, joint] = local
-    roots = torch.stack([10.0 * torch.sin(phase), 95.0 + torch.cos(2 * phase), phase * 3.0], dim=-1)
+    roots = np.stack([10.0 * np.sin(phase), 95.0 + np.cos(2 * phase), phase * 3.0], axis=-1)
     return Motion(canonical_skeleton(), turns, roots, 30.0)
 
 
@@ -79,7 +78,7 @@ def renamed(motion: Motion, names: dict[str, str]) -> Motion:
         parents.append(new.get(above, -1))
         turns.append(turn)
     rest = motion.skeleton.rest_positions()
-    offsets = torch.stack(
+    offsets = np.stack(
         [rest[j] - (rest[keep[p]] if p >= 0 else rest[j]) for j, p in zip(keep, parents, strict=True)]
     )
     ends = {}
@@ -89,7 +88,7 @@ def renamed(motion: Motion, names: dict[str, str]) -> Motion:
             end = motion.skeleton.offsets[below[0]].tolist() if below else motion.skeleton.end_sites[j]
             ends[i] = tuple(end)
     skeleton = Skeleton(tuple(names[JOINT_NAMES[j]] for j in keep), tuple(parents), offsets, ends)
-    return Motion(skeleton, torch.stack(turns, dim=1), motion.root_positions, motion.fps)
+    return Motion(skeleton, np.stack(turns, axis=1), motion.root_positions, motion.fps)
 
 
 def sided(pattern: dict[str, str], left: str, right: str) -> dict[str, str]:
@@ -201,12 +200,12 @@ FAMILIES = {
 }
 
 
-def directions(motion: Motion, pairs: list[tuple[str, str]]) -> Tensor:
+def directions(motion: Motion, pairs: list[tuple[str, str]]) -> Array:
     """Unit vectors (T, P, 3) from joint to joint."""
     _, positions = motion_kinematics(motion)
     index = motion.skeleton.index
-    bones = torch.stack([positions[:, index(b)] - positions[:, index(a)] for a, b in pairs], dim=1)
-    return torch.nn.functional.normalize(bones, dim=-1)
+    bones = np.stack([positions[:, index(b)] - positions[:, index(a)] for a, b in pairs], axis=1)
+    return normalized(bones)
 
 
 LIMB_PAIRS = [
@@ -220,8 +219,8 @@ def worst_angle(source: Motion, result: Motion, mapped: dict[str, str]) -> float
     """The largest angle in degrees between the limb bones of source and result."""
     theirs = directions(source, [(mapped[a], mapped[b]) for a, b in LIMB_PAIRS])
     ours = directions(result, LIMB_PAIRS)
-    sine = torch.linalg.cross(theirs, ours).norm(dim=-1)
-    return float(torch.rad2deg(torch.atan2(sine, (theirs * ours).sum(-1))).max())
+    sine = np.linalg.norm(np.cross(theirs, ours), axis=-1)
+    return float(np.rad2deg(np.arctan2(sine, (theirs * ours).sum(-1))).max())
 
 
 @pytest.mark.parametrize("key", FAMILIES)
@@ -253,8 +252,8 @@ def test_the_canonical_skeleton_maps_onto_itself() -> None:
     assert report.missing == () and report.ignored == () and report.notes == ()
     assert report.root_scale == pytest.approx(1.0, abs=1e-5)
     assert float(quat_angle(source.local_rotations, result.local_rotations).max()) < 1e-3
-    assert float((source.root_positions - result.root_positions).abs().max()) < 1e-3
-    assert float((report.body - canonical_skeleton().offsets).abs().max()) < 1e-3
+    assert float(np.abs(source.root_positions - result.root_positions).max()) < 1e-3
+    assert float(np.abs(report.body - canonical_skeleton().offsets).max()) < 1e-3
 
 
 @pytest.mark.parametrize(("factor", "scale"), [(0.01, 100.0), (10.0, 0.1), (0.45 / 2.54, 2.54 / 0.45)])
@@ -263,7 +262,7 @@ def test_units_are_guessed_and_the_result_is_the_same(factor: float, scale: floa
     result, report = retarget(motion_to_bvh(source.scaled(factor)))
     assert report.scale == pytest.approx(scale)
     assert "guessed" in report.scale_source
-    assert float((source.root_positions - result.root_positions).abs().max()) < 1e-2
+    assert float(np.abs(source.root_positions - result.root_positions).max()) < 1e-2
 
 
 def test_a_given_scale_and_rate_win() -> None:
@@ -279,9 +278,9 @@ def test_own_body_keeps_positions() -> None:
     own, report = retarget(motion_to_bvh(source), own_body=True)
     scaled, _ = retarget(motion_to_bvh(source))
     assert report.scale == 1.0 and report.root_scale == pytest.approx(1.25, rel=1e-4)
-    assert float((motion_kinematics(own)[1] - motion_kinematics(source)[1]).abs().max()) < 0.01
+    assert float(np.abs(motion_kinematics(own)[1] - motion_kinematics(source)[1]).max()) < 0.01
     full = motion_kinematics(walk())[1]
-    assert float((motion_kinematics(scaled)[1] - full).abs().max()) < 0.01
+    assert float(np.abs(motion_kinematics(scaled)[1] - full).max()) < 0.01
 
 
 def test_missing_joints_do_not_move_and_others_compose_in() -> None:
@@ -304,35 +303,35 @@ def test_fingers_meshes_and_a_root_above_the_hips() -> None:
     extra = ("Armature", *JOINT_NAMES, "LeftHandIndex1", "L_Femur_RIGMESH", "HeadTop_End")
     hand, thigh, head = (JOINT_NAMES.index(n) + 1 for n in ("LeftHand", "LeftUpLeg", "Head"))
     parents = (-1, 0, *(p + 1 for p in PARENTS[1:]), hand, thigh, head)
-    added = torch.tensor([[8.0, 0, 0], [0, -5.0, 0], [0, 10.0, 0]])
-    offsets = torch.cat([torch.zeros(1, 3), skeleton.offsets, added])
+    added = np.array([[8.0, 0, 0], [0, -5.0, 0], [0, 10.0, 0]], np.float32)
+    offsets = np.concatenate([np.zeros((1, 3), np.float32), skeleton.offsets, added])
     turns = quat_identity((len(source), len(extra)))
     turns[:, 1:24] = source.local_rotations
-    lifted = expmap_to_quat(torch.tensor([0.0, 0.6, 0.0]))
+    lifted = expmap_to_quat(np.array([0.0, 0.6, 0.0], np.float32))
     turns[:, 0] = lifted
     rig = Motion(Skeleton(extra, parents, offsets), turns, source.root_positions, 30.0)
     result, report = retarget(motion_to_bvh(rig))
     assert report.missing == ()
     assert set(report.ignored) == {"Armature", "LeftHandIndex1", "L_Femur_RIGMESH", "HeadTop_End"}
-    expected = quat_multiply(lifted.expand(len(source), 4), source.local_rotations[:, 0])
+    expected = quat_multiply(np.broadcast_to(lifted, (len(source), 4)), source.local_rotations[:, 0])
     assert float(quat_angle(expected, result.local_rotations[:, 0]).max()) < 1e-3
     others = quat_angle(source.local_rotations[:, 1:], result.local_rotations[:, 1:])
     assert float(others.max()) < 1e-3
 
 
-def turned_rest(motion: Motion, changes: Tensor) -> Motion:
+def turned_rest(motion: Motion, changes: Array) -> Motion:
     """The same movement with each joint's axes turned by changes (J, 4): another rest pose."""
     rotations, _ = motion_kinematics(motion)
     back = quat_inverse(changes)
-    globals_ = quat_multiply(rotations, back.expand_as(rotations))
+    globals_ = quat_multiply(rotations, np.broadcast_to(back, rotations.shape))
     parents = list(motion.skeleton.parents[1:])
-    offsets = motion.skeleton.offsets.clone()
+    offsets = motion.skeleton.offsets.copy()
     offsets[1:] = quat_rotate(changes[parents], offsets[1:])
-    local = globals_.clone()
+    local = globals_.copy()
     local[:, 1:] = quat_multiply(quat_inverse(globals_[:, parents]), globals_[:, 1:])
     ends = {}
     for joint, end in motion.skeleton.end_sites.items():
-        x, y, z = quat_rotate(changes[joint], torch.tensor(end)).tolist()
+        x, y, z = quat_rotate(changes[joint], np.array(end)).tolist()
         ends[joint] = (x, y, z)
     skeleton = Skeleton(motion.skeleton.names, motion.skeleton.parents, offsets, ends)
     return Motion(skeleton, local, motion.root_positions, motion.fps)
@@ -345,7 +344,7 @@ def test_arms_that_hang_in_the_rest_pose() -> None:
     for joint, name in enumerate(JOINT_NAMES):
         if name.endswith(("Arm", "Hand")):
             side = -1.0 if name.startswith("Left") else 1.0
-            changes[joint] = expmap_to_quat(torch.tensor([0.0, 0.0, side * math.pi / 2]))
+            changes[joint] = expmap_to_quat(np.array([0.0, 0.0, side * math.pi / 2], np.float32))
     result, report = retarget(motion_to_bvh(turned_rest(source, changes)))
     assert float(quat_angle(source.local_rotations, result.local_rotations).max()) < 2e-3
     assert any("LeftArm 90" in note for note in report.notes)
@@ -355,7 +354,7 @@ def test_arms_that_hang_in_the_rest_pose() -> None:
 def test_a_rest_pose_that_faces_elsewhere(axis: str) -> None:
     source = walk()
     yaw = math.pi / 2 if axis == "X" else math.pi
-    changes = expmap_to_quat(torch.tensor([0.0, yaw, 0.0])).expand(len(JOINT_NAMES), 4)
+    changes = np.broadcast_to(expmap_to_quat(np.array([0.0, yaw, 0.0], np.float32)), (len(JOINT_NAMES), 4))
     result, report = retarget(motion_to_bvh(turned_rest(source, changes)))
     assert float(quat_angle(source.local_rotations, result.local_rotations).max()) < 2e-3
     assert any("faces" in note for note in report.notes)
@@ -363,25 +362,25 @@ def test_a_rest_pose_that_faces_elsewhere(axis: str) -> None:
 
 def test_z_up_is_turned() -> None:
     source = walk()
-    tilt = expmap_to_quat(torch.tensor([math.pi / 2, 0.0, 0.0]))  # Y up becomes Z up
-    rig = turned_rest(source, tilt.expand(len(JOINT_NAMES), 4))
-    turns = rig.local_rotations.clone()
-    turns[:, 0] = quat_multiply(tilt.expand(len(source), 4), turns[:, 0])
+    tilt = expmap_to_quat(np.array([math.pi / 2, 0.0, 0.0], np.float32))  # Y up becomes Z up
+    rig = turned_rest(source, np.broadcast_to(tilt, (len(JOINT_NAMES), 4)))
+    turns = rig.local_rotations.copy()
+    turns[:, 0] = quat_multiply(np.broadcast_to(tilt, (len(source), 4)), turns[:, 0])
     rig = replace(rig, local_rotations=turns, root_positions=quat_rotate(tilt, rig.root_positions))
     result, report = retarget(motion_to_bvh(rig))
     assert any("up axis +Z" in note for note in report.notes)
-    assert float((motion_kinematics(source)[1] - motion_kinematics(result)[1]).abs().max()) < 0.05
+    assert float(np.abs(motion_kinematics(source)[1] - motion_kinematics(result)[1]).max()) < 0.05
 
 
 def test_a_rest_pose_that_is_no_human_pose() -> None:
     """With every joint's axes turned at random the motion itself must tell which way a body stands."""
     source = walk(120)
-    generator = torch.Generator().manual_seed(3)
-    changes = quat_normalize(torch.randn(len(JOINT_NAMES), 4, generator=generator))
+    generator = np.random.default_rng(3)
+    changes = quat_normalize(generator.standard_normal((len(JOINT_NAMES), 4), np.float32))
     result, report = retarget(motion_to_bvh(turned_rest(source, changes)))
     assert any("not a standing human" in note for note in report.notes)
     before, after = motion_kinematics(source)[0], motion_kinematics(result)[0]
-    degrees = torch.rad2deg(quat_angle(before, after)).amax(0)
+    degrees = np.rad2deg(quat_angle(before, after)).max(0)
     for name in (pair[0] for pair in LIMB_PAIRS):
         assert float(degrees[JOINT_NAMES.index(name)]) < 1.0, name
     for name in ("Hips", "Spine1", "Head"):
@@ -393,12 +392,12 @@ def test_a_rest_pose_that_is_no_human_pose() -> None:
 def test_six_channel_joints_take_their_place_from_the_channels() -> None:
     """Some files leave OFFSET at zero and place every joint by its position channels."""
     source = walk()
-    places = source.skeleton.offsets.expand(len(source), -1, 3).clone()
-    empty = replace(source.skeleton, offsets=torch.zeros(len(JOINT_NAMES), 3))
+    places = np.tile(source.skeleton.offsets, (len(source), 1, 1))
+    empty = replace(source.skeleton, offsets=np.zeros((len(JOINT_NAMES), 3), np.float32))
     rig = replace(source, skeleton=empty, local_positions=places)
     result, report = retarget(motion_to_bvh(rig))
     assert report.scale == 1.0
-    assert float((motion_kinematics(source)[1] - motion_kinematics(result)[1]).abs().max()) < 0.01
+    assert float(np.abs(motion_kinematics(source)[1] - motion_kinematics(result)[1]).max()) < 0.01
 
 
 def test_twist_joints_along_a_limb_count() -> None:
@@ -411,12 +410,14 @@ def test_twist_joints_along_a_limb_count() -> None:
     shift = [p + (p >= at) if p >= 0 else -1 for p in PARENTS]
     parents = (*shift[:at], arm, at, *shift[at + 1 :])
     half = source.skeleton.offsets[at] * 0.5
-    offsets = torch.cat(
+    offsets = np.concatenate(
         [source.skeleton.offsets[:at], half[None], half[None], source.skeleton.offsets[at + 1 :]]
     )
-    twist = expmap_to_quat(torch.tensor([0.5, 0.0, 0.0])).expand(len(source), 1, 4)
+    twist = np.broadcast_to(expmap_to_quat(np.array([0.5, 0.0, 0.0], np.float32)), (len(source), 1, 4))
     hand = quat_multiply(quat_inverse(twist[:, 0]), source.local_rotations[:, at])[:, None]
-    turns = torch.cat([source.local_rotations[:, :at], twist, hand, source.local_rotations[:, at + 1 :]], 1)
+    turns = np.concatenate(
+        [source.local_rotations[:, :at], twist, hand, source.local_rotations[:, at + 1 :]], 1
+    )
     rig = Motion(Skeleton(tuple(names), parents, offsets), turns, source.root_positions, 30.0)
     result, report = retarget(motion_to_bvh(rig))
     assert report.mapped["LeftForeArm"] == "LeftForeArm" and "LeftForeArmRoll" in report.ignored
@@ -425,9 +426,9 @@ def test_twist_joints_along_a_limb_count() -> None:
 
 
 def tiny(names: tuple[str, ...], parents: tuple[int, ...]) -> BvhFile:
-    skeleton = Skeleton(names, parents, torch.tensor([[0.0, 10.0, 0.0]] * len(names)))
+    skeleton = Skeleton(names, parents, np.array([[0.0, 10.0, 0.0]] * len(names), np.float32))
     turns = quat_identity((2, len(names)))
-    return motion_to_bvh(Motion(skeleton, turns, torch.zeros(2, 3), 30.0))
+    return motion_to_bvh(Motion(skeleton, turns, np.zeros((2, 3), np.float32), 30.0))
 
 
 def test_not_a_human(tmp_path: Path) -> None:
@@ -462,7 +463,7 @@ def test_thighs_on_the_spine_and_collars_on_the_neck() -> None:
     rig = Skeleton(
         tuple(skeleton.names[j] for j in order),
         tuple(new[parents[j]] if parents[j] >= 0 else -1 for j in order),
-        torch.stack([old[j] - old[parents[j]] if parents[j] >= 0 else old[j] for j in order]),
+        np.stack([old[j] - old[parents[j]] if parents[j] >= 0 else old[j] for j in order]),
     )
     report = retarget(
         motion_to_bvh(Motion(rig, source.local_rotations[:, order], source.root_positions, 30.0))
@@ -515,4 +516,4 @@ def test_the_same_word_means_what_its_neighbours_leave_over() -> None:
 
 def test_results_are_finite_for_one_frame() -> None:
     result, _ = retarget(motion_to_bvh(walk(1)))
-    assert np.isfinite(result.local_rotations.numpy()).all() and len(result) == 1
+    assert np.isfinite(result.local_rotations).all() and len(result) == 1

@@ -3,10 +3,10 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory
 from motionkit.features.guide import OUTLINE_COUNT, guide_signal
@@ -17,20 +17,20 @@ from motionkit.synthesis.follow import PathFollower
 from motionkit.synthesis.path import shape_path
 from motionkit.synthesis.rollout import FrameControls
 
-AT_ORIGIN = torch.zeros(1, 3)
+AT_ORIGIN = np.zeros((1, 3), np.float32)
 
 
-def obey(ground: Tensor, asked: FrameControls) -> Tensor:
+def obey(ground: Array, asked: FrameControls) -> Array:
     """Where a body is that goes just where its trajectory says; one without a trajectory stays."""
     if not bool(asked.given[0]):
         return ground
     positions, directions = asked.trajectory[0].reshape(2, 6, 2)
     step = rotate_ground(ground[0, 2], positions[0] / 10.0)
-    turn = torch.atan2(directions[0, 0], directions[0, 1]) / 10.0
-    return torch.cat([ground[0, :2] + step, (ground[0, 2] + turn)[None]])[None]
+    turn = np.arctan2(directions[0, 0], directions[0, 1]) / 10.0
+    return np.concatenate([ground[0, :2] + step, (ground[0, 2] + turn)[None]])[None]
 
 
-def play(driver: Driver, frames: int, ground: Tensor = AT_ORIGIN, first: int = 0) -> tuple[list, Tensor]:
+def play(driver: Driver, frames: int, ground: Array = AT_ORIGIN, first: int = 0) -> tuple[list, Array]:
     """Controls of some frames of an obedient body, and where it ends."""
     out = []
     for frame in range(first, first + frames):
@@ -47,8 +47,8 @@ def shares(asked: list[FrameControls], model: MotionModel, kind: str) -> list[fl
 def test_it_stands_until_told(tiny_model: MotionModel) -> None:
     asked, ground = play(Driver(tiny_model), 60)
     assert shares(asked, tiny_model, "idle") == [1.0] * 60
-    assert torch.equal(ground, AT_ORIGIN)
-    assert all(float(a.given) == 1.0 and float(a.progress) == -1.0 for a in asked)
+    assert np.array_equal(ground, AT_ORIGIN)
+    assert all(float(a.given[0]) == 1.0 and float(a.progress[0]) == -1.0 for a in asked)
 
 
 def test_it_obeys_a_velocity_and_stops(tiny_model: MotionModel) -> None:
@@ -61,7 +61,7 @@ def test_it_obeys_a_velocity_and_stops(tiny_model: MotionModel) -> None:
     _, halt = play(driver, 90, ground, 120)
     _, later = play(driver, 60, halt, 210)
     assert float((halt - ground)[0, 0]) < 80.0, "it halts within less than a metre"
-    assert float((later - halt).abs().max()) < 2.0
+    assert float(np.abs(later - halt).max()) < 2.0
 
 
 def test_a_facing_other_than_the_way(tiny_model: MotionModel) -> None:
@@ -86,9 +86,9 @@ def test_a_change_within_a_blend_has_no_jump(tiny_model: MotionModel) -> None:
     asked = play(driver, 5)[0]
     driver.set_wish(Wish((0.0, 300.0), type="running"))
     asked += play(driver, 15, first=5)[0]
-    weights = torch.cat([a.type_weights for a in asked])
-    assert torch.diff(weights, dim=0).abs().max() < 0.11
-    assert torch.allclose(weights.sum(-1), torch.ones(len(weights)), atol=1e-5)
+    weights = np.concatenate([a.type_weights for a in asked])
+    assert np.abs(np.diff(weights, axis=0)).max() < 0.11
+    assert np.allclose(weights.sum(-1), np.ones(len(weights), np.float32), atol=1e-5)
     assert shares(asked, tiny_model, "running")[-1] == 1.0
 
 
@@ -96,22 +96,22 @@ def test_no_velocity_gives_no_trajectory(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
     driver.set_wish(Wish(None, type="walking"))
     asked = driver(0, AT_ORIGIN)
-    assert float(asked.given) == 0.0 and not asked.trajectory.any()
+    assert float(asked.given[0]) == 0.0 and not asked.trajectory.any()
 
 
 def test_a_performance_runs_once_along_its_track(tiny_model: MotionModel) -> None:
     blend = 10
     driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=blend))
     outline = tiny_model.outlines["cartwheel"][0]
-    track = future_trajectory(outline.ground, torch.arange(len(outline)))
+    track = future_trajectory(outline.ground, np.arange(len(outline)))
     driver.perform("cartwheel")
     asked = play(driver, len(track) + 40)[0]
     begins, ends = blend // 2, blend // 2 + len(track)
-    progress = [float(a.progress) for a in asked]
+    progress = [float(a.progress[0]) for a in asked]
     assert progress[:begins] == [-1.0] * begins and progress[ends:] == [-1.0] * (len(asked) - ends)
     assert progress[begins:ends] == pytest.approx([i / len(track) for i in range(len(track))])
-    shown = torch.cat([a.trajectory for a in asked[begins:ends]])
-    assert torch.equal(shown, track)
+    shown = np.concatenate([a.trajectory for a in asked[begins:ends]])
+    assert np.array_equal(shown, track)
     cartwheel = shares(asked, tiny_model, "cartwheel")
     assert cartwheel[begins - 1] == pytest.approx(0.5) and cartwheel[begins + blend] == 1.0
     assert cartwheel[ends - 1] == pytest.approx(0.5) and cartwheel[-1] == 0.0
@@ -126,11 +126,11 @@ def test_a_second_performance_waits_for_the_first(tiny_model: MotionModel) -> No
     play(driver, 5)
     driver.perform("cartwheel", choice=1)
     asked = play(driver, 2 * length + 20, first=5)[0]
-    starts = [i for i, a in enumerate(asked) if float(a.progress) == 0.0]
+    starts = [i for i, a in enumerate(asked) if float(a.progress[0]) == 0.0]
     assert len(starts) == 2 and starts[1] - starts[0] == length
     guides = [asked[start].guide for start in starts]
     for guide, outline in zip(guides, tiny_model.outlines["cartwheel"][:2], strict=True):
-        assert torch.equal(guide, guide_signal(outline.poses, torch.tensor([0])))
+        assert np.array_equal(guide, guide_signal(outline.poses, np.array([0])))
 
 
 def test_a_type_with_a_phase_that_is_held_is_repeated(tiny_model: MotionModel) -> None:
@@ -138,7 +138,7 @@ def test_a_type_with_a_phase_that_is_held_is_repeated(tiny_model: MotionModel) -
     length = len(tiny_model.outlines["cartwheel"][0])
     driver.set_wish(Wish(type="cartwheel"))
     asked = play(driver, 3 * length)[0]
-    starts = [i for i, a in enumerate(asked) if float(a.progress) == 0.0]
+    starts = [i for i, a in enumerate(asked) if float(a.progress[0]) == 0.0]
     assert len(starts) == 3 and starts[2] - starts[1] == length
     assert min(shares(asked, tiny_model, "cartwheel")[20:]) == 1.0
     driver.set_wish(Wish())
@@ -152,7 +152,7 @@ def test_a_type_without_a_length_is_performed_for_the_seconds_given(tiny_model: 
     asked = play(driver, 60)[0]
     assert max(shares(asked, tiny_model, "running")) == 1.0
     assert shares(asked, tiny_model, "idle")[-1] == 1.0
-    assert all(float(a.progress) == -1.0 for a in asked)
+    assert all(float(a.progress[0]) == -1.0 for a in asked)
 
 
 @pytest.mark.parametrize(("velocity", "given"), [((0.0, 0.0), 0.0), (None, 0.0), ((0.0, 200.0), 1.0)])
@@ -163,19 +163,19 @@ def test_a_performance_without_a_way_leaves_one_who_stands_free(
     driver.set_wish(Wish(velocity))
     driver.perform("walking", seconds=1.0)
     asked = play(driver, 50)[0][5:]
-    assert [float(a.given) for a in asked] == [given] * 45
-    assert all(a.guided is not None and float(a.guided) > 0.0 for a in asked)
-    assert all(float(a.progress) == -1.0 for a in asked)
+    assert [float(a.given[0]) for a in asked] == [given] * 45
+    assert all(a.guided is not None and float(a.guided[0]) > 0.0 for a in asked)
+    assert all(float(a.progress[0]) == -1.0 for a in asked)
 
 
 def test_a_strike_takes_its_own_time(tiny_model: MotionModel) -> None:
-    phases = torch.full((300,), -1.0)
-    phases[100:140] = torch.arange(40) / 40.0
-    kick = Outline(torch.zeros(330, OUTLINE_COUNT), torch.zeros(300, 3), phases)
+    phases = np.full((300,), -1.0, np.float32)
+    phases[100:140] = np.arange(40) / 40.0
+    kick = Outline(np.zeros((330, OUTLINE_COUNT), np.float32), np.zeros((300, 3), np.float32), phases)
     driver = Driver(replace(tiny_model, outlines={"running": [kick]}), "idle", DriveOptions(blend_frames=10))
     driver.perform("running", seconds=5.0)
     asked = play(driver, 120)[0]
-    progress = [float(a.progress) for a in asked]
+    progress = [float(a.progress[0]) for a in asked]
     assert progress.count(-1.0) == 80 and max(progress) == pytest.approx(39 / 40)
     assert driver.performing is None
 
@@ -187,9 +187,9 @@ def test_a_path_is_followed_as_follow_path_does_and_then_it_stands(tiny_model: M
     ground, frame = AT_ORIGIN, 0
     while driver.following is not None and frame < 300:
         asked, expected = driver(frame, ground), follower(frame, ground)
-        assert torch.equal(asked.trajectory, expected.trajectory)
+        assert np.array_equal(asked.trajectory, expected.trajectory)
         if frame >= driver.options.blend_frames:
-            assert torch.allclose(asked.type_weights, expected.type_weights)
+            assert np.allclose(asked.type_weights, expected.type_weights)
         ground, frame = obey(ground, asked), frame + 1
     assert frame < 300 and float(ground[0, 1]) == pytest.approx(200.0, abs=8.0)
     asked, halt = play(driver, 120, ground, frame)
@@ -207,15 +207,15 @@ def test_a_new_wish_leaves_the_path(tiny_model: MotionModel) -> None:
 
 
 def test_the_same_wishes_give_the_same_controls(tiny_model: MotionModel) -> None:
-    def run() -> Tensor:
+    def run() -> Array:
         driver = Driver(tiny_model)
         asked, ground = play(driver, 10)
         driver.set_wish(Wish((90.0, 90.0), type="walking"))
         more, ground = play(driver, 10, ground, 10)
         driver.perform("cartwheel")
-        return torch.cat([a.trajectory for a in asked + more + play(driver, 60, ground, 20)[0]])
+        return np.concatenate([a.trajectory for a in asked + more + play(driver, 60, ground, 20)[0]])
 
-    assert torch.equal(run(), run())
+    assert np.array_equal(run(), run())
 
 
 def test_unknown_types_are_refused_and_change_nothing(tiny_model: MotionModel) -> None:

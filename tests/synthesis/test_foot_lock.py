@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from motionkit.motion.foot_ik import CLEARANCE, EASE_FRAMES, LEGS, MAX_CLEARANCE, TOE_HEIGHT
 from motionkit.motion.kinematics import forward_kinematics
@@ -32,7 +31,7 @@ class Glider:
 
     def __init__(self, count: int = 1, sizes: tuple[float, ...] = (1.0,), height: float = HIGH) -> None:
         self.scale = np.array([sizes[i % len(sizes)] for i in range(count)], np.float32)
-        self.offsets = self.scale[:, None, None] * canonical_skeleton().offsets.numpy()
+        self.offsets = self.scale[:, None, None] * canonical_skeleton().offsets
         self.body, self.feet = BodyKinematics(self.offsets), FootLock(count)
         self.pose, self.place = bent_pose(count), np.zeros((count, 3), np.float32)
         lowest = self.body.forward(self.pose, self.place)[:, TOES, 1, 3].min(axis=-1)
@@ -45,10 +44,8 @@ class Glider:
         world = self.body.forward(turns, root)
         plain = world[..., :3, 3].copy()
         shown = self.feet.apply(turns, root, world, np.full((len(root), 4), contact, np.float32), self.scale)
-        _, again = forward_kinematics(
-            torch.from_numpy(turns), torch.from_numpy(root), torch.from_numpy(self.offsets), PARENTS
-        )
-        assert np.abs(again.numpy() - shown).max() < 2e-2, "positions are those of the rotations"
+        _, again = forward_kinematics(turns, root, self.offsets, PARENTS)
+        assert np.abs(again - shown).max() < 2e-2, "positions are those of the rotations"
         return shown, plain
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array
 from motionkit.features.decode import root_height
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.metrics.ground import foot_positions
@@ -72,36 +72,38 @@ def test_what_is_deeper_than_feet_are_is_raised_whatever_is_said() -> None:
     assert Footing(LAYOUT, 1).follow(*frame(-footing.DEEPEST, -footing.DEEPEST))[0] == 0.0
 
 
-def rolled(frames: int = 120) -> tuple[Rollout, list[torch.Tensor]]:
+def rolled(frames: int = 120) -> tuple[Rollout, list[Array]]:
     """A dance, and where a live character without foot locks has its joints in each of its frames."""
     stream = CharacterStream(MODEL, noise=Noise("mean"), ik=False)
     stream.reset(0, type="dance-indian")
-    weights = torch.zeros(1, len(MODEL.types))
+    weights = np.zeros((1, len(MODEL.types)), np.float32)
     weights[0, MODEL.type_id("dance-indian")] = 1.0
-    asked = FrameControls(weights, torch.zeros(1, 24), torch.zeros(1), torch.full((1,), -1.0))
+    asked = FrameControls(
+        weights, np.zeros((1, 24), np.float32), np.zeros(1, np.float32), np.full((1,), -1.0, np.float32)
+    )
     features, ground, positions = [], [], []
     for _ in range(frames):
         positions.append(stream.step(asked).positions[0])
-        features.append(torch.from_numpy(stream.state._features.copy()))
+        features.append(stream.state._features.copy())
         ground.append(stream.state.ground)
-    contacts = torch.zeros(1, frames, 4)
-    return Rollout(torch.stack(features, 1), contacts, torch.stack(ground, 1)), positions
+    contacts = np.zeros((1, frames, 4), np.float32)
+    return Rollout(np.stack(features, 1), contacts, np.stack(ground, 1)), positions
 
 
 def test_whole_motions_are_raised_as_live_characters_are() -> None:
     rollout, positions = rolled()
     motion = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
-    assert torch.allclose(motion_kinematics(motion)[1], torch.stack(positions), atol=0.01)
-    low = rollout.features[0, :, Footing(LAYOUT, 1).columns] - torch.tensor(STANDING_HEIGHTS)
+    assert np.allclose(motion_kinematics(motion)[1], np.stack(positions), atol=0.01)
+    low = rollout.features[0][:, Footing(LAYOUT, 1).columns] - np.array(STANDING_HEIGHTS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(footing, "PACE", 0.0)
         sunk = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
 
-    def missing(motion: Motion) -> torch.Tensor:
-        feet = foot_positions(motion_kinematics(motion)[1])[..., 1] - torch.tensor(STANDING_HEIGHTS)
-        return low.amin(dim=-1) - feet.amin(dim=-1)
+    def missing(motion: Motion) -> Array:
+        feet = foot_positions(motion_kinematics(motion)[1])[..., 1] - np.array(STANDING_HEIGHTS)
+        return low.min(axis=-1) - feet.min(axis=-1)
 
-    assert float(missing(motion).clamp(min=0.0).mean()) < 0.8 * float(missing(sunk).clamp(min=0.0).mean())
+    assert float(np.maximum(missing(motion), 0.0).mean()) < 0.8 * float(np.maximum(missing(sunk), 0.0).mean())
 
 
 def test_recorded_motion_stays_where_it_is() -> None:
@@ -112,9 +114,7 @@ def test_recorded_motion_stays_where_it_is() -> None:
         rise = motion.root_positions[:, 1] - root_height(seed.features, LAYOUT)
         # Some recordings were made on a floor that their feet sink into.
         feet = (
-            foot_positions(motion_kinematics(motion)[1])[..., 1]
-            - rise[:, None]
-            - torch.tensor(STANDING_HEIGHTS)
+            foot_positions(motion_kinematics(motion)[1])[..., 1] - rise[:, None] - np.array(STANDING_HEIGHTS)
         )
         too_deep = max(0.0, -float(feet.min()) - footing.DEEPEST)
-        assert float(rise.abs().max()) < 0.1 + too_deep
+        assert float(np.abs(rise).max()) < 0.1 + too_deep

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array, lerp
 from motionkit.features.control import future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, OUTLINE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
@@ -14,7 +15,7 @@ from motionkit.synthesis.outline_player import BEFORE_EVENT, BLEND, OWN_WAY, PAU
 from motionkit.synthesis.places import STATE_FRAMES
 from motionkit.synthesis.plan import TypePart, plan_signals
 
-NEAR = torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT)
+NEAR = np.zeros((len(STATE_FRAMES), OUTLINE_COUNT), np.float32)
 
 
 @pytest.fixture
@@ -23,11 +24,15 @@ def flips(tiny_model: MotionModel) -> MotionModel:
     return tiny_model
 
 
-def recording(frames: int, phases: torch.Tensor | None = None, first: float = 0.0) -> Outline:
+def recording(frames: int, phases: Array | None = None, first: float = 0.0) -> Outline:
     """An outline whose poses count frames."""
-    poses = torch.zeros(frames + 30, OUTLINE_COUNT)
-    poses[:, 0] = first + torch.arange(frames + 30)
-    return Outline(poses, torch.zeros(frames, 3), torch.full((frames,), -1.0) if phases is None else phases)
+    poses = np.zeros((frames + 30, OUTLINE_COUNT), np.float32)
+    poses[:, 0] = first + np.arange(frames + 30)
+    return Outline(
+        poses,
+        np.zeros((frames, 3), np.float32),
+        np.full((frames,), -1.0, np.float32) if phases is None else phases,
+    )
 
 
 def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel) -> None:
@@ -39,17 +44,17 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
         [1.0] * 60 + [flips.guidance["cartwheel"]] * 30 + [1.0] * 30
     )
     outline = flips.outlines["cartwheel"][0]
-    frames = torch.arange(30)
-    assert torch.equal(asked.trajectory[60:90], future_trajectory(outline.ground, frames))
-    assert torch.equal(asked.guide[60:90], guide_signal(outline.poses, frames))
-    assert torch.equal(asked.progress[60:90], outline.phases[:30])
+    frames = np.arange(30)
+    assert np.array_equal(asked.trajectory[60:90], future_trajectory(outline.ground, frames))
+    assert np.array_equal(asked.guide[60:90], guide_signal(outline.poses, frames))
+    assert np.array_equal(asked.progress[60:90], outline.phases[:30])
 
 
 def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
     far = recording(300, first=1000.0)
     model = replace(tiny_model, outlines={"walking": [recording(300)], "running": [far]})
     asked = plan_signals(model, [TypePart("walking", 1.0), TypePart("running", 1.0)], NEAR)
-    steps = asked.guide[58 : 60 + BLEND + 2, 0].diff()
+    steps = np.diff(asked.guide[58 : 60 + BLEND + 2, 0])
     leap = float(asked.guide[60 + BLEND, 0] - asked.guide[59, 0])
     assert leap > 800.0 and float(steps.max()) < 1.5 * leap / BLEND
 
@@ -59,23 +64,23 @@ def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: Motio
     asked = plan_signals(flips, [TypePart("cartwheel", (2 * length + PAUSE) / flips.fps)], NEAR)
     second = slice(length + PAUSE, None)
     for signal in (asked.guide, asked.trajectory, asked.progress):
-        assert torch.equal(signal[:length], signal[second])
+        assert np.array_equal(signal[:length], signal[second])
     pause = slice(length, length + PAUSE)
     assert (asked.progress[pause] < 0.0).all() and (asked.given[pause] == 1.0).all()
     way = asked.guide[length + PAUSE] - asked.guide[length - 1]
-    steps = asked.guide[length - 1 : length + PAUSE].diff(dim=0)
-    assert float(steps.norm(dim=1).max()) < 1.5 * float(way.norm()) / PAUSE + 1e-4
+    steps = np.diff(asked.guide[length - 1 : length + PAUSE], axis=0)
+    assert float(np.linalg.norm(steps, axis=1).max()) < 1.5 * float(np.linalg.norm(way)) / PAUSE + 1e-4
     assert flips.phase_seconds("cartwheel") == pytest.approx(length / flips.fps)
 
 
 def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: MotionModel) -> None:
     outlines, parts = flips.outlines["cartwheel"], [TypePart("cartwheel", 10 / flips.fps)]
     asked = plan_signals(flips, parts, NEAR, behind=5)
-    assert torch.equal(asked.progress, outlines[0].phases[5:15])
+    assert np.array_equal(asked.progress, outlines[0].phases[5:15])
     other = plan_signals(flips, parts, NEAR, choice=1)
-    assert torch.equal(other.guide, guide_signal(outlines[1].poses, torch.arange(10)))
+    assert np.array_equal(other.guide, guide_signal(outlines[1].poses, np.arange(10)))
     again = plan_signals(flips, parts, NEAR, choice=len(outlines))
-    assert torch.equal(again.guide, guide_signal(outlines[0].poses, torch.arange(10)))
+    assert np.array_equal(again.guide, guide_signal(outlines[0].poses, np.arange(10)))
 
 
 def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
@@ -89,8 +94,8 @@ def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
 def test_a_recording_is_entered_where_its_pose_is_most_alike(tiny_model: MotionModel) -> None:
     model = replace(tiny_model, outlines={"walking": [recording(200), recording(200, first=1000.0)]})
     player = OutlinePlayer(model, choice=3)
-    near = NEAR.clone()
-    near[:, 0] = 1050.0 - torch.tensor(STATE_FRAMES)
+    near = NEAR.copy()
+    near[:, 0] = 1050.0 - np.array(STATE_FRAMES)
     player.begin("walking", near)
     assert player.outline is model.outlines["walking"][1]
     assert abs(player.at - 50) < 20, "one of a few places drawn"
@@ -111,8 +116,8 @@ def test_what_stands_is_not_entered(tiny_model: MotionModel) -> None:
 
 
 def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
-    phases = torch.full((300,), -1.0)
-    phases[100:140] = torch.arange(40) / 40.0
+    phases = np.full((300,), -1.0, np.float32)
+    phases[100:140] = np.arange(40) / 40.0
     model = replace(tiny_model, outlines={"kicking": [recording(300, phases)]})
     player = OutlinePlayer(model)
     player.begin("kicking")
@@ -125,16 +130,16 @@ def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
 
 def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
     plays = [plan_signals(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).guide for c in (4, 4, 5)]
-    assert torch.equal(plays[0], plays[1]) and not torch.equal(plays[0], plays[2])
+    assert np.array_equal(plays[0], plays[1]) and not np.array_equal(plays[0], plays[2])
 
 
 def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> None:
     features = tiny_model.seeds["walking"][0].features
-    features = torch.cat([features, features.flip(0)])
+    features = np.concatenate([features, np.flip(features, 0)])
     before = [-1 - frames for frames in STATE_FRAMES]
-    assert torch.allclose(last_poses(tiny_model, features), tiny_model.outline.of(features[before]))
+    assert np.allclose(last_poses(tiny_model, features), tiny_model.outline.of(features[before]))
     first = tiny_model.outline.of(features[[1, 0, 0, 0]])
-    assert STATE_FRAMES[:2] == (0, 5) and torch.allclose(last_poses(tiny_model, features[:2]), first)
+    assert STATE_FRAMES[:2] == (0, 5) and np.allclose(last_poses(tiny_model, features[:2]), first)
 
 
 @pytest.mark.parametrize("frames", [1, 2, 3, 91, 92])
@@ -150,15 +155,15 @@ def test_recordings_of_a_few_frames_are_entered_too(tiny_model: MotionModel, fra
 @pytest.mark.parametrize("share", [0.0, OWN_WAY])
 def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, share: float) -> None:
     outline = recording(200)
-    outline.ground[:, 1] = torch.arange(200.0)  # straight ahead, 1 cm a frame
-    asked = torch.zeros(40, 24)
-    asked[:, 12:] = torch.tensor([0.0, 1.0]).repeat(6)
-    asked[:, 0:12:2] = torch.arange(10.0, 70.0, 10.0)  # to the side
+    outline.ground[:, 1] = np.arange(200.0, dtype=np.float32)  # straight ahead, 1 cm a frame
+    asked = np.zeros((40, 24), np.float32)
+    asked[:, 12:] = np.tile(np.float32([0.0, 1.0]), 6)
+    asked[:, 0:12:2] = np.arange(10.0, 70.0, 10.0, dtype=np.float32)  # to the side
     player = OutlinePlayer(replace(tiny_model, outlines={"walking": [outline]}), own_way=share)
     player.begin("walking", NEAR, way=asked[0])
     shown = player.play(40, asked)
-    own = future_trajectory(outline.ground, torch.arange(player.at - 40, player.at))
-    assert torch.allclose(shown.trajectory, torch.lerp(asked, own, share), atol=1e-4)
+    own = future_trajectory(outline.ground, np.arange(player.at - 40, player.at))
+    assert np.allclose(shown.trajectory, lerp(asked, own, share), atol=1e-4)
     assert shown.given.tolist() == [1.0] * 40
     assert player.play(3).given.tolist() == [0.0] * 3
 
@@ -167,8 +172,8 @@ def test_a_performance_goes_the_way_asked_for(flips: MotionModel) -> None:
     player = OutlinePlayer(flips)
     player.begin("cartwheel")
     length = len(flips.outlines["cartwheel"][0])
-    asked = torch.rand(2 * length, 24, generator=torch.Generator().manual_seed(0))
+    asked = np.random.default_rng(0).random((2 * length, 24), np.float32)
     shown = player.play(2 * length, asked)
     assert float(shown.given.min()) == 1.0
     between = slice(length, length + PAUSE)
-    assert torch.equal(shown.trajectory[between], asked[between])
+    assert np.array_equal(shown.trajectory[between], asked[between])

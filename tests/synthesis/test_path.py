@@ -5,8 +5,8 @@ import math
 import os
 from pathlib import Path
 
+import numpy as np
 import pytest
-import torch
 
 from motionkit.errors import ControlError
 from motionkit.synthesis.path import SHAPES, SPACING, PathPart, make_path, read_path, shape_path
@@ -30,59 +30,63 @@ def test_length_of_shapes(name: str, size: float, metres: float) -> None:
 @pytest.mark.parametrize("name", SHAPES)
 def test_shapes_start_at_the_origin_facing_ahead(name: str) -> None:
     path = shape_path(name, None, ["walking"], None)
-    assert path.points[0].norm() < 0.1
-    assert torch.allclose(path.tangents[0], torch.tensor([0.0, 1.0]), atol=0.02)
+    assert np.linalg.norm(path.points[0]) < 0.1
+    assert np.allclose(path.tangents[0], np.array([0.0, 1.0], np.float32), atol=0.02)
 
 
 @pytest.mark.parametrize("name", ["circle", "figure-eight", "square", "pentagram"])
 def test_closed_shapes_end_where_they_start(name: str) -> None:
     path = shape_path(name, 2.0, ["walking"], None)
-    assert (path.points[-1] - path.points[0]).norm() < 2 * SPACING
+    assert np.linalg.norm(path.points[-1] - path.points[0]) < 2 * SPACING
 
 
 def test_points_are_evenly_spaced_and_tangents_are_unit() -> None:
     for name in SHAPES:
         path = shape_path(name, 3.0, ["walking"], None)
-        steps = torch.diff(path.points, dim=0).norm(dim=-1)
+        steps = np.linalg.norm(np.diff(path.points, axis=0), axis=-1)
         assert steps.max() < 1.001 * SPACING
-        assert float((steps < 0.95 * SPACING).float().mean()) < 0.01, "shorter ones at corners only"
-        assert torch.allclose(path.tangents.norm(dim=-1), torch.ones(len(path.points)), atol=1e-5)
+        assert float((steps < 0.95 * SPACING).astype(np.float32).mean()) < 0.01, (
+            "shorter ones at corners only"
+        )
+        assert np.allclose(
+            np.linalg.norm(path.tangents, axis=-1), np.ones(len(path.points), np.float32), atol=1e-5
+        )
 
 
 def test_a_circle_turns_left_about_its_centre() -> None:
     path = shape_path("circle", 3.0, ["walking"], None)
-    distance = (path.points - torch.tensor([300.0, 0.0])).norm(dim=-1)
-    assert (distance - 300.0).abs().max() < 0.1
+    distance = np.linalg.norm(path.points - np.array([300.0, 0.0], np.float32), axis=-1)
+    assert np.abs(distance - 300.0).max() < 0.1
 
 
 def test_corners_of_a_square() -> None:
     path = shape_path("square", 5.0, ["walking"], None)
-    assert path.points.amin() > -1 and path.points.amax() < 501
+    assert path.points.min() > -1 and path.points.max() < 501
     for corner in ([0.0, 500.0], [500.0, 500.0], [500.0, 0.0]):
-        assert (path.points - torch.tensor(corner)).norm(dim=-1).min() < SPACING
+        assert np.linalg.norm(path.points - np.array(corner), axis=-1).min() < SPACING
 
 
 def test_a_u_turn_comes_back_beside_itself() -> None:
     path = shape_path("u-turn", 6.0, ["walking"], None)
-    assert torch.allclose(path.points[-1], torch.tensor([120.0, 0.0]), atol=2 * SPACING)
-    assert torch.allclose(path.tangents[-1], torch.tensor([0.0, -1.0]), atol=0.02)
+    assert np.allclose(path.points[-1], np.array([120.0, 0.0], np.float32), atol=2 * SPACING)
+    assert np.allclose(path.tangents[-1], np.array([0.0, -1.0], np.float32), atol=0.02)
 
 
 def test_types_share_the_length_of_a_shape() -> None:
     path = shape_path("line", 9.0, ["walking", "running", "walking"], 2.0)
     assert [part.type for part in path.parts] == ["walking", "running", "walking"]
     assert all(part.speed == 200.0 for part in path.parts)
-    shares = torch.bincount(path.part).float() / len(path.part)
-    assert torch.allclose(shares, torch.full((3,), 1 / 3), atol=0.01)
-    assert (torch.diff(path.part) >= 0).all()
+    shares = np.bincount(path.part).astype(np.float32) / len(path.part)
+    assert np.allclose(shares, np.full((3,), 1 / 3), atol=0.01)
+    assert (np.diff(path.part) >= 0).all()
 
 
 def test_places_and_directions_on_and_beyond_a_path() -> None:
     path = shape_path("line", 1.0, ["walking"], None)
-    points, directions = path.at(torch.tensor([-10.0, 0.0, 3.0, 100.0, 150.0]))
-    assert torch.allclose(points[:, 1], torch.tensor([-10.0, 0.0, 3.0, 100.0, 150.0]), atol=1e-3)
-    assert torch.allclose(directions, torch.tensor([0.0, 1.0]).expand(5, 2))
-    assert path.part_at(torch.tensor([-5.0, 50.0, 500.0])).tolist() == [0, 0, 0]
+    points, directions = path.at(np.array([-10.0, 0.0, 3.0, 100.0, 150.0], np.float32))
+    assert np.allclose(points[:, 1], np.array([-10.0, 0.0, 3.0, 100.0, 150.0], np.float32), atol=1e-3)
+    assert np.allclose(directions, np.broadcast_to(np.array([0.0, 1.0], np.float32), (5, 2)))
+    assert path.part_at(np.array([-5.0, 50.0, 500.0], np.float32)).tolist() == [0, 0, 0]
 
 
 @pytest.mark.parametrize(
@@ -111,24 +115,24 @@ def test_more_types_than_a_shape_has_room_for() -> None:
 def test_parts_that_go_nowhere() -> None:
     with pytest.raises(ControlError, match="no parts"):
         make_path([])
-    still = torch.zeros(5, 2)
+    still = np.zeros((5, 2), np.float32)
     with pytest.raises(ControlError, match=r"part 1 of the path \(idle\) is 0\.0 cm long"):
         make_path([PathPart(still, "idle")])
 
 
 def test_repeated_points_do_no_harm() -> None:
-    points = torch.tensor([[0.0, 0.0], [0.0, 0.0], [0.0, 50.0], [0.0, 50.0], [0.0, 100.0]])
+    points = np.array([[0.0, 0.0], [0.0, 0.0], [0.0, 50.0], [0.0, 50.0], [0.0, 100.0]], np.float32)
     path = make_path([PathPart(points, "walking")])
     assert path.length == pytest.approx(100.0)
-    assert torch.isfinite(path.points).all() and torch.isfinite(path.tangents).all()
+    assert np.isfinite(path.points).all() and np.isfinite(path.tangents).all()
 
 
 def test_a_part_begins_where_the_one_before_ends() -> None:
-    a = PathPart(torch.tensor([[0.0, 0.0], [0.0, 100.0]]), "walking")
-    b = PathPart(torch.tensor([[100.0, 100.0], [100.0, 200.0]]), "running")
+    a = PathPart(np.array([[0.0, 0.0], [0.0, 100.0]], np.float32), "walking")
+    b = PathPart(np.array([[100.0, 100.0], [100.0, 200.0]], np.float32), "running")
     path = make_path([a, b])
     assert path.length == pytest.approx(300.0)
-    assert path.part_at(torch.tensor([50.0, 99.0, 103.0, 299.0])).tolist() == [0, 0, 1, 1]
+    assert path.part_at(np.array([50.0, 99.0, 103.0, 299.0], np.float32)).tolist() == [0, 0, 1, 1]
 
 
 # ---- files ----

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array
 from motionkit.features.control import future_trajectory
 from motionkit.features.guide import OUTLINE_COUNT
 from motionkit.models.checkpoint import MotionModel, Outline
@@ -16,9 +17,11 @@ from motionkit.synthesis.places import STATE_FRAMES, Places, pose_state
 
 def walk(speed: float, frames: int = 200) -> Outline:
     """A recording that goes straight ahead at so many cm a frame, its poses all alike."""
-    ground = torch.zeros(frames, 3)
-    ground[:, 1] = speed * torch.arange(frames)
-    return Outline(torch.zeros(frames + 30, OUTLINE_COUNT), ground, torch.full((frames,), -1.0))
+    ground = np.zeros((frames, 3), np.float32)
+    ground[:, 1] = speed * np.arange(frames)
+    return Outline(
+        np.zeros((frames + 30, OUTLINE_COUNT), np.float32), ground, np.full((frames,), -1.0, np.float32)
+    )
 
 
 @pytest.fixture
@@ -26,8 +29,8 @@ def outlines() -> list[Outline]:
     return [walk(0.0), walk(1.0), walk(2.0)]
 
 
-def way_of(outline: Outline, at: int = 0) -> torch.Tensor:
-    return future_trajectory(outline.ground, torch.tensor([at]))[0]
+def way_of(outline: Outline, at: int = 0) -> Array:
+    return future_trajectory(outline.ground, np.array([at]))[0]
 
 
 def test_the_place_that_goes_the_way_is_found(outlines: list[Outline]) -> None:
@@ -40,7 +43,7 @@ def test_the_place_that_goes_the_way_is_found(outlines: list[Outline]) -> None:
 def test_poses_count_beside_the_way(outlines: list[Outline]) -> None:
     outlines[1].poses[:, 3] = 9.0
     places = Places(outlines)
-    state = torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT)
+    state = np.zeros((len(STATE_FRAMES), OUTLINE_COUNT), np.float32)
     state[:, 3] = 9.0
     assert places.nearest(state, way_of(outlines[2]), least=60)[0] == 1
 
@@ -57,23 +60,23 @@ def test_a_player_goes_over_to_what_suits_the_way(tiny_model: MotionModel, outli
     for number, outline in enumerate(outlines):
         outline.poses[:, 0] = 0.01 * number
     player = OutlinePlayer(replace(tiny_model, outlines={"walking": outlines}))
-    player.begin("walking", torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT), way=way_of(outlines[1]))
+    player.begin("walking", np.zeros((len(STATE_FRAMES), OUTLINE_COUNT), np.float32), way=way_of(outlines[1]))
     assert player.outline is outlines[1]
-    slow, fast = (way_of(outlines[n]).expand(RECONSIDERED + 20, -1) for n in (1, 2))
+    slow, fast = (np.tile(way_of(outlines[n]), (RECONSIDERED + 20, 1)) for n in (1, 2))
     player.play(len(slow), slow)
     assert player.outline is outlines[1], "nothing suits better"
     asked = player.play(len(fast), fast)
     assert player.outline is outlines[2]
-    steps = asked.guide[:, 0].diff()
+    steps = np.diff(asked.guide[:, 0])
     assert float(asked.guide[-1, 0]) == pytest.approx(0.02)
     assert 0.0 <= float(steps.min()) and float(steps.max()) < 0.002, "gone over to little by little"
 
 
 def test_strikes_are_not_left_for_a_better_way(tiny_model: MotionModel, outlines: list[Outline]) -> None:
-    outlines[1].phases[:100] = torch.arange(100) / 100.0
+    outlines[1].phases[:100] = np.arange(100) / 100.0
     player = OutlinePlayer(replace(tiny_model, outlines={"walking": outlines}))
     player.kind, player.outline, player.at = "walking", outlines[1], 1
-    fast = way_of(outlines[2]).expand(RECONSIDERED + 60, -1)
+    fast = np.tile(way_of(outlines[2]), (RECONSIDERED + 60, 1))
     player.play(len(fast), fast)
     assert player.outline is outlines[1] and player.at == 1 + len(fast)
 
@@ -81,18 +84,18 @@ def test_strikes_are_not_left_for_a_better_way(tiny_model: MotionModel, outlines
 def test_the_same_second_is_not_played_again_and_again(tiny_model: MotionModel) -> None:
     """Poses that hardly differ on a way that suits none: every place is as good as the last."""
     slow = walk(0.0, 600)
-    slow.poses[:, 0] = 1e-3 * torch.arange(630)
+    slow.poses[:, 0] = 1e-3 * np.arange(630)
     player = OutlinePlayer(replace(tiny_model, outlines={"walking": [slow]}))
     player.kind, player.outline, player.at = "walking", slow, 0
-    way = way_of(walk(0.5)).expand(400, -1)
+    way = np.tile(way_of(walk(0.5)), (400, 1))
     player.play(400, way)
     assert player.at >= 400
 
 
 def test_what_stands_is_no_place_to_go_over_to(outlines: list[Outline]) -> None:
     for number in (0, 2):
-        outlines[number].poses[:, 0] = 0.01 * torch.arange(230)
+        outlines[number].poses[:, 0] = 0.01 * np.arange(230)
     found, _ = Places(outlines).nearest(
-        torch.zeros(len(STATE_FRAMES), OUTLINE_COUNT), way_of(outlines[1]), least=60
+        np.zeros((len(STATE_FRAMES), OUTLINE_COUNT), np.float32), way_of(outlines[1]), least=60
     )
     assert found != 1, "although it goes the way"

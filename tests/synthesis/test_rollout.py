@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array, lerp
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.checkpoint import MotionModel
@@ -18,36 +18,41 @@ from motionkit.synthesis.rollout import FrameControls, Noise, RolloutState, iner
 KINDS = ("walking", "cartwheel")
 
 
-def asked(model: MotionModel, weights: torch.Tensor) -> FrameControls:
+def asked(model: MotionModel, weights: Array) -> FrameControls:
     count = len(weights)
-    return FrameControls(weights, torch.zeros(count, 24), torch.zeros(count), torch.full((count,), -1.0))
+    return FrameControls(
+        weights,
+        np.zeros((count, 24), np.float32),
+        np.zeros(count, np.float32),
+        np.full((count,), -1.0, np.float32),
+    )
 
 
 def started(
     model: MotionModel, inertia: dict[str, float], compiled: bool, noise: Noise | None = None
-) -> tuple[RolloutState, torch.Tensor]:
+) -> tuple[RolloutState, Array]:
     """Two walkers and their normalised seed frames, the second of them half asked for a cartwheel."""
     model = replace(model, inertia=inertia, grip={})
     seed = model.seeds["walking"][0]
     state = RolloutState(model, 2, noise or Noise("mean"), compiled=compiled)
-    features = torch.stack([seed.features, seed.features])
-    weights = torch.zeros(2, len(model.types))
+    features = np.stack([seed.features, seed.features])
+    weights = np.zeros((2, len(model.types)), np.float32)
     weights[:, model.type_id("walking")] = 1.0
-    state.start(features, torch.stack([seed.contacts, seed.contacts]), weights)
+    state.start(features, np.stack([seed.contacts, seed.contacts]), weights)
     return state, model.scaling.normalize(features)
 
 
 @pytest.mark.parametrize("compiled", [True, False])
 def test_inertia_is_a_share_of_the_last_movement(compiled: bool) -> None:
     model = load_bundled_model()
-    weights = torch.zeros(2, len(model.types))
+    weights = np.zeros((2, len(model.types)), np.float32)
     weights[0, model.type_id(KINDS[0])] = 1.0
     weights[1, [model.type_id(kind) for kind in KINDS]] = 0.5
     free, frames = started(model, {}, compiled)
     free.step(asked(model, weights))
-    drawn = torch.from_numpy(free.normalised.copy())
+    drawn = free.normalised.copy()
     onwards = 2.0 * frames[:, -1] - frames[:, -2]
-    inert = torch.from_numpy(inert_columns(model.config.layout))
+    inert = inert_columns(model.config.layout)
     assert int((inert == 0.0).sum()) == 46  # heights and their velocities
     for inertia, expected in (
         ({"walking": 0.3}, (0.3, 0.15)),
@@ -55,43 +60,45 @@ def test_inertia_is_a_share_of_the_last_movement(compiled: bool) -> None:
     ):
         state, _ = started(model, inertia, compiled)
         features, _, _ = state.step(asked(model, weights))
-        shares = torch.tensor(expected)[:, None] * inert
-        wanted = torch.lerp(drawn, onwards, shares)
-        assert torch.allclose(torch.from_numpy(state.normalised), wanted, atol=1e-5)
-        assert torch.allclose(features, model.scaling.denormalize(wanted), atol=1e-3)
+        shares = np.array(expected)[:, None] * inert
+        wanted = lerp(drawn, onwards, shares)
+        assert np.allclose(state.normalised, wanted, atol=1e-5)
+        assert np.allclose(features, model.scaling.denormalize(wanted), atol=1e-3)
         # The next frame goes on from this one.
-        before, now = frames[:, -1], torch.from_numpy(state.normalised.copy())
+        before, now = frames[:, -1], state.normalised.copy()
         again, _ = started(model, inertia, compiled)
         again.step(asked(model, weights))
         again._inertias[:] = 1.0
         again.step(asked(model, weights))
-        gone_on = torch.from_numpy(again.normalised) - (2.0 * now - before)
-        assert float(gone_on[:, inert > 0.0].abs().max()) < 1e-4 < float(gone_on[:, inert == 0.0].abs().max())
+        gone_on = again.normalised - (2.0 * now - before)
+        assert (
+            float(np.abs(gone_on[:, inert > 0.0]).max())
+            < 1e-4
+            < float(np.abs(gone_on[:, inert == 0.0]).max())
+        )
 
 
 def test_inertia_makes_motion_smoother() -> None:
     model = load_bundled_model()
-    weights = torch.zeros(2, len(model.types))
+    weights = np.zeros((2, len(model.types)), np.float32)
     weights[:, model.type_id("walking")] = 1.0
     jerks = []
     for share in (0.0, 0.4):
         state, _ = started(model, {"walking": share}, True, Noise("sample", 0.3))
-        frames = torch.stack([state.step(asked(model, weights))[0] for _ in range(60)])
-        jerks.append(float(torch.diff(frames / model.scaling.std, n=3, dim=0).norm(dim=-1).mean()))
+        frames = np.stack([state.step(asked(model, weights))[0] for _ in range(60)])
+        jerks.append(float(np.linalg.norm(np.diff(frames / model.scaling.std, n=3, axis=0), axis=-1).mean()))
     assert jerks[1] < 0.8 * jerks[0]
 
 
 # ---- grip ----
 
 
-def standing_walk(
-    model: MotionModel, share: float, compiled: bool, drift: float = 0.0
-) -> tuple[torch.Tensor, ...]:
+def standing_walk(model: MotionModel, share: float, compiled: bool, drift: float = 0.0) -> tuple[Array, ...]:
     """Ground (60, 3) and feet (60, 4, 3) in the world of one who walks; drift is added to the root's speed."""
     model = replace(model, grip={"walking": share}, inertia={})
     seed = model.seeds["walking"][0]
     state = RolloutState(model, 1, Noise("mean"), compiled=compiled)
-    weights = torch.zeros(1, len(model.types))
+    weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id("walking")] = 1.0
     state.start(seed.features[None], seed.contacts[None], weights)
     state._mean = state._mean.copy()
@@ -99,14 +106,14 @@ def standing_walk(
     ground, feet = [], []
     for _ in range(60):
         features, _, at = state.step(asked(model, weights))
-        here = features[0, torch.from_numpy(state._feet)]
+        here = features[0, state._feet]
         across = rotate_ground(at[0, 2], here[:, [0, 2]]) + at[0, :2]
         ground.append(at[0])
-        feet.append(torch.stack([across[:, 0], here[:, 1], across[:, 1]], dim=-1))
-    return torch.stack(ground), torch.stack(feet)
+        feet.append(np.stack([across[:, 0], here[:, 1], across[:, 1]], axis=-1))
+    return np.stack(ground), np.stack(feet)
 
 
-def slide(feet: torch.Tensor) -> float:
+def slide(feet: Array) -> float:
     return average_foot_sliding(feet, grip.FLOOR).value or 0.0
 
 
@@ -123,18 +130,18 @@ def test_with_and_without_the_kernel_feet_hold_alike() -> None:
     for mine, its in zip(
         *(standing_walk(model, 0.7, compiled, 30.0) for compiled in (True, False)), strict=True
     ):
-        assert torch.allclose(mine, its, atol=1e-3)
+        assert np.allclose(mine, its, atol=1e-3)
 
 
-def body_on_the_ground(seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+def body_on_the_ground(seed: int) -> tuple[Array, Array, Array, Array]:
     """Four foot joints (1, 4, 3), 20 cm apart, some low and some high, and any turn (1,) and step (1, 2)."""
-    random = torch.Generator().manual_seed(seed)
-    feet = 20.0 * torch.randn(1, 4, 3, generator=random)
-    feet[..., 1] = torch.tensor([8.0, 2.0, 12.0, 3.0])
+    random = np.random.default_rng(seed)
+    feet = 20.0 * random.standard_normal((1, 4, 3), np.float32)
+    feet[..., 1] = np.array([8.0, 2.0, 12.0, 3.0], np.float32)
     return (
         feet,
-        feet + torch.randn(1, 4, 3, generator=random),
-        torch.randn(1, generator=random) / 60,
+        feet + random.standard_normal((1, 4, 3), np.float32),
+        random.standard_normal(1, np.float32) / 60,
         feet[:, 0, :2],
     )
 
@@ -142,10 +149,10 @@ def body_on_the_ground(seed: int) -> tuple[torch.Tensor, torch.Tensor, torch.Ten
 def test_feet_that_all_go_the_same_way_are_stopped() -> None:
     feet, _, _, _ = body_on_the_ground(0)
     nothing = np.zeros(1, np.float32), np.zeros((1, 2), np.float32)
-    there = feet.clone()
+    there = feet.copy()
     there[..., 0] -= 0.7
     there[..., 2] += 0.4
-    angle, step = grip.standing_move(feet.numpy(), there.numpy(), *nothing)
+    angle, step = grip.standing_move(feet, there, *nothing)
     share = 1.0 / (1.0 + float(np.hypot(0.7, 0.4)) / grip.LIMIT)
     assert np.allclose(step, [[-0.7 * share, 0.4 * share]], atol=1e-6) and abs(float(angle[0])) < 1e-6
 
@@ -155,47 +162,45 @@ def test_a_body_that_spins_on_its_feet_is_turned_back() -> None:
     feet[..., 1] = 2.0
     # The heading has turned by 0.02 rad, and the feet with it: they should have stayed.
     turn, step = np.full(1, 0.02, np.float32), np.zeros((1, 2), np.float32)
-    angle, move = grip.standing_move(feet.numpy(), feet.numpy(), turn, step)
+    angle, move = grip.standing_move(feet, feet, turn, step)
     assert -0.02 < float(angle[0]) < -0.012
-    before = moves_of(feet, feet, 0.02, torch.zeros(2))
-    after = moves_of(feet, feet, 0.02 + float(angle[0]), torch.from_numpy(move[0]).float())
-    assert float(after.norm()) < 0.4 * float(before.norm())
+    before = moves_of(feet, feet, 0.02, np.zeros(2, np.float32))
+    after = moves_of(feet, feet, 0.02 + float(angle[0]), move[0].astype(np.float32))
+    assert float(np.linalg.norm(after)) < 0.4 * float(np.linalg.norm(before))
 
 
-def moves_of(feet: torch.Tensor, before: torch.Tensor, turn: float, step: torch.Tensor) -> torch.Tensor:
+def moves_of(feet: Array, before: Array, turn: float, step: Array) -> Array:
     """How far (4, 2) feet move over the ground."""
-    turned = rotate_ground(torch.tensor(-turn), before[0, :, [0, 2]])
-    return feet[0, :, [0, 2]] + step - turned
+    turned = rotate_ground(np.array(-turn), before[0][:, [0, 2]])
+    return feet[0][:, [0, 2]] + step - turned
 
 
 def test_feet_in_the_air_hold_nothing() -> None:
     feet, before, turn, step = body_on_the_ground(2)
     feet[..., 1] += 20.0
-    angle, move = grip.standing_move(feet.numpy(), before.numpy(), turn.numpy(), step.numpy())
+    angle, move = grip.standing_move(feet, before, turn, step)
     assert float(np.abs(angle).max()) == 0.0 and float(np.abs(move).max()) == 0.0
 
 
 def test_a_foot_that_stands_holds_more_than_one_that_swings() -> None:
     feet, _, _, _ = body_on_the_ground(3)
     feet[..., 1] = 2.0
-    there = feet.clone()
+    there = feet.copy()
     there[0, 2:, 0] -= 5.0  # the right foot steps
-    _, move = grip.standing_move(
-        feet.numpy(), there.numpy(), np.zeros(1, np.float32), np.zeros((1, 2), np.float32)
-    )
+    _, move = grip.standing_move(feet, there, np.zeros(1, np.float32), np.zeros((1, 2), np.float32))
     assert 0.0 > float(move[0, 0]) > -1.0
 
 
 def test_controls_say_how_much_of_the_grip_counts() -> None:
     model = load_bundled_model()
-    weights = torch.zeros(2, len(model.types))
+    weights = np.zeros((2, len(model.types)), np.float32)
     weights[:, model.type_id("dance-salsa")] = 1.0
     state, _ = started(replace(model, grip={"dance-salsa": 0.5}), {}, True)
     free, _ = started(model, {}, True)
     free._grips[:] = 0.0
     state._grips[model.type_id("dance-salsa")] = 0.5
     for _ in range(3):
-        held, _, _ = state.step(replace(asked(model, weights), grip=torch.tensor([0.0, 1.0])))
+        held, _, _ = state.step(replace(asked(model, weights), grip=np.array([0.0, 1.0], np.float32)))
         loose, _, _ = free.step(asked(model, weights))
-    assert torch.equal(held[0], loose[0])
-    assert not torch.equal(held[1, :3], loose[1, :3])
+    assert np.array_equal(held[0], loose[0])
+    assert not np.array_equal(held[1, :3], loose[1, :3])

@@ -3,9 +3,10 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import numpy as np
 import pytest
-import torch
 
+from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.features.control import ControlLayout
@@ -40,12 +41,12 @@ def test_seeds_are_beginnings_of_training_stretches_of_the_type(dataset: Dataset
             assert any(begins(dataset, clip, kind, seed.features) for clip in dataset.select("train"))
 
 
-def begins(dataset: Dataset, clip: Clip, kind: str, features: torch.Tensor) -> bool:
-    mine = torch.nonzero(dataset.clip_types(clip) == dataset.types.index(kind)).flatten()
+def begins(dataset: Dataset, clip: Clip, kind: str, features: Array) -> bool:
+    mine = np.flatnonzero(dataset.clip_types(clip) == dataset.types.index(kind))
     if len(mine) == 0:
         return False
     first = int(mine[0])
-    return torch.equal(dataset.read(clip, first, first + len(features)).features, features)
+    return np.array_equal(dataset.read(clip, first, first + len(features)).features, features)
 
 
 def test_a_seed_ends_where_its_type_does(tmp_path: Path) -> None:
@@ -82,7 +83,7 @@ def test_a_type_that_goes_backwards_has_the_angle_of_its_way(tmp_path: Path) -> 
     folder = tmp_path / "clips"
     folder.mkdir()
     walk = make_walk(90, turn=0.0)
-    root = walk.root_positions * torch.tensor([1.0, 1.0, -1.0])
+    root = walk.root_positions * np.array([1.0, 1.0, -1.0], np.float32)
     write_bvh(folder / "retreat.bvh", Motion(walk.skeleton, walk.local_rotations, root, walk.fps))
     preprocess([folder], tmp_path / "ds", PreprocessOptions(jobs=1, mirror=False))
     gait = measure_gaits(Dataset(tmp_path / "ds"))["retreat"]
@@ -97,7 +98,7 @@ def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
     assert "default" in model.characters
     assert set(model.seeds) == set(model.gaits) == set(dataset.types)
     assert model.card == {"note": "for a test"}
-    assert torch.equal(model.references, dataset.references)
+    assert np.array_equal(model.references, dataset.references)
 
 
 def test_who_stands_takes_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -115,7 +116,7 @@ def test_who_stands_takes_more_noise(dataset: Dataset, monkeypatch: pytest.Monke
 
 def test_outlines_end_where_bodies_come_to_rest() -> None:
     outline = moving(1.0, 300)
-    outline.poses[:, 0] = outline.poses[:, 0].clamp(max=100.0)
+    outline.poses[:, 0] = np.minimum(outline.poses[:, 0], 100.0)
     ended = before_rest(outline, 0.5)
     assert outline.movement[len(ended) - 1] >= 0.5 > outline.movement[len(ended)] and 0 < len(ended) < 100
     assert len(ended.poses) == len(ended) + GUIDE_OFFSETS[-1]
@@ -129,7 +130,7 @@ def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
     assert len(first.poses) == len(first) + GUIDE_OFFSETS[-1]
     clip = next(c for c in dataset.select("train") if "wheel" in c.name)
     poses = dataset.outline.of(dataset.read(clip).features)
-    assert float(torch.cdist(first.poses[:1], poses).min()) < 1e-3
+    assert float(distances_between(first.poses[:1], poses).min()) < 1e-3
     walks = recorded_outlines(dataset, "walking")
     assert not any(walk.performed for walk in walks)
     assert sum(map(len, walks)) <= (OUTLINE_SECONDS + LONGEST_OUTLINE) * dataset.fps
@@ -137,9 +138,9 @@ def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
 
 def moving(speed: float, frames: int = 60) -> Outline:
     """An outline that changes by so much a frame."""
-    poses = torch.zeros(frames + GUIDE_OFFSETS[-1], OUTLINE_COUNT)
-    poses[:, 0] = speed * torch.arange(len(poses))
-    return Outline(poses, torch.zeros(frames, 3), torch.full((frames,), -1.0))
+    poses = np.zeros((frames + GUIDE_OFFSETS[-1], OUTLINE_COUNT), np.float32)
+    poses[:, 0] = speed * np.arange(len(poses))
+    return Outline(poses, np.zeros((frames, 3), np.float32), np.full((frames,), -1.0, np.float32))
 
 
 def test_parts_that_move_as_the_type_does_come_first_and_from_all_recordings() -> None:
@@ -150,7 +151,7 @@ def test_parts_that_move_as_the_type_does_come_first_and_from_all_recordings() -
 
 def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
     outline = moving(1.0, 300)
-    outline.poses[:, 0] = outline.poses[:, 0].clamp(max=100.0)
+    outline.poses[:, 0] = np.minimum(outline.poses[:, 0], 100.0)
     assert outline.movement[0] == pytest.approx(100 / MOVEMENT_FRAMES)
     assert outline.movement[40] == pytest.approx(60 / MOVEMENT_FRAMES)
     assert outline.movement[-1] == 0.0 and len(outline.movement) == 300

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -9,7 +10,6 @@ from torch import Tensor
 from motionkit.data.dataset import Dataset
 from motionkit.features.decode import decode_rotations
 from motionkit.features.layout import feature_layout
-from motionkit.features.normalize import Scaling
 from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.network import PartTransformer, Prediction
 from motionkit.models.presets import preset
@@ -17,13 +17,14 @@ from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.rotations import quat_from_yaw, quat_to_sixd
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS, canonical_skeleton
 from motionkit.training import losses
-from motionkit.training.losses import Batch
+from motionkit.training.losses import Batch, FeatureSpace
 from motionkit.training.sampler import SamplerOptions, WindowSampler
 
 ONES = torch.ones(1, 4)
+OFFSETS = torch.from_numpy(canonical_skeleton().offsets)
 REFERENCES = torch.zeros(23, 4)
 REFERENCES[:, 0] = 1.0
-PLAIN = Scaling(torch.zeros(276), torch.ones(276))
+PLAIN = FeatureSpace(torch.zeros(276), torch.ones(276), REFERENCES, "sixd-root-1", 60.0)
 
 
 def prediction(mean: Tensor, logits: Tensor | None = None) -> Prediction:
@@ -39,7 +40,7 @@ def batch(targets: Tensor) -> Batch:
     B, T = targets.shape[:2]
     return Batch(
         targets, targets, torch.ones(B, T, 4), torch.ones(B, T, 4), torch.zeros(B, T, 97),
-        torch.zeros(B, T, 24), canonical_skeleton().offsets.expand(B, -1, -1), torch.ones(B, T),
+        torch.zeros(B, T, 24), OFFSETS.expand(B, -1, -1), torch.ones(B, T),
     )  # fmt: skip
 
 
@@ -52,8 +53,13 @@ def standing(frames: int, height: float = 95.0) -> Tensor:
     return features
 
 
+def sixd_of_yaw(yaw: Tensor) -> Tensor:
+    """A root (..., 6) that is turned about Y."""
+    return torch.from_numpy(quat_to_sixd(quat_from_yaw(yaw.numpy())))
+
+
 def fk(predicted: Prediction, data: Batch) -> float:
-    return float(losses.fk_loss(predicted, data, PLAIN, REFERENCES, "sixd-root-1", 60.0))
+    return float(losses.fk_loss(predicted, data, PLAIN))
 
 
 # ---- each term by hand ----
@@ -131,7 +137,7 @@ def test_fk_loss_counts_the_distance_of_feet() -> None:
     blocks = feature_layout().blocks
     start = blocks["joint_rotations"].start
     wrong[..., [start, start + 12]] = 0.2
-    offsets = canonical_skeleton().offsets
+    offsets = OFFSETS
     expected = 0.0
     for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
         leg = offsets[PARENTS[ankle]] + offsets[ankle]
@@ -158,11 +164,8 @@ def test_slip_counts_as_often_as_told_and_does_not_teach_contacts() -> None:
     sliding[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])
     data = batch(sliding)
     logits = torch.full((1, 6, 4), 2.0, requires_grad=True)
-    once, often = (
-        losses.fk_loss(prediction(sliding, logits), data, PLAIN, REFERENCES, "sixd-root-1", 60.0, times)
-        for times in (1.0, 10.0)
-    )
-    near = losses.fk_loss(prediction(sliding, logits), data, PLAIN, REFERENCES, "sixd-root-1", 60.0, 0.0)
+    once, often = (losses.fk_loss(prediction(sliding, logits), data, PLAIN, times) for times in (1.0, 10.0))
+    near = losses.fk_loss(prediction(sliding, logits), data, PLAIN, 0.0)
     assert float(often - near) == pytest.approx(10.0 * float(once - near)) and float(once) > float(near)
     assert not often.requires_grad
 
@@ -170,15 +173,14 @@ def test_slip_counts_as_often_as_told_and_does_not_teach_contacts() -> None:
 def steps(predicted: Prediction, data: Batch) -> float:
     """What step_weight adds, once."""
     with_steps, without = (
-        float(losses.fk_loss(predicted, data, PLAIN, REFERENCES, "sixd-root-1", 60.0, 0.0, weight))
-        for weight in (1.0, 0.0)
+        float(losses.fk_loss(predicted, data, PLAIN, 0.0, weight)) for weight in (1.0, 0.0)
     )
     return with_steps - without
 
 
 def lowness(data: Batch) -> Tensor:
     """How much the four foot joints of a standing body count."""
-    feet = losses.foot_positions(data.targets, data.offsets, REFERENCES, "sixd-root-1")
+    feet = losses.foot_positions(data.targets, data.offsets, PLAIN)
     return (1.0 - (feet[0, 0, :, 1] + 95.0) / losses.NEAR_GROUND).clamp(0.0, 1.0)
 
 
@@ -199,7 +201,7 @@ def test_steps_count_in_frames_by_their_weights() -> None:
     walking[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])
     data, stays = batch(walking), prediction(standing(6))
     weights = torch.tensor([[1.0, 1.0, 0.0, 0.5, 0.0, 0.0]])  # there is no step into the first frame
-    args = (stays, data, PLAIN, REFERENCES, "sixd-root-1", 60.0, 0.0)
+    args = (stays, data, PLAIN, 0.0)
     some = float(losses.fk_loss(*args, weights)) - float(losses.fk_loss(*args, 0.0))
     assert some == pytest.approx(1.5 / 5.0 * steps(stays, data), rel=1e-4)
 
@@ -207,12 +209,12 @@ def test_steps_count_in_frames_by_their_weights() -> None:
 def test_steps_begin_at_the_frame_given_not_at_the_one_predicted_before() -> None:
     truth = standing(6)
     turned = truth.clone()  # a body that was drawn turned in the hips, and stays so
-    turned[:, 3:, feature_layout().blocks["root_rotation"]] = quat_to_sixd(quat_from_yaw(torch.tensor(0.2)))
+    turned[:, 3:, feature_layout().blocks["root_rotation"]] = sixd_of_yaw(torch.tensor(0.2))
     data = batch(truth)
     fed = Batch(**{**vars(data), "inputs": turned})
     # Frame t is predicted from input t: it stands still if it keeps the feet of the input.
     assert steps(prediction(turned), fed) < 1e-4
-    feet = losses.foot_positions(turned, data.offsets, REFERENCES, "sixd-root-1")
+    feet = losses.foot_positions(turned, data.offsets, PLAIN)
     away = (feet[0, 3] - feet[0, 0])[:, [0, 2]].abs().sum(-1)
     once = float((away * lowness(data)).sum()) / losses.FOOT_UNIT / 5
     assert once > 0.01
@@ -232,10 +234,8 @@ def test_steps_take_the_turn_of_the_heading_out() -> None:
     yaw = 0.8 * torch.arange(8) / 60.0
     features = standing(9)
     features[..., 0] = 0.8
-    features[0, :8, feature_layout().blocks["root_rotation"]] = quat_to_sixd(quat_from_yaw(-yaw))
-    features[0, 8, feature_layout().blocks["root_rotation"]] = quat_to_sixd(
-        quat_from_yaw(torch.tensor(-0.8 * 8 / 60.0))
-    )
+    features[0, :8, feature_layout().blocks["root_rotation"]] = sixd_of_yaw(-yaw)
+    features[0, 8, feature_layout().blocks["root_rotation"]] = sixd_of_yaw(torch.tensor(-0.8 * 8 / 60.0))
     inputs, targets = features[:, :-1], features[:, 1:]
     data = Batch(**{**vars(batch(targets)), "inputs": inputs})
     assert steps(prediction(targets), data) < 2e-3
@@ -249,7 +249,7 @@ def test_fk_loss_takes_the_turn_of_the_heading_out() -> None:
     yaw = 0.8 * torch.arange(8) / 60.0
     features = standing(8)
     features[..., 0] = 0.8
-    features[0, :, feature_layout().blocks["root_rotation"]] = quat_to_sixd(quat_from_yaw(-yaw))
+    features[0, :, feature_layout().blocks["root_rotation"]] = sixd_of_yaw(-yaw)
     assert fk(prediction(features, torch.full((1, 8, 4), 50.0)), batch(features)) < 2e-3
 
 
@@ -268,9 +268,10 @@ def test_foot_positions_are_those_of_forward_kinematics(dataset: Dataset) -> Non
     data = dataset.read(clip, 0, 20)
     rotations = decode_rotations(data.features, dataset.references)
     offsets = dataset.skeleton(clip).offsets
-    _, positions = forward_kinematics(rotations, torch.zeros(20, 3), offsets, PARENTS)
-    feet = losses.foot_positions(data.features[None], offsets[None], dataset.references, "sixd-root-1")
-    assert torch.allclose(feet[0], positions[:, list(FOOT_JOINTS)], atol=1e-3)
+    _, positions = forward_kinematics(rotations, np.zeros((20, 3), np.float32), offsets, PARENTS)
+    shown = (torch.from_numpy(values[None]) for values in (data.features, offsets))
+    feet = losses.foot_positions(*shown, FeatureSpace.of(dataset))
+    np.testing.assert_allclose(feet[0].numpy(), positions[:, list(FOOT_JOINTS)], atol=1e-3)
 
 
 # ---- all terms together ----
@@ -286,7 +287,7 @@ def real(dataset: Dataset) -> tuple[PartTransformer, ConsistencyModules, Batch]:
 
 def terms_of(dataset: Dataset, network, modules, data: Batch) -> dict[str, Tensor]:
     out = network(data.inputs, data.contacts, data.controls)
-    return losses.training_losses(network, modules, out, data, dataset.scaling, dataset.references, 60.0)
+    return losses.training_losses(network, modules, out, data, FeatureSpace.of(dataset))
 
 
 def test_all_six_terms_are_finite_with_finite_gradients(dataset: Dataset, real) -> None:

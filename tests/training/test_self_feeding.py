@@ -7,7 +7,6 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.features.control import ControlLayout
-from motionkit.features.guide import GuideMap
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.training.losses import Batch
@@ -29,8 +28,8 @@ def sampler(dataset: Dataset) -> WindowSampler:
 
 
 @pytest.fixture(scope="module")
-def guides(sampler: WindowSampler) -> GuideMap:
-    return sampler.guide_map
+def guides(sampler: WindowSampler) -> torch.Tensor:
+    return torch.from_numpy(sampler.guide_map.matrix)
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +51,7 @@ def generators(count: int = 4) -> list[torch.Generator]:
 
 
 def test_inputs_are_the_predictions_of_the_frames_before(
-    network: PartTransformer, batch: Batch, guides: GuideMap
+    network: PartTransformer, batch: Batch, guides: torch.Tensor
 ) -> None:
     fed = feed_back(network, batch, ALWAYS, generators(), guides)
     assert network.training
@@ -67,7 +66,7 @@ def test_inputs_are_the_predictions_of_the_frames_before(
 
 
 def test_real_frames_take_over_and_do_not_count_there(
-    network: PartTransformer, batch: Batch, guides: GuideMap
+    network: PartTransformer, batch: Batch, guides: torch.Tensor
 ) -> None:
     fed = feed_back(network, batch, replace(ALWAYS, back=0.3, guided_back=0.3), generators(), guides)
     own = (fed.inputs != batch.inputs).any(dim=-1)
@@ -77,13 +76,13 @@ def test_real_frames_take_over_and_do_not_count_there(
     assert torch.equal(fed.mask[:, 1:] == 0, returns | (batch.mask[:, 1:] == 0))
 
 
-def test_a_frame_too_far_off_is_not_fed(network: PartTransformer, batch: Batch, guides: GuideMap) -> None:
+def test_a_frame_too_far_off_is_not_fed(network: PartTransformer, batch: Batch, guides: torch.Tensor) -> None:
     fed = feed_back(network, batch, replace(ALWAYS, limit=0.0, guided_limit=0.0), generators(), guides)
     assert torch.equal(fed.inputs, batch.inputs) and torch.equal(fed.mask, batch.mask)
 
 
 def test_windows_are_fed_the_same_alone_and_together(
-    network: PartTransformer, batch: Batch, guides: GuideMap
+    network: PartTransformer, batch: Batch, guides: torch.Tensor
 ) -> None:
     options = SelfFeedOptions(limit=1e9, guided_limit=1e9)
     together = feed_back(network, batch, options, generators(), guides)
@@ -94,21 +93,21 @@ def test_windows_are_fed_the_same_alone_and_together(
 
 
 def test_guides_are_seen_from_the_frames_fed(
-    network: PartTransformer, batch: Batch, dataset: Dataset, guides: GuideMap
+    network: PartTransformer, batch: Batch, dataset: Dataset, guides: torch.Tensor
 ) -> None:
     fed = feed_back(network, batch, ALWAYS, generators(), guides)
     layout = ControlLayout(dataset.types)
     guided = batch.controls[..., layout.guided] > 0
     assert guided.any() and not guided.all()
     # What is asked for is the same pose from wherever it is seen.
-    before = batch.controls[..., layout.guide] + batch.inputs @ guides.matrix
-    after = fed.controls[..., layout.guide] + fed.inputs @ guides.matrix
+    before = batch.controls[..., layout.guide] + batch.inputs @ guides
+    after = fed.controls[..., layout.guide] + fed.inputs @ guides
     assert torch.allclose(before[guided], after[guided], rtol=1e-3, atol=1e-3)
     assert not torch.equal(fed.controls, batch.controls)
     assert torch.equal(fed.controls[~guided], batch.controls[~guided]), "who has none sees none"
 
 
-def test_a_guide_lets_runs_be_longer(network: PartTransformer, batch: Batch, guides: GuideMap) -> None:
+def test_a_guide_lets_runs_be_longer(network: PartTransformer, batch: Batch, guides: torch.Tensor) -> None:
     options = replace(ALWAYS, back=1.0, guided_back=0.0)
     fed = feed_back(network, batch, options, generators(), guides)
     guided = batch.controls[..., -1] > 0

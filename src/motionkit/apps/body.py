@@ -10,9 +10,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from motionkit.apps.surface import Array, Ring, Surface, SurfaceBuilder, cross_axes, rounded, unit
+from motionkit.arrays import lower_median
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -107,12 +107,12 @@ def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
     skeleton = motion.skeleton
     places = skeleton.rest_positions()
     if motion.local_positions is not None:
-        usual = motion.local_positions.median(dim=0).values
-        places = torch.zeros_like(usual)
+        usual = lower_median(motion.local_positions)
+        places = np.zeros_like(usual)
         for joint, parent in enumerate(skeleton.parents):
             if joint:
                 places[joint] = places[parent] + usual[joint]
-    at = places.double().numpy()
+    at = places.astype(np.float64)
     ends = {j: at[j] + np.array(end) for j, end in skeleton.end_sites.items()}
     rotations = np.broadcast_to(np.eye(3), (len(skeleton), 3, 3)).copy()
     return BodyPose(rotations, at, ends, skeleton.parents, bones)
@@ -121,11 +121,11 @@ def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
 def _frame(motion: Motion, frame: int, bones: frozenset[int]) -> BodyPose:
     rotations, places = motion_kinematics(motion.cut(frame, frame + 1))
     ends = {
-        j: (places[0, j] + quat_rotate(rotations[0, j], torch.tensor(end))).double().numpy()
+        j: (places[0, j] + quat_rotate(rotations[0, j], np.array(end, np.float32))).astype(np.float64)
         for j, end in motion.skeleton.end_sites.items()
     }
-    turns = quat_to_matrix(rotations[0]).double().numpy()
-    return BodyPose(turns, places[0].double().numpy(), ends, motion.skeleton.parents, bones)
+    turns = quat_to_matrix(rotations[0]).astype(np.float64)
+    return BodyPose(turns, places[0].astype(np.float64), ends, motion.skeleton.parents, bones)
 
 
 def _stoop(pose: BodyPose, rig: RigMap) -> float:

@@ -6,7 +6,6 @@ import re
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from motionkit.motion.kinematics import motion_kinematics
@@ -81,8 +80,11 @@ def motion_figure(motion: Motion) -> Figure:
     skeleton = motion.skeleton
     rotations, positions = motion_kinematics(motion)
     ends = sorted(skeleton.end_sites)
-    tips = [positions[:, j] + quat_rotate(rotations[:, j], torch.tensor(skeleton.end_sites[j])) for j in ends]
-    points = torch.stack([*positions.unbind(1), *tips], dim=1).double().numpy()
+    tips = [
+        positions[:, j] + quat_rotate(rotations[:, j], np.array(skeleton.end_sites[j], np.float32))
+        for j in ends
+    ]
+    points = np.stack([*np.moveaxis(positions, 1, 0), *tips], axis=1).astype(np.float64)
     if is_z_up(positions, skeleton.names):
         points = np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
     count = len(skeleton)

@@ -15,13 +15,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from motionkit.apps.body import make_body
 from motionkit.apps.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.apps.surface import TINTS
+from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.metrics.loading import PLAUSIBLE_LEG
 from motionkit.motion.kinematics import motion_kinematics
@@ -36,7 +35,7 @@ CM = 0.01
 QUATERNION_STEPS = 32767  # a rotation is told to a few thousandths of a degree
 POINT_STEPS = 10_000  # a point of the body to a tenth of a millimetre
 # Y up from Z up: -90 degrees about X.
-_UPRIGHT = torch.tensor([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0])
+_UPRIGHT = np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,7 +52,7 @@ class Shown:
     name: str
     motion: Motion
     types: Sequence[tuple[str, float]] = ()
-    path: Tensor | None = None
+    path: Array | None = None
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:
@@ -73,7 +72,7 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     """A motion as the page takes it: rig, body, frames, contacts, types and path."""
     motion, scale, note = in_metres(shown.motion)
     figure = motion_figure(motion)
-    path = None if shown.path is None else pack(shown.path.double().numpy() * CM, "f4")
+    path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
     return {
         "name": shown.name,
         "fps": motion.fps,
@@ -82,8 +81,8 @@ def figure_data(shown: Shown) -> dict[str, Any]:
         "unit": note,
         "floor": 0.0 if figure.floor_is_zero else figure.floor,
         **rig_data(motion, figure),
-        "rotations": pack((motion.local_rotations.double().numpy() * QUATERNION_STEPS).round(), "i2"),
-        "roots": pack(motion.root_positions.numpy(), "f4"),
+        "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
+        "roots": pack(motion.root_positions, "f4"),
         "moving": _moving(motion),
         "feet": [
             {
@@ -108,12 +107,12 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
     skeleton = motion.skeleton
     bones = [joint for _, joint in figure.bones if joint < len(skeleton)]
     surface, pose = make_body(motion, bones)
-    turns = matrix_to_quat(torch.from_numpy(pose.rotations)).numpy()
+    turns = matrix_to_quat(pose.rotations)
     return {
         "joints": list(skeleton.names),
         "parents": list(skeleton.parents),
         "sides": list(joint_sides(skeleton.names)),
-        "offsets": pack(skeleton.offsets.numpy(), "f4"),
+        "offsets": pack(skeleton.offsets, "f4"),
         "bones": bones,
         "ends": [[joint, *end] for joint, end in sorted(skeleton.end_sites.items())],
         "hips": figure.hips,
@@ -138,10 +137,10 @@ def in_metres(motion: Motion) -> tuple[Motion, float, str]:
     scaled = motion.scaled(cm * CM)
     _, positions = motion_kinematics(motion)
     if is_z_up(positions, motion.skeleton.names):
-        rotations = scaled.local_rotations.clone()
-        turn = _UPRIGHT.to(rotations.dtype)
-        rotations[:, 0] = quat_multiply(turn.expand(len(motion), 4), rotations[:, 0])
-        roots = quat_rotate(turn.expand(len(motion), 4), scaled.root_positions)
+        rotations = scaled.local_rotations.copy()
+        turn = _UPRIGHT.astype(rotations.dtype)
+        rotations[:, 0] = quat_multiply(np.broadcast_to(turn, (len(motion), 4)), rotations[:, 0])
+        roots = quat_rotate(np.broadcast_to(turn, (len(motion), 4)), scaled.root_positions)
         scaled, note = replace(scaled, local_rotations=rotations, root_positions=roots), f"{note}; Z up"
     return scaled, cm * CM, note
 
@@ -167,7 +166,7 @@ def _leg(skeleton: Skeleton) -> float:
     ]
     whole = [[joint for joint in chain if joint is not None] for chain in chains]
     lengths = [
-        sum(float((rest[b] - rest[a]).norm()) for a, b in pairwise(chain))
+        sum(float(np.linalg.norm(rest[b] - rest[a])) for a, b in pairwise(chain))
         for chain in whole
         if len(chain) == 3
     ]
@@ -179,9 +178,9 @@ def _moving(motion: Motion) -> dict[str, Any] | None:
     if motion.local_positions is None:
         return None
     places = motion.local_positions
-    away = (places - motion.skeleton.offsets).abs().amax(dim=(0, 2)) > 1e-5
-    joints = [j for j in torch.nonzero(away).flatten().tolist() if j > 0]
-    return {"joints": joints, "places": pack(places[:, joints].numpy(), "f4")} if joints else None
+    away = np.abs(places - motion.skeleton.offsets).max(axis=(0, 2)) > 1e-5
+    joints = [j for j in np.flatnonzero(away).tolist() if j > 0]
+    return {"joints": joints, "places": pack(places[:, joints], "f4")} if joints else None
 
 
 def _bands(shown: Shown, seconds: float) -> list[dict[str, Any]]:

@@ -43,7 +43,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     # Turned by the heading, and each joint by its reference.
     quats = g.add("Concat", facing, _expmap_to_quat(g, expmaps, JOINT_COUNT - 1), axis=0)
     heading = g.reshape(g.add("MatMul", sines, np.concatenate([np.zeros((4, 16)), LEFT])), 1, 4, 4)
-    references = (model.references.numpy()[1:] @ LEFT).reshape(-1, 4, 4)
+    references = (model.references[1:] @ LEFT).reshape(-1, 4, 4)
     turns = g.add("Concat", heading, g.constant(references), axis=0)
     rotations = g.add("MatMul", g.reshape(quats, JOINT_COUNT, 1, 4), turns)
     g.reshape(rotations, 1, JOINT_COUNT, 4, out="rotations")
@@ -55,7 +55,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     to_transform = np.zeros((16, 4, 4), np.float32)
     to_transform[:, :3, :3] = TO_MATRIX.reshape(16, 3, 3)
     offsets = np.zeros((JOINT_COUNT, 4, 4), np.float32)
-    offsets[1:, :3, 3], offsets[:, 3, 3] = skeleton.offsets.numpy()[1:], 1.0
+    offsets[1:, :3, 3], offsets[:, 3, 3] = skeleton.offsets[1:], 1.0
     local = g.add(
         "Gemm", g.reshape(outer, JOINT_COUNT, 16), to_transform.reshape(16, 16), offsets.reshape(-1, 16)
     )

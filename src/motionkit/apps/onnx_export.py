@@ -17,13 +17,12 @@ from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from motionkit import __version__
 from motionkit.apps.onnx_body import write_body
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_network import present_name, state_shapes, write_network
+from motionkit.arrays import Array
 from motionkit.errors import ModelError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS
 from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS
@@ -167,8 +166,8 @@ def _outlines(model: MotionModel, kind: str) -> list[dict[str, list]]:
     return out
 
 
-def _rounded(values: Tensor, digits: int) -> list:
-    return [[round(number, digits) for number in row] for row in values.double().tolist()]
+def _rounded(values: Array, digits: int) -> list:
+    return [[round(number, digits) for number in row] for row in values.astype(np.float64).tolist()]
 
 
 # ---- export and check ----
@@ -304,32 +303,33 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     """Both from the same start with the same controls and noise, each going on from its own frames."""
     kind = model_first_type(model)
     start = seed_start(model, kind, 1)
-    weights = torch.zeros(1, len(model.types))
+    weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(kind)] = 1.0
     state = RolloutState(model, 1, Noise("mean"))
     state.network = NetworkStep(pack(model.network), 1)
     state.start(start.features, start.contacts, weights)
     graph = OnnxStep(path)
-    graph.values["type_weights"][:] = weights.numpy()
+    graph.values["type_weights"][:] = weights
     graph.values["progress"][:], graph.values["grip"][:] = -1.0, 1.0
-    x = model.scaling.normalize(start.features).numpy()
+    x = model.scaling.normalize(start.features)
     for t in range(x.shape[1]):
-        graph.values["pose"][:], graph.values["contacts"][:] = x[:, t], start.contacts[:, t].numpy()
+        graph.values["pose"][:], graph.values["contacts"][:] = x[:, t], start.contacts[:, t]
         if t + 1 < x.shape[1]:
             graph.step()
     graph.values["ground"][:] = graph.values["rise"][:] = 0.0
-    decoder = PoseDecoder(model.config.layout, model.references.numpy())
+    decoder = PoseDecoder(model.config.layout, model.references)
     skeleton = model.character(character)
     share = np.array([leg_length(skeleton) / leg_length(model.character("default"))], np.float32)
-    body = BodyKinematics(skeleton.offsets.numpy()[None])
+    body = BodyKinematics(skeleton.offsets[None])
     footing = Footing(model.config.layout, 1)
     near = last_poses(model, start.features[0])
     played = plan_signals(model, [TypePart(kind, frames / model.fps)], near)
-    way, given, none = torch.zeros(1, TRAJECTORY_COUNT), torch.zeros(1), torch.full((1,), -1.0)
+    way, given = np.zeros((1, TRAJECTORY_COUNT), np.float32), np.zeros(1, np.float32)
+    none = np.full(1, -1.0, np.float32)
     apart, features = 0.0, 0.0
     for frame in range(frames):
         guide, guided = played.guide[frame : frame + 1], played.guided[frame : frame + 1]
-        graph.values["guide"][:], graph.values["guided"][:] = guide.numpy(), guided[:, None].numpy()
+        graph.values["guide"][:], graph.values["guided"][:] = guide, guided[:, None]
         ours, _, ground = state.advance(FrameControls(weights, way, given, none, guide, guided))
         rotations, root = decoder.decode(ours, ground)
         root *= share

@@ -21,7 +21,7 @@ def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
     # What comes is a turn the other way, and a step.
     columns = np.zeros((3, FEATURE_COUNT), np.float32)
     columns[[0, 1, 2], [yaw, xz, xz + 1]] = -1.0, 1.0, 1.0
-    std = model.scaling.std.numpy()
+    std = model.scaling.std
     return g.add("Gemm", by, columns / std, drawn, out="present_pose")
 
 
@@ -29,7 +29,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     """What to take off the turn and to add to the step of the root (1, 3)."""
     x, y, z = grip.foot_columns(model.config.layout).T
     yaw, xz = velocities
-    mean, std = model.scaling.mean.numpy(), model.scaling.std.numpy()
+    mean, std = model.scaling.mean, model.scaling.std
     reaches, shares = np.array(grip.REACHES), np.array(grip.SHARES)
     # All that is linear in the frame at once: where feet are and would be without a turn, x and z; their arms, z and
     # -x; how low they are; the turn, and a quarter more.

@@ -20,10 +20,11 @@ import numpy as np
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_grip import hold_ground
 from motionkit.apps.onnx_small import balance_heads, spread_channels, whole_numbers
+from motionkit.arrays import Floats
 from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.checkpoint import MotionModel
-from motionkit.models.step_weights import NORM_EPS, Floats, StepWeights
+from motionkit.models.step_weights import NORM_EPS, StepWeights
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.synthesis.rollout import inert_columns
 
@@ -106,9 +107,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     pose = g.add("Add", drawn, late, out=None if grips else "present_pose")
     if grips:
         pose = hold_ground(g, model, pose)
-    return g.add(
-        "Add", g.add("Mul", pose, model.scaling.std.numpy()), model.scaling.mean.numpy(), out="features"
-    )
+    return g.add("Add", g.add("Mul", pose, model.scaling.std), model.scaling.mean, out="features")
 
 
 def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
@@ -123,11 +122,11 @@ def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
     embed = np.concatenate([m.controls for m in modules]).transpose(1, 0, 2).astype(np.float64)
     embed = embed.reshape(embed.shape[0], -1)  # (C, 2 P Dc)
     bias = np.concatenate([m.controls_bias for m in modules]).reshape(-1).astype(np.float64)
-    bias += skeleton_signal(canonical_skeleton()).double().numpy() @ embed[layout.skeleton]
-    trajectory = embed[layout.trajectory] / scaling.std.double().numpy()[:, None]
-    given = embed[layout.flag] - scaling.mean.double().numpy() @ trajectory
+    bias += skeleton_signal(canonical_skeleton()).astype(np.float64) @ embed[layout.skeleton]
+    trajectory = embed[layout.trajectory] / scaling.std.astype(np.float64)[:, None]
+    given = embed[layout.flag] - scaling.mean.astype(np.float64) @ trajectory
     guide = embed[layout.guide]
-    seen = g.add("MatMul", "pose", (guides.matrix / guides.gains).numpy())
+    seen = g.add("MatMul", "pose", guides.matrix / guides.gains)
     differences = g.add("Mul", g.add("Sub", "guide", seen), "guided")
     # The sine and, a quarter of a turn ahead, the cosine.
     turns = g.add("Gemm", "progress", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
@@ -151,8 +150,8 @@ def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
         trajectory,
         given[None],
         embed[layout.phase],
-        guides.gains.double().numpy()[:, None] * guide,
-        -(guides.constant.double().numpy() @ guide)[None],
+        guides.gains.astype(np.float64)[:, None] * guide,
+        -(guides.constant.astype(np.float64) @ guide)[None],
         embed[layout.guided][None],
     ]
     embedded = g.add("Gemm", shown, np.concatenate(rows).astype(np.float32), bias.astype(np.float32))

@@ -13,7 +13,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from motionkit.models.step_weights import Floats, ModuleWeights, StepWeights
+from motionkit.arrays import Floats
+from motionkit.models.step_weights import ModuleWeights, StepWeights
 
 Doubles = NDArray[np.float64]
 

@@ -44,7 +44,7 @@ class _Actor:
         figure = motion_figure(motion)
         surface, pose = make_body(motion, [j for _, j in figure.bones if j < len(motion.skeleton)])
         turns, places = motion_kinematics(motion)
-        return surface, pose, quat_to_matrix(turns).double().numpy(), places.double().numpy(), figure
+        return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
 
     @property
     def figure(self) -> Figure:

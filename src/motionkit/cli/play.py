@@ -99,7 +99,6 @@ def command(
     from motionkit.apps.play.session import Session
     from motionkit.cli.showing import open_in_browser
     from motionkit.models.bundled import open_model
-    from motionkit.synthesis.synthesize import inner_threads
 
     def ready(addresses: Addresses) -> None:
         if as_json:
@@ -125,7 +124,7 @@ def command(
 
     session = Session(open_model(model_path), character)
     options = ServerOptions(host, port, tcp, vmc, page=not headless)
-    with inner_threads(1), _visible_log():
+    with _visible_log():
         try:
             asyncio.run(PlayServer(session, options).run(ready))
         except KeyboardInterrupt:

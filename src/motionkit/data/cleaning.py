@@ -11,10 +11,10 @@ import math
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from motionkit.arrays import Array, lower_median, normalized
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -114,7 +114,7 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
         cut, pops = _mend(motion.cut(start, end))
     shift, floor_notes = _floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
-    up = torch.tensor([0.0, shift, 0.0], dtype=cut.root_positions.dtype)
+    up = np.array([0.0, shift, 0.0], cut.root_positions.dtype)
     report = CleaningReport(
         start, len(motion) - end, tuple(sorted({(t + start, name) for t, name in pops})), shift, notes
     )
@@ -128,17 +128,17 @@ def _mend(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     return mended, flips + pops
 
 
-def _steps(motion: Motion) -> tuple[Tensor, Tensor]:
+def _steps(motion: Motion) -> tuple[Array, Array]:
     """Angles (T - 1, J) between frames in radians, and root distances (T - 1) in cm."""
     rotations, places = motion.local_rotations, motion.root_positions
-    return _angle(rotations[:-1], rotations[1:]), (places[1:] - places[:-1]).norm(dim=-1)
+    return _angle(rotations[:-1], rotations[1:]), np.linalg.norm(places[1:] - places[:-1], axis=-1)
 
 
-def _angle(a: Tensor, b: Tensor) -> Tensor:
+def _angle(a: Array, b: Array) -> Array:
     """quat_angle without its axis: the chord of the difference, exact for small angles too."""
-    same = (a * b).sum(dim=-1, keepdim=True) >= 0
-    squared = (torch.where(same, a - b, a + b) ** 2).sum(dim=-1)
-    return 4.0 * torch.asin((0.5 * squared.sqrt()).clamp(max=1.0))
+    same = (a * b).sum(axis=-1, keepdims=True) >= 0
+    squared = (np.where(same, a - b, a + b) ** 2).sum(axis=-1)
+    return 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(squared), 1.0))
 
 
 def _good_span(motion: Motion) -> tuple[int, int]:
@@ -147,17 +147,17 @@ def _good_span(motion: Motion) -> tuple[int, int]:
         return 0, len(motion)
     angles, distances = _steps(motion)
     start = max(_lead(angles, distances, motion.fps), _rest_pose_blend(motion, angles))
-    end = len(motion) - _tail(angles.flip(0), distances.flip(0), motion.fps)
+    end = len(motion) - _tail(np.flip(angles, 0), np.flip(distances, 0), motion.fps)
     return (start, end) if end - start >= 2 else (0, len(motion))
 
 
-def _lead(angles: Tensor, distances: Tensor, fps: float) -> int:
+def _lead(angles: Array, distances: Array, fps: float) -> int:
     """Frames to cut before the motion proper, from the steps (T - 1, J) and (T - 1)."""
     half = len(angles) // 2
     edge = min(max(3, round(EDGE_SECONDS * fps)), half)
     window = min(round(LEAD_SECONDS * fps), half)
     coarse = max(1.0, 60.0 / fps)  # honest steps grow as frames get rarer
-    body = angles.mean(dim=1)
+    body = angles.mean(axis=1)
     lead = max(
         _last_true(_breaks(body, coarse * FAR_BODY_BREAK, window)),
         _last_true(_breaks(distances, coarse * ROOT_BREAK, window)),
@@ -166,20 +166,20 @@ def _lead(angles: Tensor, distances: Tensor, fps: float) -> int:
     return lead + _frozen(angles[lead:], distances[lead:])
 
 
-def _rest_pose_blend(motion: Motion, angles: Tensor) -> int:
+def _rest_pose_blend(motion: Motion, angles: Array) -> int:
     """Frames of a blend out of the rest pose, from the steps (T - 1, J); 0 if frame 0 is not in it."""
     first = motion.local_rotations[0, 1:]
     if float(_angle(first, quat_identity((1,), first.dtype)).mean()) > REST_ANGLE:
         return 0
-    body = angles.mean(dim=1)
+    body = angles.mean(axis=1)
     later = body[round(EDGE_SECONDS * motion.fps) : round((EDGE_SECONDS + LEAD_SECONDS) * motion.fps)]
     if not len(later):
         return 0
-    calm = torch.nonzero(body <= BLEND_RATIO * later.median())
+    calm = np.flatnonzero(body <= BLEND_RATIO * lower_median(later))
     return int(calm[0]) if len(calm) else 0
 
 
-def _tail(angles: Tensor, distances: Tensor, fps: float) -> int:
+def _tail(angles: Array, distances: Array, fps: float) -> int:
     """Frames to cut at the end, from the steps in reverse order."""
     edge = min(max(3, round(EDGE_SECONDS * fps)), len(angles) // 2)
     coarse = max(1.0, 60.0 / fps)
@@ -187,37 +187,37 @@ def _tail(angles: Tensor, distances: Tensor, fps: float) -> int:
     return tail + _frozen(angles[tail:], distances[tail:])
 
 
-def _edge_breaks(angles: Tensor, edge: int, coarse: float) -> int:
+def _edge_breaks(angles: Array, edge: int, coarse: float) -> int:
     """Frames before the last break of the whole body or of one joint, among the first steps (T - 1, J)."""
-    body = _breaks(angles.mean(dim=1), coarse * BODY_BREAK, edge)
+    body = _breaks(angles.mean(axis=1), coarse * BODY_BREAK, edge)
     joints = _breaks(angles, coarse * JOINT_BREAK, edge)
     joints[2:, list(TOES)] = False  # toes tremble; only the outermost frames are worth cutting for them
-    return _last_true(body | joints.any(dim=1))
+    return _last_true(body | joints.any(axis=1))
 
 
-def _breaks(steps: Tensor, least: float, window: int) -> Tensor:
+def _breaks(steps: Array, least: float, window: int) -> Array:
     """Which of the first steps (window, ...) tower over the LOOK_AHEAD steps that follow them."""
-    ahead = torch.cat([steps, steps[-1:].expand(LOOK_AHEAD, *steps.shape[1:])])
-    following = ahead[1:].unfold(0, LOOK_AHEAD, 1)[:window].amax(dim=-1)
+    ahead = np.concatenate([steps, np.broadcast_to(steps[-1:], (LOOK_AHEAD, *steps.shape[1:]))])
+    following = sliding_window_view(ahead[1:], LOOK_AHEAD, axis=0)[:window].max(axis=-1)
     return (steps[:window] > least) & (steps[:window] > BREAK_RATIO * following)
 
 
-def _frozen(angles: Tensor, distances: Tensor) -> int:
+def _frozen(angles: Array, distances: Array) -> int:
     """How many steps from the start nothing moves at all; 0 if nothing ever does."""
-    still = (angles.amax(dim=1) < FROZEN_ANGLE) & (distances < FROZEN_DISTANCE)
-    moving = torch.nonzero(~still)
+    still = (angles.max(axis=1) < FROZEN_ANGLE) & (distances < FROZEN_DISTANCE)
+    moving = np.flatnonzero(~still)
     return int(moving[0]) if len(moving) else 0
 
 
-def _last_true(flags: Tensor) -> int:
+def _last_true(flags: Array) -> int:
     """One more than the index of the last true flag, 0 if there is none."""
-    found = torch.nonzero(flags)
+    found = np.flatnonzero(flags)
     return int(found[-1]) + 1 if len(found) else 0
 
 
 def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion with short pops bridged, and their frames and joints."""
-    rotations, places = motion.local_rotations.clone(), motion.root_positions.clone()
+    rotations, places = motion.local_rotations.copy(), motion.root_positions.copy()
     # At a low rate two frames away and back are honest motion: toes roll off that fast in a run.
     longest = max(1, round(LONG_POP_SECONDS * motion.fps))
     coarse = max(1.0, 60.0 / motion.fps)
@@ -241,7 +241,7 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     return out, sorted(set(mended))
 
 
-def _joint_pops(rotations: Tensor, steps: Tensor, span: int, coarse: float) -> list[tuple[int, int]]:
+def _joint_pops(rotations: Array, steps: Array, span: int, coarse: float) -> list[tuple[int, int]]:
     """First frame and joint of every pop of this many frames in rotations (T, J, 4) with steps (T - 1, J).
 
     The steps out and back must tower over the steps before and after, and over what is left when the
@@ -249,34 +249,34 @@ def _joint_pops(rotations: Tensor, steps: Tensor, span: int, coarse: float) -> l
     least jump is multiplied by coarse, for honest steps grow as frames get rarer.
     """
     least, ratio = (POP_JUMP, POP_RATIO) if span <= 2 else (LONG_POP_JUMP, LONG_POP_RATIO)
-    jump = torch.minimum(steps[: len(steps) - span], steps[span:])
-    frames, joints = torch.nonzero(jump > coarse * least, as_tuple=True)
+    jump = np.minimum(steps[: len(steps) - span], steps[span:])
+    frames, joints = np.nonzero(jump > coarse * least)
     if not len(frames):
         return []
     before, after = rotations[frames, joints], rotations[frames + span + 1, joints]
-    around = torch.full((len(frames),), 0.0, dtype=steps.dtype)
+    around = np.zeros(len(frames), steps.dtype)
     for near in range(1, NEIGHBOURS + 1):
-        around = torch.maximum(around, _step_at(steps, frames - near, joints))
-        around = torch.maximum(around, _step_at(steps, frames + span + near, joints))
-    around = torch.maximum(around, _angle(before, after) / (span + 1))
+        around = np.maximum(around, _step_at(steps, frames - near, joints))
+        around = np.maximum(around, _step_at(steps, frames + span + near, joints))
+    around = np.maximum(around, _angle(before, after) / (span + 1))
     jump = jump[frames, joints]
-    away = torch.stack(
+    away = np.stack(
         [
             quat_angle(
                 rotations[frames + i, joints],
-                quat_slerp(before, after, torch.full_like(jump, i / (span + 1))),
+                quat_slerp(before, after, np.full_like(jump, i / (span + 1))),
             )
             for i in range(1, span + 1)
         ]
-    ).amin(dim=0)
-    found = (jump > ratio * around.clamp(min=math.radians(1.0))) & (away > 0.7 * jump)
+    ).min(axis=0)
+    found = (jump > ratio * np.maximum(around, math.radians(1.0))) & (away > 0.7 * jump)
     return [(int(t) + 1, int(j)) for t, j in zip(frames[found], joints[found], strict=True)]
 
 
-def _step_at(steps: Tensor, frames: Tensor, joints: Tensor) -> Tensor:
+def _step_at(steps: Array, frames: Array, joints: Array) -> Array:
     """Steps at these frames and joints, zero beyond the ends."""
     inside = (frames >= 0) & (frames < len(steps))
-    return torch.where(inside, steps[frames.clamp(0, len(steps) - 1), joints], torch.zeros(()))
+    return np.where(inside, steps[np.clip(frames, 0, len(steps) - 1), joints], np.float32(0.0))
 
 
 def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
@@ -285,7 +285,7 @@ def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     The limb is swung about the line from its first joint to its last, which both stay in place, to
     where it lies between the good frames around; the end joint bridges the span.
     """
-    rotations = motion.local_rotations.clone()
+    rotations = motion.local_rotations.copy()
     mended: list[tuple[int, str]] = []
     for upper, middle, end in LIMBS:
         for first, last in _flipped_spans(rotations[:, upper], rotations[:, end], motion.fps):
@@ -294,7 +294,7 @@ def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
             reach = motion.skeleton.offsets[middle] + quat_rotate(
                 rotations[span, middle], motion.skeleton.offsets[end]
             )
-            line = F.normalize(quat_rotate(rotations[span, upper], reach), dim=-1)
+            line = normalized(quat_rotate(rotations[span, upper], reach))
             swing = _twist(quat_multiply(wanted, quat_inverse(rotations[span, upper])), line)
             rotations[span, upper] = quat_multiply(swing, rotations[span, upper])
             rotations[span, end] = _bridge(rotations[first - 1, end], rotations[last + 1, end], count)
@@ -304,10 +304,10 @@ def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     return replace(motion, local_rotations=quat_continuous(rotations)), mended
 
 
-def _flipped_spans(upper: Tensor, end: Tensor, fps: float) -> list[tuple[int, int]]:
+def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]]:
     """First and last frame of every short span in which a limb (T, 4), (T, 4) lies on its wrong side."""
     jumps = (_angle(upper[:-1], upper[1:]) > FLIP_JUMP) & (_angle(end[:-1], end[1:]) > FLIP_JUMP)
-    events = torch.nonzero(jumps).flatten().tolist()
+    events = np.flatnonzero(jumps).tolist()
     spans: list[tuple[int, int]] = []
     for away, back in pairwise(events):
         taken = bool(spans) and away < spans[-1][1] + 1
@@ -320,34 +320,36 @@ def _flipped_spans(upper: Tensor, end: Tensor, fps: float) -> list[tuple[int, in
     return spans
 
 
-def _bridge(before: Tensor, after: Tensor, count: int) -> Tensor:
+def _bridge(before: Array, after: Array, count: int) -> Array:
     """Rotations (count, 4) evenly between two (4)."""
-    fractions = torch.arange(1, count + 1, dtype=before.dtype) / (count + 1)
-    return quat_slerp(before.expand(count, 4), after.expand(count, 4), fractions)
+    fractions = np.arange(1, count + 1, dtype=before.dtype) / (count + 1)
+    return quat_slerp(np.broadcast_to(before, (count, 4)), np.broadcast_to(after, (count, 4)), fractions)
 
 
-def _twist(rotations: Tensor, axes: Tensor) -> Tensor:
+def _twist(rotations: Array, axes: Array) -> Array:
     """The part (..., 4) of rotations (..., 4) that turns about unit axes (..., 3)."""
-    along = (rotations[..., 1:] * axes).sum(dim=-1, keepdim=True)
-    part = torch.cat([rotations[..., :1], along * axes], dim=-1)
+    along = (rotations[..., 1:] * axes).sum(axis=-1, keepdims=True)
+    part = np.concatenate([rotations[..., :1], along * axes], axis=-1)
     # Half a turn about an axis at right angles has no such part; any twist will do.
-    none = part.norm(dim=-1, keepdim=True) < 1e-6
-    return quat_normalize(torch.where(none, quat_identity(dtype=part.dtype), part))
+    none = np.linalg.norm(part, axis=-1, keepdims=True) < 1e-6
+    return quat_normalize(np.where(none, quat_identity(dtype=part.dtype), part))
 
 
-def _root_pops(places: Tensor) -> list[int]:
+def _root_pops(places: Array) -> list[int]:
     """Frames whose place (T, 3) stands off the line of its neighbours as none nearby does."""
     if len(places) < 2 * NEIGHBOURS:
         return []
-    residual = torch.zeros(len(places), dtype=places.dtype)
-    residual[1:-1] = (places[1:-1] - 0.5 * (places[:-2] + places[2:])).norm(dim=-1)
+    residual = np.zeros(len(places), places.dtype)
+    residual[1:-1] = np.linalg.norm(places[1:-1] - 0.5 * (places[:-2] + places[2:]), axis=-1)
     found = []
-    for frame in torch.nonzero(residual > ROOT_POP).flatten().tolist():
+    for frame in np.flatnonzero(residual > ROOT_POP).tolist():
         # A pop shows at its two neighbours with half its size: they are not "nearby".
-        nearby = torch.cat([residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]])
+        nearby = np.concatenate(
+            [residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]]
+        )
         # A jump that does not come back gives two equal residuals side by side.
         beside = max(float(residual[frame - 1]), float(residual[frame + 1]))
-        level = max(0.1, float(nearby.amax())) if len(nearby) else math.inf
+        level = max(0.1, float(nearby.max())) if len(nearby) else math.inf
         if residual[frame] > max(1.4 * beside, ROOT_POP_RATIO * level):
             found.append(frame)
     return found
@@ -358,7 +360,7 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
     if len(motion) < 3:
         return ()
     angles, _ = _steps(motion)
-    frames, joints = torch.nonzero(angles > max(1.0, 60.0 / motion.fps) * JUMP_LEFT, as_tuple=True)
+    frames, joints = np.nonzero(angles > max(1.0, 60.0 / motion.fps) * JUMP_LEFT)
     told = tuple(
         f"jump of {math.degrees(float(angles[t, j])):.0f} degrees left in {JOINT_NAMES[j]} "
         f"at frame {int(t) + 1 + start}"
@@ -382,30 +384,30 @@ def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
     heights = toes[..., 1]
     slow = heights[_speeds(toes, motion.fps) < STANCE_SPEED]
     if len(slow) < 5:
-        lowest = float(heights.flatten().quantile(0.02))
+        lowest = float(np.quantile(heights, 0.02))
         return TOE_HEIGHT - lowest, ("no stance found; floor set from the lowest toe",)
     return TOE_HEIGHT - _lowest_band(slow), ()
 
 
-def _speeds(places: Tensor, fps: float) -> Tensor:
+def _speeds(places: Array, fps: float) -> Array:
     """Speeds (T, ...) in cm/s of places (T, ..., 3), over two frames where there are two."""
     if len(places) < 2:
-        return torch.zeros(places.shape[:-1], dtype=places.dtype)
+        return np.zeros(places.shape[:-1], places.dtype)
     steps = (places[1:] - places[:-1]) * fps
     both = 0.5 * (steps[1:] + steps[:-1])
-    return torch.cat([steps[:1], both, steps[-1:]]).norm(dim=-1)
+    return np.linalg.norm(np.concatenate([steps[:1], both, steps[-1:]]), axis=-1)
 
 
-def _lowest_band(heights: Tensor) -> float:
+def _lowest_band(heights: Array) -> float:
     """Median height within the lowest band that is nearly as full as the fullest band (N,).
 
     Feet held still in the air (a raised leg, a handstand) lie above it, single stray frames below it.
     Where a good share lies a whole step further down, the band was a platform, and that is the floor.
     """
-    ordered = torch.sort(heights).values
-    counts = torch.searchsorted(ordered, ordered + STANCE_BAND, right=True) - torch.arange(len(ordered))
-    first = int(torch.nonzero(counts >= STANCE_SHARE * counts.amax())[0])
+    ordered = np.sort(heights)
+    counts = np.searchsorted(ordered, ordered + STANCE_BAND, side="right") - np.arange(len(ordered))
+    first = int(np.flatnonzero(counts >= STANCE_SHARE * counts.max())[0])
     below = ordered[ordered < ordered[first] - STEP_DOWN]
     if len(below) >= max(5, STEP_SHARE * len(heights)):
         return _lowest_band(below)
-    return float(ordered[first : first + int(counts[first])].median())
+    return float(lower_median(ordered[first : first + int(counts[first])]))

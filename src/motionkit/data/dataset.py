@@ -16,9 +16,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.data.checking import check_manifest, check_range, open_array, same_length
 from motionkit.data.events import SIDED
 from motionkit.data.folder import ARRAYS, MANIFEST, set_aside
@@ -56,12 +55,12 @@ class Clip:
 class ClipData:
     """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), guide (T, 72)."""
 
-    features: Tensor
-    contacts: Tensor
-    ground: Tensor
-    types: Tensor
-    phases: Tensor
-    guide: Tensor
+    features: Array
+    contacts: Array
+    ground: Array
+    types: Array
+    phases: Array
+    guide: Array
 
     def cut(self, start: int, end: int) -> ClipData:
         """Frames start to end (exclusive)."""
@@ -110,11 +109,11 @@ class Dataset:
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.npy"
 
-    def _features(self, start: int, end: int) -> Tensor:
+    def _features(self, start: int, end: int) -> Array:
         """Rows start to end (exclusive) of the features; raises DatasetError for numbers that none can be."""
         rows = np.array(self._arrays["features"][start:end])
         check_range(self._path("features"), "features", rows, start)
-        return torch.from_numpy(rows)
+        return rows
 
     @cached_property
     def scaling(self) -> Scaling:
@@ -127,9 +126,9 @@ class Dataset:
         return _scaling(self.manifest["trajectory_scaling"])
 
     @cached_property
-    def references(self) -> Tensor:
+    def references(self) -> Array:
         """(23, 4) rotations the exponential maps are relative to."""
-        return torch.tensor(self.manifest["references"], dtype=torch.float32)
+        return np.array(self.manifest["references"], np.float32)
 
     @cached_property
     def outline(self) -> PoseOutline:
@@ -140,24 +139,21 @@ class Dataset:
         clips = [clip for clip in train if not clip.mirrored] or train
         rows = np.concatenate([np.arange(clip.start, clip.start + clip.frames) for clip in clips])
         rows = rows[:: 1 + len(rows) // OUTLINE_FRAMES]
-        types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
-        weights = torch.bincount(types).double()[types] ** -OUTLINE_BALANCE
+        types = self._arrays["types"][rows].astype(np.int64)
+        weights = np.bincount(types).astype(np.float64)[types] ** -OUTLINE_BALANCE
         features = self._arrays["features"][rows]
         check_range(self._path("features"), "features", features)
-        return fit_outline(torch.from_numpy(features), weights, self.layout)
+        return fit_outline(features, weights, self.layout)
 
     @cached_property
-    def bodies(self) -> tuple[Tensor, ...]:
+    def bodies(self) -> tuple[Array, ...]:
         """(23, 3) offsets of every body in the data; clips index it."""
-        return tuple(torch.tensor(body, dtype=torch.float32) for body in self.manifest["bodies"])
+        return tuple(np.array(body, np.float32) for body in self.manifest["bodies"])
 
     @cached_property
-    def characters(self) -> dict[str, Tensor]:
+    def characters(self) -> dict[str, Array]:
         """(23, 3) offsets of the performers the labels name."""
-        return {
-            name: torch.tensor(body, dtype=torch.float32)
-            for name, body in self.manifest["characters"].items()
-        }
+        return {name: np.array(body, np.float32) for name, body in self.manifest["characters"].items()}
 
     @property
     def phase_seconds(self) -> dict[str, float]:
@@ -170,30 +166,30 @@ class Dataset:
         return self.manifest.get("phase_events", dict.fromkeys(self.phase_seconds, ""))
 
     @cached_property
-    def sided_types(self) -> Tensor:
+    def sided_types(self) -> Array:
         """(N,) whether the halves of a type's phase are left and right."""
-        return torch.tensor([self.phase_events.get(name) in SIDED for name in self.types])
+        return np.array([self.phase_events.get(name) in SIDED for name in self.types], bool)
 
     def skeleton(self, clip: Clip) -> Skeleton:
         """The skeleton a clip's features are on."""
         return canonical_skeleton(self.bodies[clip.body])
 
     @cached_property
-    def mirrored_type_ids(self) -> Tensor:
+    def mirrored_type_ids(self) -> Array:
         """For each type the id of the type its mirror image shows."""
         names = [mirrored_type(name) for name in self.types]
-        return torch.tensor(
-            [self.types.index(n) if n in self.types else i for i, n in enumerate(names)], dtype=torch.long
+        return np.array(
+            [self.types.index(n) if n in self.types else i for i, n in enumerate(names)], np.int64
         )
 
     def select(self, split: str) -> list[Clip]:
         """The clips of a split, "train" or "test"."""
         return [clip for clip in self.clips if clip.split == split]
 
-    def clip_types(self, clip: Clip) -> Tensor:
+    def clip_types(self, clip: Clip) -> Array:
         """Type ids (T,) of a clip without reading its features."""
         rows = slice(clip.start, clip.start + clip.frames)
-        types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
+        types = self._arrays["types"][rows].astype(np.int64)
         return self.mirrored_type_ids[types] if clip.mirrored else types
 
     def read(self, clip: Clip, start: int = 0, end: int | None = None) -> ClipData:
@@ -204,29 +200,29 @@ class Dataset:
         beyond = clip.start + min(stop + GUIDE_OFFSETS[-1], clip.frames)
         poses = self._features(rows.start, beyond)
         features = poses[: rows.stop - rows.start]
-        contacts = torch.from_numpy(self._arrays["contacts"][rows].astype(np.float32))
-        ground = torch.from_numpy(np.array(self._arrays["ground"][rows]))
-        types = torch.from_numpy(self._arrays["types"][rows].astype(np.int64))
-        phases = torch.from_numpy(np.array(self._arrays["phases"][rows]))
-        none = torch.zeros(len(features), GUIDE_COUNT)
+        contacts = self._arrays["contacts"][rows].astype(np.float32)
+        ground = np.array(self._arrays["ground"][rows])
+        types = self._arrays["types"][rows].astype(np.int64)
+        phases = np.array(self._arrays["phases"][rows])
+        none = np.zeros((len(features), GUIDE_COUNT), np.float32)
         data = ClipData(features, contacts, ground, types, phases, none)
         if clip.mirrored:
             data = mirror_clip(data, self.layout, self.mirrored_type_ids, self.sided_types)
             columns, signs = self.layout.mirror_map()
             poses = poses[:, columns] * signs
-        guide = guide_signal(self.outline.of(poses), torch.arange(len(features)))
+        guide = guide_signal(self.outline.of(poses), np.arange(len(features)))
         return replace(data, guide=guide)
 
 
 def mirror_clip(
-    data: ClipData, layout: FeatureLayout, mirrored_type_ids: Tensor, sided_types: Tensor
+    data: ClipData, layout: FeatureLayout, mirrored_type_ids: Array, sided_types: Array
 ) -> ClipData:
     """The mirror image, but for the guide.
 
     In features it is a permutation with signs, since references are symmetric.
     """
     columns, signs = layout.mirror_map()
-    ground = data.ground * torch.tensor([-1.0, 1.0, -1.0])
+    ground = data.ground * np.array([-1.0, 1.0, -1.0], np.float32)
     return ClipData(
         data.features[:, columns] * signs,
         data.contacts[:, contact_mirror()],
@@ -247,4 +243,4 @@ def _identity(path: Path) -> tuple[int, ...]:
 
 
 def _scaling(values: dict[str, list[float]]) -> Scaling:
-    return Scaling(torch.tensor(values["mean"]), torch.tensor(values["std"]))
+    return Scaling(np.array(values["mean"], np.float32), np.array(values["std"], np.float32))

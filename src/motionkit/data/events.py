@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.features.layout import FeatureLayout
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
 
@@ -36,7 +35,7 @@ class Event:
     right: bool = False
 
 
-def find_events(features: Tensor, layout: FeatureLayout) -> dict[str, list[Event]]:
+def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]]:
     """Events of each kind, in order of time, in features (T, 276), unnormalised."""
     positions = _positions(features, layout)
     return {
@@ -46,14 +45,14 @@ def find_events(features: Tensor, layout: FeatureLayout) -> dict[str, list[Event
     }
 
 
-def _positions(features: Tensor, layout: FeatureLayout) -> np.ndarray:
+def _positions(features: Array, layout: FeatureLayout) -> np.ndarray:
     """Joint positions (T, 23, 3) in the heading frame."""
     block = layout.blocks["joint_positions"]
-    out = torch.zeros(len(features), len(JOINT_NAMES), 3)
+    out = np.zeros((len(features), len(JOINT_NAMES), 3), np.float32)
     for index in range(block.start, block.stop):
         column = layout.columns[index]
         out[:, column.joint, column.component] = features[:, index]
-    return out.numpy()
+    return out
 
 
 def _runs(flags: np.ndarray) -> list[tuple[int, int]]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from motionkit.arrays import Array, lower_median
 
 # A joint that covers more than this in a 60 fps frame, against the root, and far more than in the frames
 # around, has leapt: the fastest real feet of the CMU flips move 16 to 23 cm a frame.
@@ -14,22 +16,22 @@ ROOT_LEAP = 1000.0
 _REACH = 4  # frames compared on each side, the two nearest left out
 
 
-def find_leaps(global_positions: Tensor) -> list[int]:
+def find_leaps(global_positions: Array) -> list[int]:
     """Frames t such that some joint leaps against the root, or the root itself, between t - 1 and t.
 
     Args:
         global_positions: (T, 23, 3) in cm at 60 fps.
     """
     relative = global_positions - global_positions[:, :1]
-    steps = torch.diff(relative, dim=0).norm(dim=-1)  # step t leads from frame t to t + 1
+    steps = np.linalg.norm(np.diff(relative, axis=0), axis=-1)  # step t leads from frame t to t + 1
     if len(steps) < 2 * _REACH + 1:
         return []
-    padded = torch.cat([steps[:1].expand(_REACH, -1), steps, steps[-1:].expand(_REACH, -1)])
-    windows = padded.unfold(0, 2 * _REACH + 1, 1)
-    around = torch.cat([windows[..., : _REACH - 1], windows[..., _REACH + 2 :]], dim=-1).median(dim=-1).values
+    padded = np.pad(steps, ((_REACH, _REACH), (0, 0)), mode="edge")
+    windows = sliding_window_view(padded, 2 * _REACH + 1, axis=0)
+    around = lower_median(np.concatenate([windows[..., : _REACH - 1], windows[..., _REACH + 2 :]], -1), -1)
     leaps = (steps > LEAP_DISTANCE) & (steps > LEAP_RATIO * around)
-    lost = torch.diff(global_positions[:, 0], dim=0).norm(dim=-1) > ROOT_LEAP
-    return (torch.nonzero(leaps.any(dim=-1) | lost).flatten() + 1).tolist()
+    lost = np.linalg.norm(np.diff(global_positions[:, 0], axis=0), axis=-1) > ROOT_LEAP
+    return (np.flatnonzero(leaps.any(axis=-1) | lost) + 1).tolist()
 
 
 def cut_at_leaps(start: int, end: int, leaps: list[int]) -> list[tuple[int, int]]:

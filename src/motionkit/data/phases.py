@@ -15,9 +15,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.data.events import KINDS, SIDED, Event, find_events
 from motionkit.features.decode import decode_rotations
 from motionkit.features.layout import feature_layout
@@ -45,10 +44,10 @@ class PhaseRule:
         return self.event in SIDED
 
 
-def turns_over(features: Tensor, layout: str) -> bool:
+def turns_over(features: Array, layout: str) -> bool:
     """Whether the hips are upside down at some frame of features (T, 276), unnormalised."""
     root = decode_rotations(features, None, layout)[:, 0]
-    up = quat_rotate(root, torch.tensor([0.0, 1.0, 0.0]).expand(len(root), 3))
+    up = quat_rotate(root, np.array([0.0, 1.0, 0.0], np.float32))
     return bool((up[:, 1] < _INVERTED).any())
 
 
@@ -65,7 +64,7 @@ class _Stretch:
     events: dict[str, list[Event]]
 
 
-def phase_rules(clips: Iterable[tuple[Tensor, np.ndarray]], layout: str) -> dict[int, PhaseRule]:
+def phase_rules(clips: Iterable[tuple[Array, np.ndarray]], layout: str) -> dict[int, PhaseRule]:
     """The rule of each type id that has a phase.
 
     Args:
@@ -98,7 +97,7 @@ def _rule(stretches: list[_Stretch]) -> PhaseRule | None:
     return None
 
 
-def phase_track(features: Tensor, types: np.ndarray, rules: dict[int, PhaseRule], layout: str) -> np.ndarray:
+def phase_track(features: Array, types: np.ndarray, rules: dict[int, PhaseRule], layout: str) -> np.ndarray:
     """Progress (T,) in [0, 1) through the performances of a clip, NO_PHASE elsewhere."""
     out = np.full(len(types), NO_PHASE, np.float32)
     for start, end, kind in type_stretches(types):
@@ -117,7 +116,7 @@ def phase_track(features: Tensor, types: np.ndarray, rules: dict[int, PhaseRule]
     return out
 
 
-def mirror_phases(phases: Tensor, sided: Tensor) -> Tensor:
+def mirror_phases(phases: Array, sided: Array) -> Array:
     """Phases (T,) of the mirror image: left and right change halves where sided (T,) is true."""
-    other = torch.where(phases < 0.5, phases + 0.5, phases - 0.5)
-    return torch.where(sided & (phases >= 0), other, phases)
+    other = np.where(phases < 0.5, phases + 0.5, phases - 0.5)
+    return np.where(sided & (phases >= 0), other, phases)

@@ -18,10 +18,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from motionkit import __version__
+from motionkit.arrays import Array
 from motionkit.data.checking import MAX_TYPES
 from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
@@ -179,19 +178,15 @@ def _drop_motions(prepared: list[_Prepared], staging: Path) -> None:
     (staging / MOTIONS).rmdir()
 
 
-# A process takes seconds to import torch: below this many files for each it does not pay.
+# Below this many files for each, starting a process does not pay.
 _FILES_PER_PROCESS = 40
-
-
-def _single_thread() -> None:
-    torch.set_num_threads(1)
 
 
 @contextmanager
 def _processes(jobs: int, files: int) -> Iterator[Map]:
     """A map over files, by one pool of processes for both passes where that pays."""
     wanted = jobs if jobs > 0 else min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
-    with worker_processes(wanted, _single_thread) as each:
+    with worker_processes(wanted) as each:
         yield each
 
 
@@ -254,9 +249,9 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
         return _Prepared(report, motion_file, nothing, [], [], None)
-    np.savez(motion_file, rotations=motion.local_rotations.numpy(), root=motion.root_positions.numpy())
+    np.savez(motion_file, rotations=motion.local_rotations, root=motion.root_positions)
     rows = np.concatenate([np.arange(start, end) for start, end, *_ in runs])
-    quats = motion.local_rotations.double().numpy()[rows]
+    quats = motion.local_rotations.astype(np.float64)[rows]
     moment = np.einsum("tja,tjb->jab", quats, quats)
     body, own_body = motion.skeleton.offsets.tolist(), mapping.body.tolist()
     return _Prepared(report, motion_file, runs, body, own_body, moment)
@@ -403,9 +398,9 @@ def _write_phases(
     """Write the phase column, clip after clip as the rows lie; the rule of each type that has a phase."""
     rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}.values()
 
-    def shown() -> Iterator[tuple[Tensor, np.ndarray]]:
+    def shown() -> Iterator[tuple[Array, np.ndarray]]:
         for r in rows:
-            yield torch.from_numpy(np.array(features[r])), np.array(types[r])
+            yield np.array(features[r]), np.array(types[r])
 
     rules = phase_rules(shown(), layout)
     for poses, kinds in shown():
@@ -423,12 +418,12 @@ def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
     return out
 
 
-def _references(prepared: list[_Prepared]) -> Tensor:
+def _references(prepared: list[_Prepared]) -> Array:
     """Mean rotation of each joint over the data and its mirror image, so that twins share references."""
     moment = np.sum([p.moment for p in prepared if p.moment is not None], axis=0)
     flip = np.diag([1.0, 1.0, -1.0, -1.0])
     moment = moment + flip @ moment[list(MIRROR_JOINTS)] @ flip
-    references = mean_rotation(torch.from_numpy(moment)).float()
+    references = mean_rotation(moment).astype(np.float32)
     assert references.shape == (JOINT_COUNT, 4)
     return references
 
@@ -454,23 +449,23 @@ def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
 
 
 def _encode_file(
-    item: tuple[_Prepared, Tensor, str, bool],
+    item: tuple[_Prepared, Array, str, bool],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Features, contacts and ground of each run, encoded within the whole recording: ends have real neighbours."""
     prepared, references, layout, smoothed = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
-        rotations, root = torch.from_numpy(arrays["rotations"]), torch.from_numpy(arrays["root"])
+        rotations, root = arrays["rotations"], arrays["root"]
     for start, end, *_ in prepared.runs if smoothed else ():
         # Run by run: what was cut out between them must not leak in.
         rotations[start:end] = smooth_rotations(rotations[start:end])
         root[start:end] = smooth(root[start:end])
-    skeleton = canonical_skeleton(torch.tensor(prepared.body))
+    skeleton = canonical_skeleton(np.array(prepared.body, np.float32))
     encoded = encode_motion(Motion(skeleton, rotations, root, FPS), references, layout)
     return [
         (
-            encoded.features[start:end].numpy(),
-            encoded.contacts[start:end].numpy().astype(np.uint8),
-            encoded.ground[start:end].numpy(),
+            encoded.features[start:end],
+            encoded.contacts[start:end].astype(np.uint8),
+            encoded.ground[start:end],
         )
         for start, end, *_ in prepared.runs
     ]
@@ -504,12 +499,12 @@ def _add_moments(
 ) -> None:
     features, contacts, ground = data
     plain = ClipData(
-        torch.from_numpy(features),
-        torch.from_numpy(contacts.astype(np.float32)),
-        torch.from_numpy(ground),
-        torch.from_numpy(kinds.astype(np.int64)),
-        torch.zeros(len(kinds)),
-        torch.zeros(len(kinds), GUIDE_COUNT),
+        features,
+        contacts.astype(np.float32),
+        ground,
+        kinds.astype(np.int64),
+        np.zeros(len(kinds), np.float32),
+        np.zeros((len(kinds), GUIDE_COUNT), np.float32),
     )
     for clip in clips:
         if clip.split != "train":
@@ -517,9 +512,9 @@ def _add_moments(
         shown = plain
         if clip.mirrored:
             count = int(kinds.max()) + 1
-            shown = mirror_clip(plain, layout, torch.arange(count), torch.zeros(count, dtype=torch.bool))
-        moments.add(shown.features.numpy())
-        trajectory_moments.add(future_trajectory(shown.ground, torch.arange(clip.frames)).numpy())
+            shown = mirror_clip(plain, layout, np.arange(count), np.zeros(count, bool))
+        moments.add(shown.features)
+        trajectory_moments.add(future_trajectory(shown.ground, np.arange(clip.frames)))
 
 
 def _plain(scaling: Scaling) -> dict[str, list[float]]:

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from functools import lru_cache
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, normalized
 from motionkit.motion.rotations import quat_continuous
 
 WINDOW = 9  # frames
@@ -20,14 +20,14 @@ DEGREE = 3
 
 
 @lru_cache
-def _kernel() -> Tensor:
+def _kernel() -> Array:
     """Weights (WINDOW,) that give the fitted cubic's value in the middle."""
-    place = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
-    powers = place[:, None] ** torch.arange(DEGREE + 1, dtype=torch.float64)
-    return torch.linalg.pinv(powers)[0]
+    place = np.arange(WINDOW, dtype=np.float64) - WINDOW // 2
+    powers = place[:, None] ** np.arange(DEGREE + 1, dtype=np.float64)
+    return np.linalg.pinv(powers)[0]
 
 
-def smooth(values: Tensor) -> Tensor:
+def smooth(values: Array) -> Array:
     """Values (T, ...) filtered over time; beyond the ends they go on mirrored through the end values.
 
     Fewer frames than half a window come back as they are.
@@ -36,15 +36,15 @@ def smooth(values: Tensor) -> Tensor:
     frames = len(values)
     if frames <= half:
         return values
-    wide = values.double()
-    before = 2.0 * wide[:1] - wide[1 : half + 1].flip(0)
-    after = 2.0 * wide[-1:] - wide[-half - 1 : -1].flip(0)
-    padded = torch.cat([before, wide, after])
+    wide = values.astype(np.float64)
+    before = 2.0 * wide[:1] - np.flip(wide[1 : half + 1], 0)
+    after = 2.0 * wide[-1:] - np.flip(wide[-half - 1 : -1], 0)
+    padded = np.concatenate([before, wide, after])
     out = sum(weight * padded[i : i + frames] for i, weight in enumerate(_kernel().tolist()))
-    assert isinstance(out, Tensor)
-    return out.to(values.dtype)
+    assert isinstance(out, np.ndarray)
+    return out.astype(values.dtype)
 
 
-def smooth_rotations(rotations: Tensor) -> Tensor:
+def smooth_rotations(rotations: Array) -> Array:
     """Rotations (T, ..., 4) filtered as the four numbers they are, and made unit again."""
-    return torch.nn.functional.normalize(smooth(quat_continuous(rotations)), dim=-1)
+    return normalized(smooth(quat_continuous(rotations)))

@@ -7,11 +7,12 @@ the following frames (inertialisation, after Bollo 2018).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.features.decode import decode_motion
 from motionkit.features.encode import encode_motion
@@ -36,12 +37,12 @@ SEARCH = 24  # frames at the end of the first and the start of the second in whi
 @dataclass(frozen=True, eq=False)
 class _Piece:
     motion: Motion
-    ground: Tensor
-    positions: Tensor  # (T, 23, 3) in the heading frame of each frame
-    velocities: Tensor
-    types: Tensor
-    phases: Tensor
-    guide: Tensor
+    ground: Array
+    positions: Array  # (T, 23, 3) in the heading frame of each frame
+    velocities: Array
+    types: Array
+    phases: Array
+    guide: Array
 
 
 def splice_clips(
@@ -49,33 +50,35 @@ def splice_clips(
     first: tuple[Clip, int, int],
     second: tuple[Clip, int, int],
     decay: int,
-    generator: torch.Generator,
+    pick: Callable[[int], int],
 ) -> ClipData:
     """The end of one stretch joined to the start of another, as a clip of its own.
 
     Args:
         first, second: (clip, start, end) stretches of one type each.
         decay: frames over which the difference at the join dies away.
-        generator: picks among the best joins.
+        pick: a random number below the one given; picks among the best joins.
     """
     clip, start, end = first
     a = _piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
     clip, start, end = second
     b = _piece(dataset, clip, start, min(end, start + HEAD + SEARCH))
-    i, j = _best_join(a, b, generator)
+    i, j = _best_join(a, b, pick)
     a_start, b_end = max(0, i - TAIL), min(len(b.motion), j + HEAD)
     joined = _join(a, b, i, j, decay)
     motion = Motion(
         a.motion.skeleton,
-        quat_continuous(torch.cat([a.motion.local_rotations[a_start : i + 1], joined[0][: b_end - j - 1]])),
-        torch.cat([a.motion.root_positions[a_start : i + 1], joined[1][: b_end - j - 1]]),
+        quat_continuous(
+            np.concatenate([a.motion.local_rotations[a_start : i + 1], joined[0][: b_end - j - 1]])
+        ),
+        np.concatenate([a.motion.root_positions[a_start : i + 1], joined[1][: b_end - j - 1]]),
         dataset.fps,
     )
     encoded = encode_motion(motion, dataset.references, dataset.layout.version)
-    types = torch.cat([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
-    phases = torch.cat([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
+    types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
+    phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
     # The guide is not blended: it is to be the one that is asked for, not the one that can be obeyed at once.
-    guide = torch.cat([a.guide[a_start : i + 1], b.guide[j + 1 : b_end]])
+    guide = np.concatenate([a.guide[a_start : i + 1], b.guide[j + 1 : b_end]])
     return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, guide)
 
 
@@ -90,9 +93,9 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
         dataset.layout.version,
     )
     _, positions = motion_kinematics(motion)
-    origin = torch.stack([data.ground[:, 0], torch.zeros(len(motion)), data.ground[:, 1]], dim=-1)
+    origin = np.stack([data.ground[:, 0], np.zeros(len(motion), np.float32), data.ground[:, 1]], axis=-1)
     turn = quat_from_yaw(-data.ground[:, 2])[:, None]
-    velocities = torch.diff(positions, dim=0, prepend=positions[:1]) * dataset.fps
+    velocities = np.diff(positions, axis=0, prepend=positions[:1]) * dataset.fps
     velocities[0] = velocities[1]
     return _Piece(
         motion,
@@ -105,36 +108,40 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
     )
 
 
-def _best_join(a: _Piece, b: _Piece, generator: torch.Generator) -> tuple[int, int]:
+def _best_join(a: _Piece, b: _Piece, pick: Callable[[int], int]) -> tuple[int, int]:
     """Frames (i of a, j of b) with near poses and velocities: one of the three best pairs."""
     ends = (
-        torch.arange(max(8, len(a.motion) - SEARCH), len(a.motion) - 2)
+        np.arange(max(8, len(a.motion) - SEARCH), len(a.motion) - 2)
         if len(a.motion) > 12
-        else torch.tensor([len(a.motion) - 2])
+        else np.array([len(a.motion) - 2])
     )
-    starts = torch.arange(1, max(2, min(SEARCH, len(b.motion) - 8)))
+    starts = np.arange(1, max(2, min(SEARCH, len(b.motion) - 8)))
     # Velocities count as the distance they cover in a tenth of a second.
-    pa = torch.cat([a.positions[ends].flatten(1), 0.1 * a.velocities[ends].flatten(1)], dim=-1)
-    pb = torch.cat([b.positions[starts].flatten(1), 0.1 * b.velocities[starts].flatten(1)], dim=-1)
-    cost = torch.cdist(pa, pb).flatten()
-    best = cost.topk(min(3, len(cost)), largest=False).indices
-    pick = int(best[torch.randint(len(best), (), generator=generator)])
-    return int(ends[pick // len(starts)]), int(starts[pick % len(starts)])
+    before, after = (
+        np.concatenate([piece.positions[frames], 0.1 * piece.velocities[frames]], axis=1).reshape(
+            len(frames), -1
+        )
+        for piece, frames in ((a, ends), (b, starts))
+    )
+    cost = np.linalg.norm(before[:, None] - after, axis=-1).reshape(-1)
+    best = np.argsort(cost, kind="stable")[:3]
+    chosen = int(best[pick(len(best))])
+    return int(ends[chosen // len(starts)]), int(starts[chosen % len(starts)])
 
 
-def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Tensor, Tensor]:
+def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Array, Array]:
     """Frames j + 1 onwards of b, carried on from frame i of a: rotations (T, 23, 4), root positions (T, 3)."""
     turn = a.ground[i, 2] - b.ground[j, 2]
     yaw = quat_from_yaw(turn)
-    rotations = b.motion.local_rotations.clone()
+    rotations = b.motion.local_rotations.copy()
     rotations[:, 0] = quat_multiply(yaw, rotations[:, 0])
-    root = b.motion.root_positions.clone()
+    root = b.motion.root_positions.copy()
     root[:, [0, 2]] = (
         rotate_ground(turn, root[:, [0, 2]] - root[j, [0, 2]]) + a.motion.root_positions[i, [0, 2]]
     )
 
     frames = len(b.motion) - j - 1
-    time = torch.arange(1, frames + 1, dtype=torch.float32)
+    time = np.arange(1, frames + 1, dtype=np.float32)
     offset_weight, velocity_weight = _decay_curves(time, float(decay))
     here, there = a.motion.local_rotations[i], rotations[j]
     offset = quat_to_expmap(quat_multiply(here, quat_inverse(there)))
@@ -149,9 +156,9 @@ def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Tensor, Ten
     return rotations_out, root_out
 
 
-def _decay_curves(time: Tensor, decay: float) -> tuple[Tensor, Tensor]:
+def _decay_curves(time: Array, decay: float) -> tuple[Array, Array]:
     """Weights of the offset and of the velocity difference (T,): one at the join, gone with both slopes after decay."""
-    x = (time / decay).clamp(max=1.0)
+    x = np.minimum(time / decay, 1.0)
     offset = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     velocity = decay * (x - x**3 * (6.0 - 8.0 * x + 3.0 * x**2))
     return offset, velocity

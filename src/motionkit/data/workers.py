@@ -16,8 +16,8 @@ Map = Callable[[Callable, list], Iterator]
 
 
 @contextmanager
-def worker_processes(count: int, begin: Callable[[], None]) -> Iterator[Map]:
-    """A map over items by so many processes, each of which calls begin first; in this process for one.
+def worker_processes(count: int) -> Iterator[Map]:
+    """A map over items by so many processes; in this process for one.
 
     When the block is left by a fault or Ctrl-C, or this process dies, the others end at once, whatever they do.
     """
@@ -26,7 +26,7 @@ def worker_processes(count: int, begin: Callable[[], None]) -> Iterator[Map]:
         return
     context = multiprocessing.get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
-    with ours, theirs, ProcessPoolExecutor(count, context, _begin_worker, (theirs, begin)) as pool:
+    with ours, theirs, ProcessPoolExecutor(count, context, _begin_worker, (theirs,)) as pool:
 
         def each(function: Callable, items: list) -> Iterator:
             with _ctrl_c_held():
@@ -40,10 +40,9 @@ def worker_processes(count: int, begin: Callable[[], None]) -> Iterator[Map]:
             raise
 
 
-def _begin_worker(parent: Connection, begin: Callable[[], None]) -> None:
+def _begin_worker(parent: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches all processes; the parent decides
     threading.Thread(target=_end_with, args=(parent,), daemon=True).start()
-    begin()
 
 
 def _end_with(parent: Connection) -> None:

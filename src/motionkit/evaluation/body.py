@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.features.heading import heading_angles
 from motionkit.metrics.body_movement import euler_movement, geodesic_movement
 from motionkit.motion.kinematics import forward_kinematics
@@ -46,9 +46,9 @@ class Body:
         fps: frames per second.
     """
 
-    rotations: Tensor
-    positions: Tensor
-    heading: Tensor
+    rotations: Array
+    positions: Array
+    heading: Array
     fps: float
 
     def __len__(self) -> int:
@@ -71,36 +71,36 @@ class Body:
     # ---- over the ground ----
 
     @cached_property
-    def velocity(self) -> Tensor:
+    def velocity(self) -> Array:
         """(T, 2) m/s of the root over the ground: to its left and ahead, each over SPEED_SPAN."""
         span = min(max(1, round(SPEED_SPAN * self.fps)), len(self) - 1)
         ground = self.positions[:, HIPS, [0, 2]]
         steps = (ground[span:] - ground[:-span]) * (self.fps / span / 100.0)
         before = span // 2
-        steps = torch.cat([steps[:1].expand(before, 2), steps, steps[-1:].expand(span - before, 2)])
-        sine, cosine = torch.sin(self.heading), torch.cos(self.heading)
-        x, z = steps.unbind(-1)
-        return torch.stack([x * cosine - z * sine, x * sine + z * cosine], dim=-1)
+        steps = np.pad(steps, ((before, span - before), (0, 0)), mode="edge")
+        sine, cosine = np.sin(self.heading), np.cos(self.heading)
+        x, z = np.moveaxis(steps, -1, 0)
+        return np.stack([x * cosine - z * sine, x * sine + z * cosine], axis=-1)
 
     @cached_property
-    def speed(self) -> Tensor:
+    def speed(self) -> Array:
         """(T,) m/s of the root over the ground."""
-        return self.velocity.norm(dim=-1)
+        return np.linalg.norm(self.velocity, axis=-1)
 
     # ---- feet ----
 
     @cached_property
-    def lifts(self) -> Tensor:
+    def lifts(self) -> Array:
         """(T, 2) cm by which the left and the right foot are off the ground, its lower end counting."""
         feet = self.positions[..., 1]
-        left = torch.minimum(feet[:, LEFT_FOOT] - STANDING_ANKLE, feet[:, LEFT_TOE] - STANDING_TOE)
-        right = torch.minimum(feet[:, RIGHT_FOOT] - STANDING_ANKLE, feet[:, RIGHT_TOE] - STANDING_TOE)
-        return torch.stack([left, right], dim=-1)
+        left = np.minimum(feet[:, LEFT_FOOT] - STANDING_ANKLE, feet[:, LEFT_TOE] - STANDING_TOE)
+        right = np.minimum(feet[:, RIGHT_FOOT] - STANDING_ANKLE, feet[:, RIGHT_TOE] - STANDING_TOE)
+        return np.stack([left, right], axis=-1)
 
     @cached_property
     def flights(self) -> list[tuple[int, int]]:
         """Stretches (start, end) of frames with both feet off the ground."""
-        return spans(self.lifts.amin(dim=-1) > OFF_GROUND)
+        return spans(self.lifts.min(axis=-1) > OFF_GROUND)
 
     def flight_seconds(self) -> float:
         """The longest flight."""
@@ -109,90 +109,93 @@ class Body:
     def stride_flight_frames(self) -> int:
         """The longest stretch in which both feet swing, as between the steps of a run."""
         feet = self.positions[:, [LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE]][..., [0, 2]]
-        speeds = torch.diff(feet, dim=0).norm(dim=-1) * self.fps
-        lower = self.lifts.amin(dim=-1)
-        raised = lower > torch.quantile(lower, 0.1) + RUN_LIFT
-        swinging = raised[1:] & (speeds.amin(dim=-1) > RUN_FOOT_SPEED)
+        speeds = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * self.fps
+        lower = self.lifts.min(axis=-1)
+        raised = lower > np.quantile(lower, 0.1) + RUN_LIFT
+        swinging = raised[1:] & (speeds.min(axis=-1) > RUN_FOOT_SPEED)
         return max((end - start for start, end in spans(swinging)), default=0)
 
     @cached_property
-    def foot_lead(self) -> Tensor:
+    def foot_lead(self) -> Array:
         """(T,) cm by which the left ankle is ahead of the right one."""
         difference = self.positions[:, LEFT_FOOT] - self.positions[:, RIGHT_FOOT]
-        return difference[:, 0] * torch.sin(self.heading) + difference[:, 2] * torch.cos(self.heading)
+        return difference[:, 0] * np.sin(self.heading) + difference[:, 2] * np.cos(self.heading)
 
     # ---- turning over ----
 
     @cached_property
-    def turned(self) -> Tensor:
+    def turned(self) -> Array:
         """(T, 3) radians the hips have turned about their own axes: forwards, about the spine, to the right."""
         hips = self.rotations[:, HIPS]
         steps = quat_to_expmap(quat_multiply(quat_inverse(hips[:-1]), hips[1:]))
-        return torch.cat([torch.zeros(1, 3), torch.cumsum(steps, dim=0)])
+        return np.concatenate([np.zeros((1, 3), np.float32), np.cumsum(steps, axis=0)])
 
     @cached_property
-    def head_height(self) -> Tensor:
+    def head_height(self) -> Array:
         """(T,) cm of the head above the hips."""
         return self.positions[:, HEAD, 1] - self.positions[:, HIPS, 1]
 
     @cached_property
-    def ankle_height(self) -> Tensor:
+    def ankle_height(self) -> Array:
         """(T,) cm of the higher ankle above the hips."""
         ankles = self.positions[:, [LEFT_FOOT, RIGHT_FOOT], 1]
-        return ankles.amax(dim=-1) - self.positions[:, HIPS, 1]
+        return ankles.max(axis=-1) - self.positions[:, HIPS, 1]
 
     @cached_property
-    def hand_heights(self) -> Tensor:
+    def hand_heights(self) -> Array:
         """(T, 2) cm of the hands above the floor."""
         return self.positions[:, list(HANDS), 1]
 
     # ---- arms ----
 
     @cached_property
-    def arm_extension(self) -> Tensor:
+    def arm_extension(self) -> Array:
         """(T, 2) distance from shoulder to hand as a share of the straight arm's."""
         out = []
         for shoulder, elbow, hand in ARMS:
             joints = self.positions[:, [shoulder, elbow, hand]]
-            straight = torch.diff(joints, dim=1).norm(dim=-1).sum(dim=-1)
-            out.append((joints[:, 2] - joints[:, 0]).norm(dim=-1) / straight.clamp(min=1e-6))
-        return torch.stack(out, dim=-1)
+            straight = np.linalg.norm(np.diff(joints, axis=1), axis=-1).sum(axis=-1)
+            out.append(np.linalg.norm(joints[:, 2] - joints[:, 0], axis=-1) / np.maximum(straight, 1e-6))
+        return np.stack(out, axis=-1)
 
     @cached_property
-    def arm_ahead(self) -> Tensor:
+    def arm_ahead(self) -> Array:
         """(T, 2) cosine of the angle between the way the body faces and that from each shoulder to its hand."""
-        facing = torch.stack([torch.sin(self.heading), torch.cos(self.heading)], dim=-1)
+        facing = np.stack([np.sin(self.heading), np.cos(self.heading)], axis=-1)
         out = []
         for shoulder, _, hand in ARMS:
             reach = self.positions[:, hand] - self.positions[:, shoulder]
-            out.append((reach[:, [0, 2]] * facing).sum(dim=-1) / reach.norm(dim=-1).clamp(min=1e-6))
-        return torch.stack(out, dim=-1)
+            out.append(
+                (reach[:, [0, 2]] * facing).sum(axis=-1) / np.maximum(np.linalg.norm(reach, axis=-1), 1e-6)
+            )
+        return np.stack(out, axis=-1)
 
     @cached_property
-    def arm_thrust(self) -> Tensor:
+    def arm_thrust(self) -> Array:
         """(T, 2) cm/s at which each hand moves away from its shoulder."""
-        reach = torch.stack(
-            [(self.positions[:, h] - self.positions[:, s]).norm(dim=-1) for s, _, h in ARMS], dim=-1
+        reach = np.stack(
+            [np.linalg.norm(self.positions[:, h] - self.positions[:, s], axis=-1) for s, _, h in ARMS],
+            axis=-1,
         )
-        steps = torch.diff(reach, dim=0) * self.fps
-        return torch.cat([steps[:1], steps])
+        steps = np.diff(reach, axis=0) * self.fps
+        return np.concatenate([steps[:1], steps])
 
     # ---- the whole body ----
 
     def joint_speed(self) -> float:
         """Mean speed in rad/s at which the joints but the root turn."""
-        return float(geodesic_movement(self.rotations)[:, 1:].mean() * (torch.pi / 180.0) * self.fps)
+        return float(geodesic_movement(self.rotations)[:, 1:].mean() * (np.pi / 180.0) * self.fps)
 
     def body_movement(self) -> float:
         """BM in degrees per frame (metric bm-euler), extreme frames included."""
-        return float(euler_movement(self.rotations).sum(dim=-1).mean())
+        return float(euler_movement(self.rotations).sum(axis=-1).mean())
 
-    def poses(self, every: int = 1) -> Tensor:
+    def poses(self, every: int = 1) -> Array:
         """(T', 69) joints in cm relative to the root's place on the ground, turned to the heading."""
         positions = self.positions[::every]
-        root = positions[:, HIPS] * torch.tensor([1.0, 0.0, 1.0])
+        root = positions[:, HIPS] * np.array([1.0, 0.0, 1.0], np.float32)
         turn = quat_from_yaw(-self.heading[::every])
-        return quat_rotate(turn[:, None], positions - root[:, None]).flatten(1)
+        return quat_rotate(turn[:, None], positions - root[:, None]).reshape(len(positions), -1)
 
 
 def body_of(motion: Motion) -> Body:
@@ -200,14 +203,14 @@ def body_of(motion: Motion) -> Body:
     return bodies(motion.local_rotations[None], motion.root_positions[None], motion.skeleton, motion.fps)[0]
 
 
-def bodies(rotations: Tensor, root_positions: Tensor, skeleton: Skeleton, fps: float) -> list[Body]:
+def bodies(rotations: Array, root_positions: Array, skeleton: Skeleton, fps: float) -> list[Body]:
     """Bodies of B motions of equal length: local rotations (B, T, 23, 4), root positions (B, T, 3)."""
     _, positions = forward_kinematics(rotations, root_positions, skeleton.offsets, skeleton.parents)
     return [Body(r, p, heading_angles(p, fps), fps) for r, p in zip(rotations, positions, strict=True)]
 
 
-def spans(flags: Tensor) -> list[tuple[int, int]]:
+def spans(flags: Array) -> list[tuple[int, int]]:
     """Stretches (start, end) in which flags (T,) hold."""
-    edges = torch.diff(torch.nn.functional.pad(flags.to(torch.int8), (1, 1)))
-    starts, ends = torch.nonzero(edges == 1).flatten(), torch.nonzero(edges == -1).flatten()
+    edges = np.diff(np.pad(flags.astype(np.int8), 1))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

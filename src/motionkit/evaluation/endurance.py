@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 from collections import defaultdict
 
-import torch
+import numpy as np
 
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.real import Manner, RealMotion
@@ -35,7 +35,7 @@ def frozen_seconds(body: Body, slowest: float) -> float:
 
 def foot_height(bodies: list[Body]) -> float:
     """How far the lower foot is off the floor in cm: the lower quartile of all frames, in which who jumps stands."""
-    return float(torch.quantile(torch.cat([body.lifts.amin(dim=-1) for body in bodies]), 0.25))
+    return float(np.quantile(np.concatenate([body.lifts.min(axis=-1) for body in bodies]), 0.25))
 
 
 def height_drift(body: Body) -> float:
@@ -65,12 +65,12 @@ def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
     held_out = real.of_type(kind, "test")
     distances, jerks, frames = [], [], []
     for stretch in held_out or found:
-        each = real.pose_distances(stretch.body, -1 if held_out else stretch.clip).amin(dim=1)
-        distances.append(each[each.isfinite()])
+        each = real.pose_distances(stretch.body, -1 if held_out else stretch.clip).min(axis=1)
+        distances.append(each[np.isfinite(each)])
     for stretch in found:
         jerks.append(mean_jerk(stretch.body.positions, real.fps).value or 0.0)
         frames.append(float(len(stretch.body)))
-    far = torch.cat([*distances, torch.zeros(0)])
+    far = np.concatenate([*distances, np.zeros(0, np.float32)])
     jerk = sum(j * f for j, f in zip(jerks, frames, strict=True)) / max(sum(frames), 1.0)
     return float(far.mean()) if len(far) else float("nan"), jerk
 
@@ -80,11 +80,11 @@ def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]
     seconds: dict[str, float] = defaultdict(float)
     for part in parts:
         seconds[part.type] += part.seconds
-    measures = torch.tensor([recorded[kind] for kind in seconds])
-    shares = torch.tensor(list(seconds.values()))[:, None]
+    measures = np.array([recorded[kind] for kind in seconds])
+    shares = np.array(list(seconds.values()))[:, None]
     # A type without a distance to measure (one clip) counts in the jerk alone.
-    known = shares * measures.isfinite()
-    distance, jerk = (measures.nan_to_num() * known).sum(dim=0) / known.sum(dim=0)
+    known = shares * np.isfinite(measures)
+    distance, jerk = (np.nan_to_num(measures) * known).sum(axis=0) / known.sum(axis=0)
     return float(distance), float(jerk)
 
 
@@ -98,12 +98,12 @@ def _row(
     """What a body did for a plan's parts, against recordings of the same types in the same shares."""
     manners: list[Manner] = [m for m in (real.manner(part.type) for part in parts) if m is not None]
     slowest = min((m.speeds[0] for m in manners), default=0.0) * FROZEN_SHARE
-    finite = bool(torch.isfinite(body.positions).all())
+    finite = bool(np.isfinite(body.positions).all())
     if not finite:
         return {"type": name, "finite": False}
     distance, jerk = _mixed(recorded, parts)
     heights = body.positions[:, 0, 1]
-    near = float(real.pose_distances(body.every(10)).amin(dim=1).mean())
+    near = float(real.pose_distances(body.every(10)).min(axis=1).mean())
     return {
         "type": name,
         "finite": True,

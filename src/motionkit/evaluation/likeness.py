@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass, replace
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.evaluation.body import Body, body_of
@@ -25,7 +25,6 @@ from motionkit.synthesis.outline_player import OutlinePlayer, Signals, last_pose
 from motionkit.synthesis.rollout import FrameControls, RolloutState, run
 from motionkit.synthesis.start import INIT_FRAMES
 from motionkit.synthesis.steering import STEERED_TYPES
-from motionkit.synthesis.synthesize import inner_threads
 
 SHORTEST_REST = 30  # frames after the first INIT_FRAMES that a clip needs to be compared
 METRICS = ("bm-euler", "afs", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
@@ -61,8 +60,8 @@ def held_out_clips(model: MotionModel, dataset: Dataset, longest: float) -> list
         frames = min(limit, clip.frames - INIT_FRAMES)
         # The kind of most frames that are rolled out.
         kinds = data.types[INIT_FRAMES : INIT_FRAMES + frames]
-        if set(dataset.types[k] for k in data.types.unique().tolist()) <= set(model.types):
-            kind = dataset.types[int(kinds.mode().values)]
+        if set(dataset.types[k] for k in np.unique(data.types).tolist()) <= set(model.types):
+            kind = dataset.types[int(np.bincount(kinds).argmax())]
             out.append(HeldOut(kind, data, _motion(model, dataset, data), frames))
     return out
 
@@ -90,40 +89,39 @@ def roll_like(
     Guided as along a path: gaits not at all, other types by recordings of the training clips.
     """
     frames = max(clip.frames for clip in clips)
-    places = torch.tensor([model.type_id(k) if k in model.types else 0 for k in dataset.types])
+    places = np.array([model.type_id(k) if k in model.types else 0 for k in dataset.types])
     weights, trajectories, clocks = [], [], []
     # A clip that is rolled out several times has its guides once.
     guides_of = {clip: clip_guides(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
     guides = [guides_of[clip] for clip in clips]
     for clip in clips:
-        wanted = (torch.arange(frames) + INIT_FRAMES).clamp(max=len(clip.data.types) - 1)
+        wanted = np.minimum(np.arange(frames) + INIT_FRAMES, len(clip.data.types) - 1)
         weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
         trajectories.append(future_trajectory(clip.data.ground, wanted))
         clocks.append(clip.data.phases[wanted])
-    first = torch.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
-    weight, trajectory, clock = (torch.stack(v, dim=1) for v in (weights, trajectories, clocks))
-    given = torch.ones(len(clips))
+    first = np.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
+    weight, trajectory, clock = (np.stack(v, axis=1) for v in (weights, trajectories, clocks))
+    given = np.ones(len(clips), np.float32)
     guide, guided, phase, way = (
-        torch.stack([getattr(g, name) for g in guides], dim=1)
+        np.stack([getattr(g, name) for g in guides], axis=1)
         for name in ("guide", "guided", "progress", "trajectory")
     )
-    clock = torch.where(guided > 0.0, phase, clock)
-    trajectory = torch.where(guided[..., None] > 0.0, way, trajectory)
+    clock = np.where(guided > 0.0, phase, clock)
+    trajectory = np.where(guided[..., None] > 0.0, way, trajectory)
 
-    def controls(frame: int, ground: Tensor) -> FrameControls:
+    def controls(frame: int, ground: Array) -> FrameControls:
         return FrameControls(
             weight[frame], trajectory[frame], given, clock[frame], guide[frame], guided[frame]
         )
 
-    with inner_threads(len(clips)):
-        state = RolloutState(model, len(clips), settings.noise, settings.seed)
-        state.start(
-            torch.stack([c.data.features[:INIT_FRAMES] for c in clips]),
-            torch.stack([c.data.contacts[:INIT_FRAMES] for c in clips]),
-            first,
-            torch.stack([c.data.ground[INIT_FRAMES - 1] for c in clips]),
-        )
-        rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
+    state = RolloutState(model, len(clips), settings.noise, settings.seed)
+    state.start(
+        np.stack([c.data.features[:INIT_FRAMES] for c in clips]),
+        np.stack([c.data.contacts[:INIT_FRAMES] for c in clips]),
+        first,
+        np.stack([c.data.ground[INIT_FRAMES - 1] for c in clips]),
+    )
+    rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     return performances(model, rollout)
 
 
@@ -131,18 +129,18 @@ def clip_guides(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int
     """Guides for the types a clip shows after its first INIT_FRAMES, the last type to the end."""
     types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
     player = OutlinePlayer(model)
-    near: Tensor | None = last_poses(model, clip.data.features[:INIT_FRAMES])
+    near: Array | None = last_poses(model, clip.data.features[:INIT_FRAMES])
     last = len(clip.data.types) - 1
     parts = []
-    for start, end, kind in type_stretches(types.numpy()):
+    for start, end, kind in type_stretches(types):
         name = dataset.types[kind]
-        ahead = (torch.arange(start, frames if end == len(types) else end) + INIT_FRAMES).clamp(max=last)
+        ahead = np.minimum(np.arange(start, frames if end == len(types) else end) + INIT_FRAMES, last)
         ways = future_trajectory(clip.data.ground, ahead)
         player.begin(name, near, way=ways[0])
         near = None
         asked = player.play(len(ways), ways)
         steered = name in STEERED_TYPES or name not in model.types
-        parts.append(replace(asked, guided=torch.zeros_like(asked.guided)) if steered else asked)
+        parts.append(replace(asked, guided=np.zeros_like(asked.guided)) if steered else asked)
     return Signals.joined(parts)
 
 
@@ -163,15 +161,17 @@ class NearestClip:
             if usable <= MATCH_FRAMES[-1]:
                 continue
             poses = found.poses()
-            at = torch.arange(MATCH_FRAMES[-1], usable)
-            cost = sum((poses[at - b] - w).norm(dim=-1) for b, w in zip(MATCH_FRAMES, wanted, strict=True))
-            assert isinstance(cost, Tensor)
+            at = np.arange(MATCH_FRAMES[-1], usable)
+            cost = sum(
+                np.linalg.norm(poses[at - b] - w, axis=-1) for b, w in zip(MATCH_FRAMES, wanted, strict=True)
+            )
+            assert isinstance(cost, np.ndarray)
             place = int(cost.argmin())
             best = min(best, (float(cost[place]), number, int(at[place])))
         source: Clip = self.dataset.clips[best[1]]
         motion = _motion(self.model, self.dataset, self.dataset.read(source))
         last = len(motion) - 1
-        rows = (torch.arange(clip.frames + 1) + best[2]).clamp(max=last)
+        rows = np.minimum(np.arange(clip.frames + 1) + best[2], last)
         cut = Motion(motion.skeleton, motion.local_rotations[rows], motion.root_positions[rows], motion.fps)
         before = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES + clip.frames)
         return placed_like(cut, before).cut(1, clip.frames + 1)
@@ -182,8 +182,8 @@ def _frozen(clip: HeldOut) -> Motion:
     still = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES)
     return Motion(
         still.skeleton,
-        still.local_rotations.expand(clip.frames, -1, -1),
-        still.root_positions.expand(clip.frames, -1),
+        still.local_rotations.repeat(clip.frames, axis=0),
+        still.root_positions.repeat(clip.frames, axis=0),
         still.fps,
     )
 

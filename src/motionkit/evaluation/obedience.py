@@ -48,7 +48,7 @@ class Judge:
             return SIGNS[kind].shows(body)
         manner = self.real.manner(kind)
         assert manner is not None
-        return manner.shows(body, self.real.pose_distances(body, without).mean(dim=0))
+        return manner.shows(body, self.real.pose_distances(body, without).mean(axis=0))
 
     def share(self, kind: str, body: Body) -> float:
         """The share of a motion's windows that show a type."""
@@ -189,7 +189,7 @@ def _shown(judge: Judge, kinds: list[str], body: Body, clip: int) -> dict[str, b
     out = {kind: SIGNS[kind].shows(body) for kind in kinds if kind in SIGNS}
     manners = {kind: judge.real.manner(kind) for kind in kinds if kind not in SIGNS}
     if manners:
-        distances = judge.real.pose_distances(body, clip).mean(dim=0)
+        distances = judge.real.pose_distances(body, clip).mean(axis=0)
         out |= {k: manner is not None and manner.shows(body, distances) for k, manner in manners.items()}
     return out
 

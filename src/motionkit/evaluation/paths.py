@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
@@ -54,7 +54,7 @@ def _line(*parts: tuple[str, float]) -> Path2D:
     """A straight path with types on stretches of some metres."""
     out, at = [], 0.0
     for kind, metres in parts:
-        ends = torch.tensor([[0.0, at], [0.0, at + metres * METRE]])
+        ends = np.array([[0.0, at], [0.0, at + metres * METRE]], np.float32)
         out.append(PathPart(ends, kind))
         at += metres * METRE
     return make_path(out)
@@ -69,7 +69,7 @@ class _Walker:
         self.frames, self.finished = 0, False
         self._asked: FrameControls | None = None
 
-    def __call__(self, frame: int, ground: Tensor) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> FrameControls:
         if self._asked is not None and self.over:  # it waits for the others
             return self._asked
         self._asked = self.follower(frame, ground)
@@ -91,7 +91,7 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
         note = "the model knows the types of none of the paths"
         return Section("paths", "Paths", [], [], [note])
     walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.few)]
-    starts = torch.stack([_start(walker.follower) for walker in walkers])
+    starts = np.stack([_start(walker.follower) for walker in walkers])
     kinds = [walker.follower.path.parts[0].type for walker in walkers]
     performed = roll_controlled(
         model,
@@ -128,8 +128,8 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
     return Section("paths", "Paths", [Table("Distance from paths", table_columns, rows)], goals, notes)
 
 
-def _start(follower: PathFollower) -> Tensor:
+def _start(follower: PathFollower) -> Array:
     """Root x, z and heading (3,) at the start of a path."""
     tangent = follower.path.tangents[0]
     heading = math.atan2(float(tangent[0]), float(tangent[1])) - float(follower.facings[0])
-    return torch.cat([follower.path.points[0], torch.tensor([heading])])
+    return np.array([*follower.path.points[0], heading], np.float32)

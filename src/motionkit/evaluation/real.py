@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from itertools import pairwise
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError
@@ -57,7 +57,7 @@ class Manner:
     distance: float
     detour: float
 
-    def shows(self, body: Body, distances: Tensor) -> bool:
+    def shows(self, body: Body, distances: Array) -> bool:
         """Whether a motion with these distances (N,) to the poses of each type is done in this manner."""
         if not self.speeds[0] <= body.joint_speed() <= self.speeds[1]:
             return False
@@ -93,7 +93,7 @@ class RealMotion:
                     data.features, skeleton, dataset.fps, data.ground[0], dataset.references, layout
                 )
             )
-            for start, end, kind in type_stretches(data.types.numpy()):
+            for start, end, kind in type_stretches(data.types):
                 if end - start >= SHORTEST:
                     part = body.cut(start, end)
                     self.stretches.append(Stretch(dataset.types[kind], number, clip.name, clip.split, part))
@@ -102,20 +102,20 @@ class RealMotion:
                 some, kind_ids = body.poses(BANK_EVERY), data.types[::BANK_EVERY]
                 poses += [some, _mirrored(some)]
                 kinds += [kind_ids, dataset.mirrored_type_ids[kind_ids]]
-                clips.append(torch.full((2 * len(some),), number))
+                clips.append(np.full(2 * len(some), number))
         if not poses:
             raise DatasetError(f"{dataset.folder}: the dataset has no training clips to measure against")
-        order = torch.argsort(torch.cat(kinds), stable=True)
-        self._poses, self._clips = torch.cat(poses)[order], torch.cat(clips)[order]
-        counts = torch.bincount(torch.cat(kinds), minlength=len(self.types))
-        self._edges = [0, *torch.cumsum(counts, 0).tolist()]
+        order = np.argsort(np.concatenate(kinds), kind="stable")
+        self._poses, self._clips = np.concatenate(poses)[order], np.concatenate(clips)[order]
+        counts = np.bincount(np.concatenate(kinds), minlength=len(self.types))
+        self._edges = [0, *np.cumsum(counts, 0).tolist()]
         self._manners: dict[str, Manner | None] = {}
 
     def of_type(self, kind: str, split: str | None = None) -> list[Stretch]:
         """The stretches of a type, of one split or of both."""
         return [s for s in self.stretches if s.type == kind and split in (None, s.split)]
 
-    def pose_distances(self, body: Body, without: int = -1) -> Tensor:
+    def pose_distances(self, body: Body, without: int = -1) -> Array:
         """Distances (T', N) in cm a joint to the nearest training pose of each type, every POSE_EVERY frames.
 
         Infinite for a type without poses.
@@ -123,12 +123,12 @@ class RealMotion:
         Args:
             without: number of a clip whose poses do not count.
         """
-        distances = torch.cdist(body.poses(POSE_EVERY), self._poses) / JOINT_COUNT**0.5
-        distances[:, self._clips == without] = torch.inf
-        out = torch.full((len(distances), len(self.types)), torch.inf)
+        distances = distances_between(body.poses(POSE_EVERY), self._poses) / JOINT_COUNT**0.5
+        distances[:, self._clips == without] = np.inf
+        out = np.full((len(distances), len(self.types)), np.inf, np.float32)
         for kind, (start, end) in enumerate(pairwise(self._edges)):
             if end > start:
-                out[:, kind] = distances[:, start:end].amin(dim=1)
+                out[:, kind] = distances[:, start:end].min(axis=1)
         return out
 
     def manner(self, kind: str) -> Manner | None:
@@ -145,11 +145,11 @@ class RealMotion:
             for window in sign_windows(stretch.body, MANNER_SECONDS):
                 speeds.append(window.joint_speed())
                 movements.append(window.body_movement())
-                means = self.pose_distances(window, without=stretch.clip).mean(dim=0)
+                means = self.pose_distances(window, without=stretch.clip).mean(axis=0)
                 distances.append(float(means[index]))
-                detours.append(float(means[index] / means.min().clamp(min=1e-6)))
-        frames = torch.tensor([float(len(s.body)) for s in found])
-        rates = torch.tensor([s.body.joint_speed() for s in found])
+                detours.append(float(means[index] / np.maximum(means.min(), 1e-6)))
+        frames = np.array([float(len(s.body)) for s in found])
+        rates = np.array([s.body.joint_speed() for s in found])
         return Manner(
             index,
             float((frames * rates).sum() / frames.sum()),
@@ -160,13 +160,13 @@ class RealMotion:
         )
 
 
-def _mirrored(poses: Tensor) -> Tensor:
+def _mirrored(poses: Array) -> Array:
     """Poses (N, 69) of the mirror images."""
     joints = poses.reshape(-1, JOINT_COUNT, 3)[:, list(MIRROR_JOINTS)]
-    return (joints * torch.tensor([-1.0, 1.0, 1.0])).flatten(1)
+    return (joints * np.array([-1.0, 1.0, 1.0], np.float32)).reshape(len(joints), -1)
 
 
 def _quantile(values: list[float], share: float) -> float:
     """The quantile of the finite values; infinite if there are none."""
-    finite = torch.tensor([v for v in values if v < float("inf")])
-    return float(torch.quantile(finite, share)) if len(finite) else float("inf")
+    finite = np.array([v for v in values if v < float("inf")])
+    return float(np.quantile(finite, share)) if len(finite) else float("inf")

@@ -11,9 +11,10 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from motionkit.arrays import Array
 from motionkit.evaluation.body import SPEED_SPAN, Body, spans
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, roll_controlled
@@ -31,7 +32,7 @@ STEADY_SECONDS = 1 / 3  # over which a speed is taken: a step's own ups and down
 DEFAULT_SPEED = 1.3  # m/s of a type whose speed the model does not know
 
 # Called with the motion from the command on; (T,) whether each frame answers it.
-Answer = Callable[[Body], Tensor]
+Answer = Callable[[Body], Array]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,27 +88,27 @@ def commands(model: MotionModel) -> list[Command]:
 
 
 def _goes_towards(angle: float) -> Answer:
-    def answers(body: Body) -> Tensor:
+    def answers(body: Body) -> Array:
         # Back from facing to the world: velocity turned by the heading.
-        left, forward = body.velocity.unbind(-1)
-        way = body.heading + torch.atan2(left, forward)
-        off = torch.remainder(way - angle + math.pi, 2 * math.pi) - math.pi
-        return (off.abs() < DIRECTION_LIMIT) & (body.speed > 0.3)
+        left, forward = np.moveaxis(body.velocity, -1, 0)
+        way = body.heading + np.arctan2(left, forward)
+        off = np.remainder(way - angle + math.pi, 2 * math.pi) - math.pi
+        return (np.abs(off) < DIRECTION_LIMIT) & (body.speed > 0.3)
 
     return answers
 
 
 def _goes_at(speed: float) -> Answer:
-    def answers(body: Body) -> Tensor:
+    def answers(body: Body) -> Array:
         width = round(body.fps * STEADY_SECONDS) // 2 * 2 + 1
-        padded = torch.nn.functional.pad(body.speed[None, None], (width // 2, width // 2), mode="replicate")
-        smooth = torch.nn.functional.avg_pool1d(padded, width, 1)[0, 0]
-        return (smooth / speed - 1.0).abs() < SPEED_SHARE
+        padded = np.pad(body.speed, width // 2, mode="edge")
+        smooth = sliding_window_view(padded, width).mean(axis=-1)
+        return np.abs(smooth / speed - 1.0) < SPEED_SHARE
 
     return answers
 
 
-def response_seconds(answered: Tensor, fps: float) -> float | None:
+def response_seconds(answered: Array, fps: float) -> float | None:
     """Seconds until flags (T,) hold for HELD_SECONDS, None if they never do."""
     held = round(HELD_SECONDS * fps)
     return next((start / fps for start, end in spans(answered) if end - start >= held), None)
@@ -121,7 +122,7 @@ class _Commanded:
         self.change = round(BEFORE_SECONDS * model.fps)
         self.driver.set_wish(command.before)
 
-    def __call__(self, frame: int, ground: Tensor) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> FrameControls:
         if frame == self.change:
             self.driver.set_wish(self.command.after)
         return self.driver(frame, ground)

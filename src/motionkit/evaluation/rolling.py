@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.evaluation.body import Body, bodies
 from motionkit.features.decode import decode_rotations, root_height
 from motionkit.models.checkpoint import MotionModel
@@ -30,7 +30,6 @@ from motionkit.synthesis.rollout import (
     run,
     seed_batch,
 )
-from motionkit.synthesis.synthesize import inner_threads
 
 BATCH = 128  # characters a network step takes; more gain nothing and cost memory
 NEUTRAL = ("idle", "walking")  # what characters do before they are asked for a type
@@ -53,7 +52,7 @@ class Performance:
     """What one character did: its body, and the contacts (T, 4) the network predicted."""
 
     body: Body
-    contacts: Tensor
+    contacts: Array
 
     def motion(self, model: MotionModel) -> Motion:
         """As a motion to write or to lock the feet of."""
@@ -94,7 +93,7 @@ def roll_plans(
 def _roll_batch(
     model: MotionModel, plans: list[Plan], noise: Noise, seed: int, progress: Progress
 ) -> list[Performance]:
-    weights = torch.stack([plan_weights(model, plan.parts) for plan in plans], dim=1)
+    weights = np.stack([plan_weights(model, plan.parts) for plan in plans], axis=1)
     frames = len(weights)
     starts = [model.seeds[plan.parts[0].type] for plan in plans]
     features, contacts = seed_batch(
@@ -108,13 +107,12 @@ def _roll_batch(
     ]
     signals = Signals.side_by_side(asked)
 
-    def controls(frame: int, ground: Tensor) -> FrameControls:
+    def controls(frame: int, ground: Array) -> FrameControls:
         return signals.controls(frame, weights[frame])
 
-    with inner_threads(len(plans)):
-        state = RolloutState(model, len(plans), noise, seed)
-        state.start(features, contacts, weights[0], None, lengths)
-        rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
+    state = RolloutState(model, len(plans), noise, seed)
+    state.start(features, contacts, weights[0], None, lengths)
+    rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     return performances(model, rollout)
 
 
@@ -126,7 +124,7 @@ def roll_controlled(
     noise: Noise,
     seed: int = 0,
     progress: Progress | None = None,
-    ground: Tensor | None = None,
+    ground: Array | None = None,
     done: Callable[[], bool] | None = None,
 ) -> list[Performance]:
     """Let each character be controlled by its own controller for some frames, or until done.
@@ -138,20 +136,19 @@ def roll_controlled(
     """
     seeds = [model.seeds[kind] for kind in kinds]
     features, contacts = seed_batch([some[i % len(some)] for i, some in enumerate(seeds)])
-    weights = torch.eye(len(model.types))[[model.type_id(kind) for kind in kinds]]
-    made: list[tuple[Tensor, Tensor, Tensor]] = []
-    with inner_threads(len(kinds)):
-        state = RolloutState(model, len(kinds), noise, seed)
-        state.start(features, contacts, weights, ground)
-        for frame in range(frames):
-            here = state.ground
-            asked = [c(frame, here[i : i + 1]) for i, c in enumerate(controllers)]
-            made.append(state.step(together(asked)))
-            if progress:
-                progress((frame + 1) / frames)
-            if done and done():
-                break
-    return performances(model, Rollout(*(torch.stack(values, 1) for values in zip(*made, strict=True))))
+    weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(kind) for kind in kinds]]
+    made: list[tuple[Array, Array, Array]] = []
+    state = RolloutState(model, len(kinds), noise, seed)
+    state.start(features, contacts, weights, ground)
+    for frame in range(frames):
+        here = state.ground
+        asked = [c(frame, here[i : i + 1]) for i, c in enumerate(controllers)]
+        made.append(state.step(together(asked)))
+        if progress:
+            progress((frame + 1) / frames)
+        if done and done():
+            break
+    return performances(model, Rollout(*(np.stack(values, 1) for values in zip(*made, strict=True))))
 
 
 def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:
@@ -161,13 +158,13 @@ def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:
     return [Performance(body, contacts) for body, contacts in zip(found, rollout.contacts, strict=True)]
 
 
-def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Tensor, Tensor]:
+def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Array, Array]:
     """Local rotations (B, T, 23, 4) and root positions (B, T, 3) in the world of a roll-out."""
     layout = model.config.layout
     rotations = decode_rotations(rollout.features, model.references, layout)
     root = quat_multiply(quat_from_yaw(rollout.ground[..., 2]), rotations[..., 0, :])
-    rotations = torch.cat([root[..., None, :], rotations[..., 1:, :]], dim=-2)
-    rotations = torch.stack([quat_continuous(each) for each in rotations])
+    rotations = np.concatenate([root[..., None, :], rotations[..., 1:, :]], axis=-2)
+    rotations = np.stack([quat_continuous(each) for each in rotations])
     height = root_height(rollout.features, layout)
-    roots = torch.stack([rollout.ground[..., 0], height, rollout.ground[..., 1]], dim=-1)
+    roots = np.stack([rollout.ground[..., 0], height, rollout.ground[..., 1]], axis=-1)
     return rotations, raised(rollout.features, rotations, roots, model.character("default"), layout)

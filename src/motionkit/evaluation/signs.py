@@ -9,8 +9,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import torch
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from motionkit.arrays import lower_median
 from motionkit.evaluation.body import Body, spans
 
 HOLD = 0.8  # share of the windows that must show a lasting sign
@@ -52,7 +54,7 @@ def _steps(body: Body) -> bool:
 
 
 def _idle(body: Body) -> bool:
-    standing = float(body.lifts.amax(dim=-1).median()) < 10.0
+    standing = float(lower_median(body.lifts.max(axis=-1))) < 10.0
     return float(body.speed.mean()) < 0.15 and standing and body.joint_speed() < 1.0
 
 
@@ -87,7 +89,7 @@ def take_offs(body: Body) -> list[str]:
     for start, end in body.flights:
         if end - start < JUMP_SECONDS * body.fps - 0.5 or start == 0:
             continue
-        left, right = body.lifts[max(0, start - before) : start].mean(dim=0).tolist()
+        left, right = body.lifts[max(0, start - before) : start].mean(axis=0).tolist()
         out.append("b" if abs(left - right) < ONE_FOOT else ("l" if left < right else "r"))
     return out
 
@@ -130,10 +132,8 @@ def _punching(body: Body) -> bool:
     high = body.hand_heights - body.positions[:, :1, 1] > 20.0
     straight = (body.arm_extension > 0.9) & (body.arm_ahead > 0.75) & high
     thrust = (body.arm_thrust > 65.0) & (body.arm_extension < 0.8)
-    after = torch.nn.functional.max_pool1d(
-        torch.nn.functional.pad(straight.T.float()[None], (0, soon)), soon + 1, 1
-    )[0].T
-    return bool((thrust & (after > 0)).any())
+    after = sliding_window_view(np.pad(straight, ((0, soon), (0, 0))), soon + 1, axis=0).any(axis=-1)
+    return bool((thrust & after).any())
 
 
 # ---- turning over ----
@@ -172,7 +172,7 @@ def turns(body: Body) -> list[Turn]:
     for start, end in found:
         near = slice(max(0, start - around), min(len(body), end + around))
         turned = body.turned[near]
-        reach = turned.amax(dim=0) - turned.amin(dim=0)
+        reach = turned.max(axis=0) - turned.min(axis=0)
         forwards = turned[:, 0]
         # Forwards keeps its sign: that of the larger way.
         ahead = float(forwards.max() - forwards[0]) > float(forwards[0] - forwards.min())

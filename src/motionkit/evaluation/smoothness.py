@@ -6,7 +6,7 @@ pass for smooth. The measure is therefore the speed that all but one in a thousa
 
 from __future__ import annotations
 
-import torch
+import numpy as np
 
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.real import RealMotion
@@ -30,15 +30,17 @@ SEQUENCES = (
 
 def fastest_turn(body: Body) -> tuple[float, str]:
     """Degrees per second of the fastest joint between two frames, and its name."""
-    speeds = geodesic_movement(body.rotations).amax(dim=0) * body.fps
+    speeds = geodesic_movement(body.rotations).max(axis=0) * body.fps
     joint = int(speeds.argmax())
     return float(speeds[joint]), JOINT_NAMES[joint]
 
 
 def recorded_limit(real: RealMotion) -> tuple[float, float]:
     """Degrees per second the fastest joint keeps below in REAL_SHARE of the recorded frames, and its largest."""
-    frames = torch.cat([geodesic_movement(s.body.rotations).amax(dim=1) * s.body.fps for s in real.stretches])
-    ordered = frames.sort().values
+    frames = np.concatenate(
+        [geodesic_movement(s.body.rotations).max(axis=1) * s.body.fps for s in real.stretches]
+    )
+    ordered = np.sort(frames)
     return float(ordered[int(REAL_SHARE * (len(ordered) - 1))]), float(ordered[-1])
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from motionkit.arrays import Array
 from motionkit.motion.skeleton import FOOT_JOINTS
 
 # A joint touches when it is slow and low. Order: left foot, left toe, right foot, right toe. Heights in
@@ -14,7 +15,7 @@ CONTACT_SPEED = 40.0  # cm per second
 _FILTER = 5  # frames; removes single-frame flicker
 
 
-def foot_contacts(global_positions: Tensor, fps: float) -> Tensor:
+def foot_contacts(global_positions: Array, fps: float) -> Array:
     """Contact labels (T, 4) of 0 and 1 for left foot, left toe, right foot, right toe.
 
     Args:
@@ -23,15 +24,15 @@ def foot_contacts(global_positions: Tensor, fps: float) -> Tensor:
     """
     feet = global_positions[:, list(FOOT_JOINTS)]
     if len(feet) < 2:
-        return (feet[..., 1] < torch.tensor(CONTACT_HEIGHTS)).to(feet.dtype)
-    steps = torch.diff(feet, dim=0).norm(dim=-1) * fps
-    speed = torch.cat([steps[:1], steps]) * 0.5 + torch.cat([steps, steps[-1:]]) * 0.5
-    touching = (speed < CONTACT_SPEED) & (feet[..., 1] < torch.tensor(CONTACT_HEIGHTS))
-    return _majority(touching.to(feet.dtype))
+        return (feet[..., 1] < np.array(CONTACT_HEIGHTS)).astype(feet.dtype)
+    steps = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
+    speed = np.concatenate([steps[:1], steps]) * 0.5 + np.concatenate([steps, steps[-1:]]) * 0.5
+    touching = (speed < CONTACT_SPEED) & (feet[..., 1] < np.array(CONTACT_HEIGHTS))
+    return _majority(touching.astype(feet.dtype))
 
 
-def _majority(labels: Tensor) -> Tensor:
+def _majority(labels: Array) -> Array:
     """Each label becomes that of most of its neighbours in a short window (T, 4)."""
     half = _FILTER // 2
-    padded = torch.cat([labels[:1].expand(half, -1), labels, labels[-1:].expand(half, -1)])
-    return (padded.unfold(0, _FILTER, 1).mean(-1) > 0.5).to(labels.dtype)
+    padded = np.pad(labels, ((half, half), (0, 0)), mode="edge")
+    return (sliding_window_view(padded, _FILTER, axis=0).mean(-1) > 0.5).astype(labels.dtype)

@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.normalize import Scaling
 from motionkit.motion.rotations import rotate_ground
@@ -73,7 +73,7 @@ class ControlLayout:
         return self.guided + 1
 
 
-def future_trajectory(ground: Tensor, frames: Tensor) -> Tensor:
+def future_trajectory(ground: Array, frames: Array) -> Array:
     """Trajectory numbers (..., 24) of the given frames, in the heading frame of each.
 
     Beyond the last frame the root goes on as it went over the last six frames, facing as it did.
@@ -83,25 +83,27 @@ def future_trajectory(ground: Tensor, frames: Tensor) -> Tensor:
         frames: (...) indices into ground.
     """
     last = ground.shape[0] - 1
-    ahead = frames[..., None] + torch.tensor(TRAJECTORY_OFFSETS)
-    beyond = (ahead - last).clamp(min=0).to(ground.dtype)
+    ahead = frames[..., None] + np.array(TRAJECTORY_OFFSETS)
+    beyond = np.maximum(ahead - last, 0).astype(ground.dtype)
     span = min(6, last)
     drift = (ground[last, :2] - ground[last - span, :2]) / max(span, 1)
-    targets = ground[ahead.clamp(max=last)]
+    targets = ground[np.minimum(ahead, last)]
     positions = targets[..., :2] + beyond[..., None] * drift
     here = ground[frames]
     relative = rotate_ground(-here[..., None, 2], positions - here[..., None, :2])
     turn = targets[..., 2] - here[..., None, 2]
-    directions = torch.stack([torch.sin(turn), torch.cos(turn)], dim=-1)
-    return torch.cat([relative.flatten(-2), directions.flatten(-2)], dim=-1)
+    directions = np.stack([np.sin(turn), np.cos(turn)], axis=-1)
+    count = TRAJECTORY_COUNT // 2
+    shape = (*frames.shape, count)
+    return np.concatenate([relative.reshape(shape), directions.reshape(shape)], axis=-1)
 
 
-def trajectory_mirror() -> Tensor:
+def trajectory_mirror() -> Array:
     """Signs (24,) that mirror trajectory numbers at the plane x = 0."""
-    return torch.tensor([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)))
+    return np.array([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)), np.float32)
 
 
-def blend_types(type_ids: Tensor, count: int, blend: int = TYPE_BLEND_FRAMES) -> Tensor:
+def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> Array:
     """Type weights (T, count) that move linearly over the blend frames centred on each change.
 
     Args:
@@ -109,32 +111,32 @@ def blend_types(type_ids: Tensor, count: int, blend: int = TYPE_BLEND_FRAMES) ->
         count: the number of types.
         blend: frames a change takes (the paper's 40).
     """
-    weights = torch.nn.functional.one_hot(type_ids.long(), count).to(torch.float32)
+    weights = np.eye(count, dtype=np.float32)[type_ids]
     if blend < 2 or bool((type_ids == type_ids[0]).all()):
         return weights
     before, after = blend // 2, blend - blend // 2
-    padded = torch.cat([weights[:1].expand(before, -1), weights, weights[-1:].expand(after, -1)])
-    sums = torch.cumsum(torch.cat([torch.zeros(1, count), padded]).double(), dim=0)
-    return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).float()
+    padded = np.pad(weights, ((before, after), (0, 0)), mode="edge")
+    sums = np.pad(np.cumsum(padded, axis=0, dtype=np.float64), ((1, 0), (0, 0)))
+    return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).astype(np.float32)
 
 
-def phase_signal(progress: Tensor) -> Tensor:
+def phase_signal(progress: Array) -> Array:
     """Sine and cosine (..., 2) of a turn for progress (...) in [0, 1); zeros where it is negative: no phase."""
-    angle = 2.0 * torch.pi * progress
-    return torch.stack([torch.sin(angle), torch.cos(angle)], dim=-1) * (progress >= 0)[..., None]
+    angle = 2.0 * np.pi * progress
+    return np.stack([np.sin(angle), np.cos(angle)], axis=-1) * (progress >= 0)[..., None]
 
 
 def control_vector(
     layout: ControlLayout,
-    skeleton_B69: Tensor,
-    type_weights: Tensor,
-    trajectory: Tensor,
-    given: Tensor,
-    progress: Tensor,
-    guide: Tensor,
-    guided: Tensor,
+    skeleton_B69: Array,
+    type_weights: Array,
+    trajectory: Array,
+    given: Array,
+    progress: Array,
+    guide: Array,
+    guided: Array,
     trajectory_scaling: Scaling,
-) -> Tensor:
+) -> Array:
     """Control vectors (..., C): trajectory normalised; it and the guide zero where they are not given.
 
     progress (...) is that of phase_signal, negative for types without a phase; guide (..., 72) is as GuideMap shows it.
@@ -142,12 +144,14 @@ def control_vector(
     shown = trajectory_scaling.normalize(trajectory) * given[..., None]
     parts = [skeleton_B69, type_weights, shown, given[..., None], phase_signal(progress)]
     parts += [guide * guided[..., None], guided[..., None]]
-    out = torch.cat([p.expand(*type_weights.shape[:-1], p.shape[-1]) for p in parts], dim=-1)
+    out = np.concatenate(
+        [np.broadcast_to(p, (*type_weights.shape[:-1], p.shape[-1])) for p in parts], axis=-1
+    )
     assert out.shape[-1] == layout.size
     return out
 
 
-def skeleton_signal(skeleton: Skeleton) -> Tensor:
+def skeleton_signal(skeleton: Skeleton) -> Array:
     """The 69 skeleton numbers: rest-pose joint positions against the canonical body's."""
     difference = skeleton.rest_positions() - canonical_skeleton().rest_positions()
     return (difference / SKELETON_UNIT).reshape(SKELETON_COUNT)

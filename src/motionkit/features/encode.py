@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.features.contacts import foot_contacts
 from motionkit.features.heading import heading_angles
@@ -41,18 +40,18 @@ class EncodedMotion:
         ground: (T, 3) root x, root z (cm) and heading (radians) in the world, from which controls are cut.
     """
 
-    features: Tensor
-    contacts: Tensor
-    ground: Tensor
+    features: Array
+    contacts: Array
+    ground: Array
 
 
-def identity_references() -> Tensor:
+def identity_references() -> Array:
     """Reference rotations (23, 4) that leave the exponential maps as the paper has them."""
     return quat_identity((JOINT_COUNT,))
 
 
 def encode_motion(
-    motion: Motion, references: Tensor | None = None, layout: str = DEFAULT_LAYOUT
+    motion: Motion, references: Array | None = None, layout: str = DEFAULT_LAYOUT
 ) -> EncodedMotion:
     """Features, contacts and ground track of a motion on the canonical joints.
 
@@ -78,16 +77,16 @@ def encode_motion(
     yaw = heading_angles(positions, motion.fps)
     to_heading = quat_from_yaw(-yaw)
     root_xz = positions[:, 0, [0, 2]]
-    ground = torch.cat([root_xz, yaw[:, None]], dim=-1)
+    ground = np.concatenate([root_xz, yaw[:, None]], axis=-1)
 
-    origin = torch.stack([root_xz[:, 0], torch.zeros_like(yaw), root_xz[:, 1]], dim=-1)
+    origin = np.stack([root_xz[:, 0], np.zeros_like(yaw), root_xz[:, 1]], axis=-1)
     facing_positions = quat_rotate(to_heading[:, None], positions - origin[:, None])
     velocities = _backward(positions, motion.fps)
     facing_velocities = quat_rotate(to_heading[:, None], velocities)
     root_rotation = quat_multiply(to_heading, motion.local_rotations[:, 0])
     turns = quat_multiply(quat_inverse(motion.local_rotations[:-1]), motion.local_rotations[1:])
     angular = quat_to_expmap(turns) * motion.fps
-    angular = torch.cat([angular[:1], angular])
+    angular = np.concatenate([angular[:1], angular])
 
     frames = len(motion)
     continuous = layout.startswith("sixd")
@@ -103,24 +102,24 @@ def encode_motion(
         "joint_velocities": facing_velocities.reshape(frames, -1),
     }
     if continuous:
-        parts["joint_positions"] = torch.cat(
+        parts["joint_positions"] = np.concatenate(
             [parts["joint_positions"][:, 1:2], parts["joint_positions"][:, 3:]], -1
         )
         parts["joint_velocities"] = parts["joint_velocities"][:, 1:]
-    features = torch.cat([parts[name] for name in feature_layout(layout).blocks], dim=-1)
+    features = np.concatenate([parts[name] for name in feature_layout(layout).blocks], axis=-1)
     return EncodedMotion(features, foot_contacts(positions, motion.fps), ground)
 
 
-def _backward(values: Tensor, fps: float) -> Tensor:
+def _backward(values: Array, fps: float) -> Array:
     """Differences to the frame before per second (T, ...); the first repeats the second."""
-    steps = torch.diff(values, dim=0) * fps
-    return torch.cat([steps[:1], steps])
+    steps = np.diff(values, axis=0) * fps
+    return np.concatenate([steps[:1], steps])
 
 
-def relative_expmaps(rotations: Tensor, references: Tensor) -> Tensor:
+def relative_expmaps(rotations: Array, references: Array) -> Array:
     """Exponential maps (T, J, 3) of rotations (T, J, 4) relative to references (J, 4), followed through pi."""
     relative = quat_multiply(quat_inverse(references), rotations)
-    quats = relative.numpy().copy()
+    quats = relative.copy()
     fold = np.cos(0.5 * FOLD_ANGLE)
     quats[0] *= np.where(quats[0, :, :1] < 0, -1.0, 1.0)
     agree = np.einsum("tjk,tjk->tj", quats[1:], quats[:-1])
@@ -130,12 +129,12 @@ def relative_expmaps(rotations: Tensor, references: Tensor) -> Tensor:
         sign = np.where(sign * quats[t, :, 0] < fold, -sign, sign)
         quats[t] *= sign[:, None]
         previous_sign = sign
-    return _expmap_any_branch(torch.from_numpy(quats))
+    return _expmap_any_branch(quats)
 
 
-def _expmap_any_branch(quat: Tensor) -> Tensor:
+def _expmap_any_branch(quat: Array) -> Array:
     """Exponential maps (..., 3) up to 2 pi: the sign of the quaternion tells which way round."""
-    sine = quat[..., 1:].norm(dim=-1, keepdim=True)
-    angle = 2.0 * torch.atan2(sine, quat[..., :1])
-    scale = torch.where(sine < 1e-6, torch.full_like(sine, 2.0), angle / sine.clamp(min=1e-6))
+    sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
+    angle = 2.0 * np.arctan2(sine, quat[..., :1])
+    scale = np.where(sine < 1e-6, np.full_like(sine, 2.0), angle / np.maximum(sine, 1e-6))
     return scale * quat[..., 1:]

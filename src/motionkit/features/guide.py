@@ -17,9 +17,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.features.layout import FeatureLayout
 from motionkit.features.normalize import Scaling
 
@@ -40,15 +40,15 @@ class PoseOutline:
         offset: (24,) subtracted.
     """
 
-    matrix: Tensor
-    offset: Tensor
+    matrix: Array
+    offset: Array
 
-    def of(self, features: Tensor) -> Tensor:
+    def of(self, features: Array) -> Array:
         """Outlines (..., 24) of features (..., 276), unnormalised."""
         return features @ self.matrix - self.offset
 
 
-def fit_outline(features: Tensor, weights: Tensor, layout: FeatureLayout) -> PoseOutline:
+def fit_outline(features: Array, weights: Array, layout: FeatureLayout) -> PoseOutline:
     """The directions in which poses differ most, those even and those odd under mirroring together in order.
 
     Args:
@@ -56,40 +56,40 @@ def fit_outline(features: Tensor, weights: Tensor, layout: FeatureLayout) -> Pos
         weights: (N,) how much each frame counts.
     """
     block = layout.blocks["joint_positions"]
-    poses = features[:, block].double()
-    share = (weights / weights.sum()).double()
+    poses = features[:, block].astype(np.float64)
+    share = (weights / weights.sum()).astype(np.float64)
     indices, signs = layout.mirror_map()
-    swap = torch.zeros(poses.shape[1], poses.shape[1], dtype=torch.float64)
-    rows = torch.arange(poses.shape[1])
-    swap[indices[block] - block.start, rows] = signs[block].double()
+    swap = np.zeros((poses.shape[1], poses.shape[1]), np.float64)
+    rows = np.arange(poses.shape[1])
+    swap[indices[block] - block.start, rows] = signs[block].astype(np.float64)
     mean = share @ poses
     # Over poses and their mirror images, whose mean is even and whose covariance keeps even and odd apart.
     mean = 0.5 * (mean + mean @ swap)
     moved = poses - mean
     spread = moved.T @ (moved * share[:, None])
     spread = 0.5 * (spread + swap.T @ spread @ swap)
-    values, vectors = torch.linalg.eigh(spread)
-    best = values.argsort(descending=True)[:OUTLINE_COUNT]
+    values, vectors = np.linalg.eigh(spread)
+    best = np.argsort(-values, kind="stable")[:OUTLINE_COUNT]
     directions = vectors[:, best]
     # A direction and its negative are one: the largest number of each is positive, the first of those that left and
     # right have in common.
-    sizes = directions.abs()
-    largest = (sizes > 0.999 * sizes.amax(dim=0)).int().argmax(dim=0)
-    directions = directions * directions[largest, torch.arange(len(best))].sign()
+    sizes = np.abs(directions)
+    largest = (sizes > 0.999 * sizes.max(axis=0)).astype(np.int32).argmax(axis=0)
+    directions = directions * np.sign(directions[largest, np.arange(len(best))])
     # Where poses differ along fewer directions the others would be any, and other ones on another machine.
     directions = directions * (values[best] > LEAST_SHARE * values[best[0]])
     # Small directions stay small beside large ones, but are not lost.
-    scale = values[best].clamp(min=0.0).sqrt()
-    scale = torch.maximum(scale, 0.3 * scale.max()).clamp(min=1e-6)
-    matrix = torch.zeros(features.shape[1], OUTLINE_COUNT, dtype=torch.float64)
+    scale = np.sqrt(np.maximum(values[best], 0.0))
+    scale = np.maximum(np.maximum(scale, 0.3 * scale.max()), 1e-6)
+    matrix = np.zeros((features.shape[1], OUTLINE_COUNT), np.float64)
     matrix[block, : len(best)] = directions / scale
-    return PoseOutline(matrix.float(), (mean @ (directions / scale)).float())
+    return PoseOutline(matrix.astype(np.float32), (mean @ (directions / scale)).astype(np.float32))
 
 
-def guide_signal(outlines: Tensor, frames: Tensor) -> Tensor:
+def guide_signal(outlines: Array, frames: Array) -> Array:
     """Guides (..., 72) of frames (...), indices into outlines (T, 24); the last outline is held beyond its end."""
-    ahead = frames[..., None] + torch.tensor(GUIDE_OFFSETS)
-    return outlines[ahead.clamp(max=len(outlines) - 1)].flatten(-2)
+    ahead = frames[..., None] + np.array(GUIDE_OFFSETS)
+    return outlines[np.minimum(ahead, len(outlines) - 1)].reshape(*frames.shape, GUIDE_COUNT)
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,22 +101,18 @@ class GuideMap:
         matrix, constant: (276, 72), (72,) of the present frame x, normalised.
     """
 
-    gains: Tensor
-    matrix: Tensor
-    constant: Tensor
+    gains: Array
+    matrix: Array
+    constant: Array
 
-    def shown(self, guide: Tensor, x: Tensor) -> Tensor:
+    def shown(self, guide: Array, x: Array) -> Array:
         """Guides (..., 72) as seen from normalised frames x (..., 276)."""
         return self.gains * guide - (x @ self.matrix + self.constant)
-
-    def to(self, device: torch.device) -> GuideMap:
-        """The map on a device."""
-        return GuideMap(*(value.to(device) for value in vars(self).values()))
 
 
 def guide_map(outline: PoseOutline, scaling: Scaling) -> GuideMap:
     """The map of an outline and of the scaling of features."""
-    gains = torch.tensor(GUIDE_GAINS).repeat_interleave(OUTLINE_COUNT)
-    matrix = (scaling.std[:, None] * outline.matrix).repeat(1, len(GUIDE_OFFSETS))
-    constant = (scaling.mean @ outline.matrix - outline.offset).repeat(len(GUIDE_OFFSETS))
+    gains = np.array(GUIDE_GAINS, np.float32).repeat(OUTLINE_COUNT)
+    matrix = np.tile(scaling.std[:, None] * outline.matrix, len(GUIDE_OFFSETS))
+    constant = np.tile(scaling.mean @ outline.matrix - outline.offset, len(GUIDE_OFFSETS))
     return GuideMap(gains, matrix * gains, constant * gains)

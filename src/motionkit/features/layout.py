@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cache
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import ModelError
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, MIRROR_JOINTS
 
@@ -54,11 +54,11 @@ class FeatureLayout:
         """The 12 columns that belong to a joint, in order."""
         return [index for index, column in enumerate(self.columns) if column.joint == joint]
 
-    def mirror_map(self) -> tuple[Tensor, Tensor]:
+    def mirror_map(self) -> tuple[Array, Array]:
         """Column indices (276,) and signs (276,): mirrored = features[..., indices] * signs."""
         place = {(c.block, c.joint, c.component): index for index, c in enumerate(self.columns)}
         indices = [place[c.block, MIRROR_JOINTS[c.joint], c.component] for c in self.columns]
-        return torch.tensor(indices), torch.tensor([c.mirror_sign for c in self.columns])
+        return np.array(indices), np.array([c.mirror_sign for c in self.columns], np.float32)
 
 
 def _block(name: str, joints: range | list[int], signs: tuple[float, ...]) -> list[Column]:
@@ -102,9 +102,16 @@ def _root_vector(name: str, components: tuple[int, ...]) -> list[Column]:
     return [Column(name, 0, k, _VECTOR[k]) for k in components]
 
 
-def contact_mirror() -> Tensor:
+def root_height_column(version: str) -> int:
+    """The column of the root's height above the floor."""
+    layout = feature_layout(version)
+    block = layout.blocks["joint_positions"]
+    return next(i for i in range(block.start, block.stop) if layout.columns[i].component == 1)
+
+
+def contact_mirror() -> Array:
     """Indices (4,) that swap the contacts of the left and the right foot."""
-    return torch.tensor([2, 3, 0, 1])
+    return np.array([2, 3, 0, 1])
 
 
 def column_names(version: str = DEFAULT_LAYOUT) -> list[str]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.features.layout import FeatureLayout
 
 # Columns that hardly move (a rest rotation, a fixed joint) would be blown up by their own deviation;
@@ -21,14 +20,14 @@ DIRECTION_FLOOR = 0.05
 class Scaling:
     """A mean and a deviation per column; normalised = (value - mean) / std."""
 
-    mean: Tensor
-    std: Tensor
+    mean: Array
+    std: Array
 
-    def normalize(self, values: Tensor) -> Tensor:
+    def normalize(self, values: Array) -> Array:
         """To zero mean and unit deviation."""
         return (values - self.mean) / self.std
 
-    def denormalize(self, values: Tensor) -> Tensor:
+    def denormalize(self, values: Array) -> Array:
         """Back to cm, radians and their rates."""
         return values * self.std + self.mean
 
@@ -48,19 +47,19 @@ class RunningMoments:
         self.total += rows.sum(axis=0)
         self.squares += (rows**2).sum(axis=0)
 
-    def mean_std(self) -> tuple[Tensor, Tensor]:
+    def mean_std(self) -> tuple[Array, Array]:
         """Mean and deviation (columns,) of all rows so far."""
         mean = self.total / max(self.count, 1)
         variance = np.maximum(self.squares / max(self.count, 1) - mean**2, 0.0)
-        return torch.from_numpy(mean).float(), torch.from_numpy(np.sqrt(variance)).float()
+        return mean.astype(np.float32), np.sqrt(variance).astype(np.float32)
 
 
 def feature_scaling(moments: RunningMoments, layout: FeatureLayout) -> Scaling:
     """Scaling of the 276 features with the block floor."""
     mean, std = moments.mean_std()
     for block in layout.blocks.values():
-        floor = BLOCK_FLOOR * std[block].square().mean().sqrt()
-        std[block] = std[block].clamp(min=max(float(floor), 1e-6))
+        floor = BLOCK_FLOOR * np.sqrt(np.square(std[block]).mean())
+        std[block] = np.maximum(std[block], max(float(floor), 1e-6))
     return Scaling(mean, std)
 
 
@@ -68,6 +67,6 @@ def trajectory_scaling(moments: RunningMoments) -> Scaling:
     """Scaling of the 24 trajectory numbers: positions at least 5 cm, directions at least 0.05."""
     mean, std = moments.mean_std()
     half = len(std) // 2
-    std[:half] = std[:half].clamp(min=TRAJECTORY_FLOOR)
-    std[half:] = std[half:].clamp(min=DIRECTION_FLOOR)
+    std[:half] = np.maximum(std[:half], TRAJECTORY_FLOOR)
+    std[half:] = np.maximum(std[half:], DIRECTION_FLOOR)
     return Scaling(mean, std)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricValue
 from motionkit.motion.rotations import quat_angle, quat_to_euler, wrap_angle
@@ -12,7 +12,7 @@ from motionkit.motion.rotations import quat_angle, quat_to_euler, wrap_angle
 EULER_ORDER = "ZYX"  # the order of the CMU files, and of what motionkit writes
 
 
-def euler_movement(local_rotations: Tensor) -> Tensor:
+def euler_movement(local_rotations: Array) -> Array:
     """Degrees (T - 1, J): the L1 change of each joint's Euler angles, each change folded into +-180.
 
     Angles are ZYX with the middle one within +-90. Their rates grow without bound near the pole, and the
@@ -21,21 +21,21 @@ def euler_movement(local_rotations: Tensor) -> Tensor:
     Args:
         local_rotations: (T, J, 4) quaternions in the parent's space.
     """
-    angles = quat_to_euler(local_rotations.double(), EULER_ORDER)
-    return torch.rad2deg(wrap_angle(torch.diff(angles, dim=0)).abs().sum(-1))
+    angles = quat_to_euler(local_rotations.astype(np.float64), EULER_ORDER)
+    return np.rad2deg(np.abs(wrap_angle(np.diff(angles, axis=0))).sum(-1))
 
 
-def geodesic_movement(local_rotations: Tensor) -> Tensor:
+def geodesic_movement(local_rotations: Array) -> Array:
     """Degrees (T - 1, J): the angle of the rotation from each frame to the next.
 
     Args:
         local_rotations: (T, J, 4) quaternions in the parent's space.
     """
-    quat = local_rotations.double()
-    return torch.rad2deg(quat_angle(quat[:-1], quat[1:]))
+    quat = local_rotations.astype(np.float64)
+    return np.rad2deg(quat_angle(quat[:-1], quat[1:]))
 
 
-def body_movement(local_rotations: Tensor, kind: str = "euler") -> MetricValue:
+def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
     """BM in degrees per frame: the movement of a frame summed over joints, averaged over time.
 
     Args:

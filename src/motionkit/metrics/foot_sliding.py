@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.ground import ground_speed
 from motionkit.metrics.value import MetricSettings, MetricValue
 
 
-def average_foot_sliding(feet: Tensor, floor: float, settings: MetricSettings | None = None) -> MetricValue:
+def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
     """AFS in cm per frame (paper, equation AFS): ground speed, weighted 1 on the floor down to 0 at height H.
 
     Args:
@@ -23,9 +23,9 @@ def average_foot_sliding(feet: Tensor, floor: float, settings: MetricSettings | 
     settings = settings or MetricSettings()
     if len(feet) < 2:
         raise MotionkitError(f"average foot sliding needs at least 2 frames, found {len(feet)}")
-    limits = torch.tensor([settings.foot_height, settings.toe_height] * 2, dtype=torch.float64)
-    exponent = ((feet[1:, :, 1].double() - floor) / limits).clamp(0.0, 1.0)
-    sliding = ground_speed(feet) * (2.0 - torch.exp2(exponent))
+    limits = np.array([settings.foot_height, settings.toe_height] * 2, np.float64)
+    exponent = np.clip((feet[1:, :, 1].astype(np.float64) - floor) / limits, 0.0, 1.0)
+    sliding = ground_speed(feet) * (2.0 - np.exp2(exponent))
     parameters: dict[str, float | str] = {
         "foot_height_cm": settings.foot_height,
         "toe_height_cm": settings.toe_height,

@@ -5,9 +5,9 @@ Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm wit
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
 from motionkit.motion.skeleton import FOOT_JOINTS
@@ -19,12 +19,12 @@ STANCE_FRAMES = 10  # with fewer standing frames, all frames are taken
 SINK_MARGIN = 0.5  # cm below the floor that measuring noise alone reaches
 
 
-def foot_positions(global_positions: Tensor) -> Tensor:
+def foot_positions(global_positions: Array) -> Array:
     """The four foot joints (T, 4, 3) of canonical joints (T, 23, 3)."""
     return global_positions[:, list(FOOT_JOINTS)]
 
 
-def floor_height(feet: Tensor, fps: float = FRAME_RATE) -> float:
+def floor_height(feet: Array, fps: float = FRAME_RATE) -> float:
     """Height in cm of the clip's own floor: the lower quartile of the lowest foot joint while it stands still.
 
     The level is that of the joints at rest, not of the soles under them.
@@ -37,23 +37,24 @@ def floor_height(feet: Tensor, fps: float = FRAME_RATE) -> float:
     """
     if len(feet) == 0:
         raise MotionkitError("a floor cannot be found in a motion without frames")
-    feet = feet.double()
-    lowest = feet[..., 1].min(dim=1)
+    feet = feet.astype(np.float64)
+    foot = feet[..., 1].argmin(axis=1)
+    lowest = feet[np.arange(len(feet)), foot, 1]
     if len(feet) < 2:
-        return float(lowest.values[0])
-    moves = torch.diff(feet, dim=0).norm(dim=-1) * fps
-    speed = 0.5 * (torch.cat([moves[:1], moves]) + torch.cat([moves, moves[-1:]]))
-    still = speed.gather(1, lowest.indices[:, None]).squeeze(1) < STANCE_SPEED
-    heights = lowest.values[still] if int(still.sum()) >= STANCE_FRAMES else lowest.values
-    return float(heights.sort().values[int(STANCE_QUANTILE * (len(heights) - 1))])
+        return float(lowest[0])
+    moves = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
+    speed = 0.5 * (np.concatenate([moves[:1], moves]) + np.concatenate([moves, moves[-1:]]))
+    still = speed[np.arange(len(feet)), foot] < STANCE_SPEED
+    heights = lowest[still] if int(still.sum()) >= STANCE_FRAMES else lowest
+    return float(np.sort(heights)[int(STANCE_QUANTILE * (len(heights) - 1))])
 
 
-def ground_speed(feet: Tensor) -> Tensor:
+def ground_speed(feet: Array) -> Array:
     """Distance (T - 1, 4) in cm that each foot joint moves along the ground from frame to frame."""
-    return torch.diff(feet.double()[..., [0, 2]], dim=0).norm(dim=-1)
+    return np.linalg.norm(np.diff(feet.astype(np.float64)[..., [0, 2]], axis=0), axis=-1)
 
 
-def foot_skate_ratio(feet: Tensor, floor: float, settings: MetricSettings | None = None) -> MetricValue:
+def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
     """The share of standing toe samples that move along the ground faster than a threshold.
 
     Each toe in each frame is a sample; it stands where its height above the floor is under a threshold
@@ -69,7 +70,7 @@ def foot_skate_ratio(feet: Tensor, floor: float, settings: MetricSettings | None
     settings = settings or MetricSettings()
     if len(feet) < 2:
         raise MotionkitError(f"foot skate needs at least 2 frames, found {len(feet)}")
-    toes = feet.double()[:, list(TOES)]
+    toes = feet.astype(np.float64)[:, list(TOES)]
     low = toes[..., 1] - floor < settings.skate_height
     standing = low[1:] & low[:-1]
     if not bool(standing.any()):
@@ -83,7 +84,7 @@ def foot_skate_ratio(feet: Tensor, floor: float, settings: MetricSettings | None
     return MetricValue("skate-ratio", float(skating.sum() / standing.sum()), "", parameters)
 
 
-def penetration(feet: Tensor, floor: float) -> tuple[MetricValue, MetricValue]:
+def penetration(feet: Array, floor: float) -> tuple[MetricValue, MetricValue]:
     """How far the lowest foot joint sinks below the floor: mean over all frames, and largest, in cm.
 
     Args:
@@ -94,7 +95,7 @@ def penetration(feet: Tensor, floor: float) -> tuple[MetricValue, MetricValue]:
     """
     if len(feet) == 0:
         raise MotionkitError("penetration needs at least 1 frame, found 0")
-    depth = (floor - feet.double()[..., 1]).amax(dim=1).clamp(min=0.0)
+    depth = np.maximum((floor - feet.astype(np.float64)[..., 1]).max(axis=1), 0.0)
     parameters: dict[str, float | str] = {"floor_cm": floor}
     return (
         MetricValue("penetration-mean", float(depth.mean()), "cm", parameters),

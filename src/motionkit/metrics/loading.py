@@ -6,7 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import torch
+import numpy as np
 
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.motion import Motion
@@ -70,7 +70,7 @@ def _canonical_order(skeleton: Skeleton) -> list[int] | None:
 def _reordered(motion: Motion, order: list[int]) -> Motion:
     skeleton = motion.skeleton
     place = {old: new for new, old in enumerate(order)}
-    picked = torch.tensor(order)
+    picked = np.array(order)
     return replace(
         motion,
         skeleton=Skeleton(

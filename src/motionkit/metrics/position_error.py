@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricValue
 
 
-def mean_position_error(generated: Tensor, reference: Tensor) -> MetricValue:
+def mean_position_error(generated: Array, reference: Array) -> MetricValue:
     """MPJPE in cm (paper, equation MPJPE): joints relative to the root's position, heading kept.
 
     Args:
@@ -22,6 +23,8 @@ def mean_position_error(generated: Tensor, reference: Tensor) -> MetricValue:
         )
     if len(generated) == 0:
         raise MotionkitError("MPJPE needs at least 1 frame, found 0")
-    generated, reference = generated.double(), reference.double()
+    generated, reference = generated.astype(np.float64), reference.astype(np.float64)
     error = (generated - generated[:, :1]) - (reference - reference[:, :1])
-    return MetricValue("mpjpe", float(error.norm(dim=-1).mean()), "cm", {"joints": float(error.shape[1])})
+    return MetricValue(
+        "mpjpe", float(np.linalg.norm(error, axis=-1).mean()), "cm", {"joints": float(error.shape[1])}
+    )

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-import torch
+import numpy as np
 
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.features.heading import heading_angles
@@ -205,12 +205,12 @@ def _named(files: str, evaluate: Callable[[], MetricReport]) -> MetricReport:
 def placed_like(motion: Motion, reference: Motion) -> Motion:
     """The motion turned about Y and moved along the ground so that its first frame faces and stands alike."""
     yaws = [heading_angles(motion_kinematics(each)[1], each.fps)[0] for each in (motion, reference)]
-    turn = quat_from_yaw(yaws[1] - yaws[0]).to(motion.local_rotations.dtype)
-    rotations = motion.local_rotations.clone()
-    rotations[:, 0] = quat_multiply(turn.expand_as(rotations[:, 0]), rotations[:, 0])
+    turn = quat_from_yaw(yaws[1] - yaws[0]).astype(motion.local_rotations.dtype)
+    rotations = motion.local_rotations.copy()
+    rotations[:, 0] = quat_multiply(np.broadcast_to(turn, rotations[:, 0].shape), rotations[:, 0])
     places = quat_rotate(turn, motion.root_positions - motion.root_positions[0])
     places[:, 1] += motion.root_positions[0, 1]
-    places[:, [0, 2]] += reference.root_positions[0, [0, 2]].to(places.dtype)
+    places[:, [0, 2]] += reference.root_positions[0, [0, 2]].astype(places.dtype)
     return replace(motion, local_rotations=rotations, root_positions=places)
 
 
@@ -222,8 +222,8 @@ def _check(motion: Motion, name: str) -> None:
     if not motion.fps > 0 or not math.isfinite(motion.fps):
         raise MotionkitError(f"the {name} has {motion.fps} frames per second, expected a rate above 0")
     for values in (motion.local_rotations, motion.root_positions):
-        if not bool(torch.isfinite(values).all()):
-            frame = int((~torch.isfinite(values.flatten(1)).all(dim=1)).nonzero()[0])
+        if not bool(np.isfinite(values).all()):
+            frame = int(np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))[0])
             raise MotionkitError(f"the {name} holds a number that is not finite in frame {frame}")
 
 
@@ -231,10 +231,12 @@ def _own_metrics(
     motion: Motion, native: Motion, jerk_rate: float, settings: MetricSettings
 ) -> list[MetricValue]:
     """What one motion can give: motion at 60 fps, and the same time at its native rate for the jerk."""
-    positions = motion_kinematics(motion)[1].double()
+    positions = motion_kinematics(motion)[1].astype(np.float64)
     feet = foot_positions(positions)
     floor = floor_height(feet) if settings.floor is None else settings.floor
-    native_positions = positions if native.fps == FRAME_RATE else motion_kinematics(native)[1].double()
+    native_positions = (
+        positions if native.fps == FRAME_RATE else motion_kinematics(native)[1].astype(np.float64)
+    )
     source = "own" if settings.floor is None else "given"
     return [
         *_measured(lambda: body_movement(motion.local_rotations, "euler"), {"bm-euler": "deg/frame"}),
@@ -308,7 +310,7 @@ def _length_notes(motions: list[Motion], frames: int, skip: int) -> list[str]:
 
 
 def _body_notes(motion: Motion, reference: Motion) -> list[str]:
-    difference = (motion.skeleton.offsets - reference.skeleton.offsets).norm(dim=-1).mean()
+    difference = np.linalg.norm(motion.skeleton.offsets - reference.skeleton.offsets, axis=-1).mean()
     if motion.local_positions is not None or reference.local_positions is not None or difference < 0.1:
         return []
     legs = [leg_length(each.skeleton) for each in (reference, motion)]

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.features.heading import heading_angles
 from motionkit.metrics.value import MetricSettings, MetricValue
@@ -13,20 +14,21 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_to_expmap
 
 
-def joint_expmaps(motion: Motion) -> Tensor:
+def joint_expmaps(motion: Motion) -> Array:
     """Exponential maps (T, 69) in radians of a canonical motion's 23 joint rotations.
 
     The root's is relative to its heading, as in the paper's motion representation; neither place nor
     facing of the clip matters.
     """
-    local = motion.local_rotations.double()
-    yaw = heading_angles(motion_kinematics(motion)[1].double(), motion.fps)
+    local = motion.local_rotations.astype(np.float64)
+    yaw = heading_angles(motion_kinematics(motion)[1].astype(np.float64), motion.fps)
     root = quat_multiply(quat_inverse(quat_from_yaw(yaw)), local[:, 0])
-    return quat_to_expmap(torch.cat([root[:, None], local[:, 1:]], dim=1)).flatten(1)
+    expmaps = quat_to_expmap(np.concatenate([root[:, None], local[:, 1:]], axis=1))
+    return expmaps.reshape(len(expmaps), -1)
 
 
 def structural_similarity(
-    generated: Tensor, reference: Tensor, kind: str = "window", settings: MetricSettings | None = None
+    generated: Array, reference: Array, kind: str = "window", settings: MetricSettings | None = None
 ) -> MetricValue:
     """SSIM over sliding windows, averaged; 1 for equal sequences.
 
@@ -45,13 +47,13 @@ def structural_similarity(
     settings = settings or MetricSettings()
     if kind not in ("window", "channel"):
         raise MotionkitError(f"unknown kind of SSIM {kind!r}, expected 'window' or 'channel'")
-    if generated.shape != reference.shape or generated.dim() != 2:
+    if generated.shape != reference.shape or generated.ndim != 2:
         raise MotionkitError(
             f"SSIM needs two equal shapes (T, C), found {tuple(generated.shape)} and {tuple(reference.shape)}"
         )
     if len(reference) <= settings.ssim_window:
         raise MotionkitError(f"SSIM needs at least {settings.ssim_window + 1} frames, found {len(reference)}")
-    generated, reference = generated.double(), reference.double()
+    generated, reference = generated.astype(np.float64), reference.astype(np.float64)
     lowest = reference.min()
     spread = float(reference.max() - lowest)
     if spread < 1e-9:
@@ -71,13 +73,13 @@ def structural_similarity(
     return MetricValue(f"ssim-{kind}", float(index.mean()), "", parameters)
 
 
-def _windows(channels: Tensor, length: int, kind: str) -> Tensor:
+def _windows(channels: Array, length: int, kind: str) -> Array:
     """Samples on the last axis: (windows, C, length) by channel, (windows, C * length) all together."""
-    windows = channels.unfold(0, length, 1)
-    return windows if kind == "channel" else windows.flatten(1)
+    windows = sliding_window_view(channels, length, axis=0)
+    return windows if kind == "channel" else windows.reshape(len(windows), -1)
 
 
-def _window_index(a: Tensor, b: Tensor, c1: float, c2: float) -> Tensor:
+def _window_index(a: Array, b: Array, c1: float, c2: float) -> Array:
     """SSIM over the last axis of two equal shapes, with population moments."""
     mean_a, mean_b = a.mean(-1), b.mean(-1)
     a, b = a - mean_a[..., None], b - mean_b[..., None]

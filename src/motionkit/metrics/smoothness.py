@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricValue
 
 
-def positions_at_rate(positions: Tensor, fps: float, rate: float) -> Tensor:
+def positions_at_rate(positions: Array, fps: float, rate: float) -> Array:
     """Positions (T, ...) brought to another rate through the cubic over the four nearest frames.
 
     Straight lines between frames have corners, which a third derivative would measure in place of the
@@ -19,20 +19,20 @@ def positions_at_rate(positions: Tensor, fps: float, rate: float) -> Tensor:
     if abs(fps - rate) < 1e-6 * rate or frames < 4:
         return positions
     count = int((frames - 1) * rate / fps + 1e-6) + 1
-    times = torch.arange(count, dtype=torch.float64) * (fps / rate)
-    first = (times.floor().long() - 1).clamp(0, frames - 4)
-    u = (times - first).reshape(count, *[1] * (positions.dim() - 1))
+    times = np.arange(count, dtype=np.float64) * (fps / rate)
+    first = np.clip(np.floor(times).astype(np.int64) - 1, 0, frames - 4)
+    u = (times - first).reshape(count, *[1] * (positions.ndim - 1))
     weights = (
         -(u - 1) * (u - 2) * (u - 3) / 6,
         u * (u - 2) * (u - 3) / 2,
         -u * (u - 1) * (u - 3) / 2,
         u * (u - 1) * (u - 2) / 6,
     )
-    positions = positions.double()
-    return torch.stack([w * positions[first + k] for k, w in enumerate(weights)]).sum(0)
+    positions = positions.astype(np.float64)
+    return np.stack([w * positions[first + k] for k, w in enumerate(weights)]).sum(0)
 
 
-def mean_jerk(global_positions: Tensor, fps: float = FRAME_RATE, rate: float = FRAME_RATE) -> MetricValue:
+def mean_jerk(global_positions: Array, fps: float = FRAME_RATE, rate: float = FRAME_RATE) -> MetricValue:
     """Mean length of the third derivative of joint positions, in m/s^3, over all joints and frames.
 
     Args:
@@ -42,8 +42,8 @@ def mean_jerk(global_positions: Tensor, fps: float = FRAME_RATE, rate: float = F
 
     Raises MotionkitError for fewer than four frames at that rate.
     """
-    positions = positions_at_rate(global_positions, fps, rate).double()
+    positions = positions_at_rate(global_positions, fps, rate).astype(np.float64)
     if len(positions) < 4:
         raise MotionkitError(f"jerk needs at least 4 frames at {rate:g} fps, found {len(positions)}")
-    third = torch.diff(positions, n=3, dim=0) * rate**3 / 100.0
-    return MetricValue("jerk", float(third.norm(dim=-1).mean()), "m/s^3", {"fps": rate})
+    third = np.diff(positions, n=3, axis=0) * rate**3 / 100.0
+    return MetricValue("jerk", float(np.linalg.norm(third, axis=-1).mean()), "m/s^3", {"fps": rate})

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings, MetricValue
 
@@ -26,7 +26,7 @@ class TrajectoryDistance:
         tolerance: cm.
     """
 
-    distances: Tensor
+    distances: Array
     coverage: float
     tolerance: float
 
@@ -49,50 +49,51 @@ class TrajectoryDistance:
         )
 
 
-def ground_track(root_positions: Tensor) -> Tensor:
+def ground_track(root_positions: Array) -> Array:
     """The track (T, 2) as x, z of root positions (T, 3)."""
     return root_positions[..., [0, 2]]
 
 
-def distance_to_path(points: Tensor, path: Tensor) -> Tensor:
+def distance_to_path(points: Array, path: Array) -> Array:
     """Distance (T,) from points (T, 2) to the nearest place on the polyline through path (N, 2).
 
     Raises MotionkitError if either is empty or not of that shape.
     """
     points, path = _checked(points, "track"), _checked(path, "path")
     if len(path) == 1:
-        return (points - path).norm(dim=-1)
+        return np.linalg.norm(points - path, axis=-1)
     nearest = _distance_to_points(points, path[::_BLOCK])
     for first in range(0, len(path) - 1, _BLOCK):
         block = path[first : first + _BLOCK + 1]
         # Only points that may be nearer to this block than to what was seen need its segments.
-        outside = (block.amin(0) - points).clamp(min=0.0) + (points - block.amax(0)).clamp(min=0.0)
-        near = torch.nonzero(outside.norm(dim=-1) < nearest).flatten()
-        nearest[near] = torch.minimum(nearest[near], _distance_to_segments(points[near], block))
+        outside = np.maximum(block.min(0) - points, 0.0) + np.maximum(points - block.max(0), 0.0)
+        near = np.flatnonzero(np.linalg.norm(outside, axis=-1) < nearest)
+        nearest[near] = np.minimum(nearest[near], _distance_to_segments(points[near], block))
     return nearest
 
 
-def _distance_to_points(points: Tensor, places: Tensor) -> Tensor:
+def _distance_to_points(points: Array, places: Array) -> Array:
     """Distance (T,) from points (T, 2) to the nearest of places (M, 2)."""
-    nearest = (points - places[0]).norm(dim=-1)
+    nearest = np.linalg.norm(points - places[0], axis=-1)
     for place in places[1:]:
-        nearest = torch.minimum(nearest, (points - place).norm(dim=-1))
+        nearest = np.minimum(nearest, np.linalg.norm(points - place, axis=-1))
     return nearest
 
 
-def _distance_to_segments(points: Tensor, path: Tensor) -> Tensor:
+def _distance_to_segments(points: Array, path: Array) -> Array:
     """Distance (T,) from points (T, 2) to a polyline (N, 2) of few segments, each tried for each point."""
     if len(points) > _POINTS:
-        return torch.cat([_distance_to_segments(some, path) for some in points.split(_POINTS)])
-    start, along = path[:-1], torch.diff(path, dim=0)
-    squared = (along * along).sum(-1).clamp(min=1e-12)
+        some = [points[i : i + _POINTS] for i in range(0, len(points), _POINTS)]
+        return np.concatenate([_distance_to_segments(each, path) for each in some])
+    start, along = path[:-1], np.diff(path, axis=0)
+    squared = np.maximum((along * along).sum(-1), 1e-12)
     offset = points[:, None] - start
-    share = ((offset * along).sum(-1) / squared).clamp(0.0, 1.0)
-    return (offset - share[..., None] * along).norm(dim=-1).amin(dim=1)
+    share = np.clip((offset * along).sum(-1) / squared, 0.0, 1.0)
+    return np.linalg.norm(offset - share[..., None] * along, axis=-1).min(axis=1)
 
 
 def trajectory_distance(
-    track: Tensor, path: Tensor, tolerance: float = MetricSettings.path_tolerance
+    track: Array, path: Array, tolerance: float = MetricSettings.path_tolerance
 ) -> TrajectoryDistance:
     """How closely a ground track (T, 2) keeps to a path (N, 2), both x, z in cm.
 
@@ -106,25 +107,25 @@ def trajectory_distance(
         raise MotionkitError(f"the path tolerance must be above 0 cm, found {tolerance:g}")
     distances = distance_to_path(track, path)
     covered = distance_to_path(_sampled(_checked(path, "path")), track) <= tolerance
-    return TrajectoryDistance(distances, float(covered.double().mean()), tolerance)
+    return TrajectoryDistance(distances, float(covered.astype(np.float64).mean()), tolerance)
 
 
-def _sampled(path: Tensor) -> Tensor:
+def _sampled(path: Array) -> Array:
     """Points (M, 2) at even arc length along a path (N, 2), about 1 cm apart up to a kilometre, ends included."""
-    lengths = torch.diff(path, dim=0).norm(dim=-1)
-    arc = torch.cat([lengths.new_zeros(1), lengths.cumsum(0)])
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=-1)
+    arc = np.concatenate([[0.0], lengths.cumsum()])
     total = float(arc[-1])
     if total == 0.0:
         return path[:1]
     count = min(max(2, round(total / _COVERAGE_STEP) + 1), _MOST_SAMPLES)
-    wanted = torch.linspace(0.0, total, count, dtype=torch.float64)
-    right = torch.searchsorted(arc, wanted).clamp(1, len(arc) - 1)
-    span = (arc[right] - arc[right - 1]).clamp(min=1e-12)
+    wanted = np.linspace(0.0, total, count)
+    right = np.clip(np.searchsorted(arc, wanted), 1, len(arc) - 1)
+    span = np.maximum(arc[right] - arc[right - 1], 1e-12)
     weight = ((wanted - arc[right - 1]) / span)[:, None]
     return path[right - 1] * (1 - weight) + path[right] * weight
 
 
-def _checked(points: Tensor, what: str) -> Tensor:
-    if points.dim() != 2 or points.shape[1] != 2 or len(points) == 0:
+def _checked(points: Array, what: str) -> Array:
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) == 0:
         raise MotionkitError(f"expected a {what} of shape (N, 2) with N > 0, found {tuple(points.shape)}")
-    return points.double()
+    return points.astype(np.float64)

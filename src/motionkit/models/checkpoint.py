@@ -15,11 +15,11 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import torch
-from safetensors.torch import save
-from torch import Tensor
+import numpy as np
+from safetensors.numpy import save
 
 from motionkit import __version__
+from motionkit.arrays import Array
 from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.features.guide import GuideMap, PoseOutline, guide_map
@@ -27,8 +27,8 @@ from motionkit.features.normalize import Scaling
 from motionkit.files import atomic_write
 from motionkit.models.config import ModelConfig
 from motionkit.models.file_check import check_header, check_tensors, check_values
-from motionkit.models.network import PartTransformer
 from motionkit.models.tensor_file import TensorFile, open_tensors
+from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = "motionkit-model-3"
@@ -40,9 +40,9 @@ MOVEMENT_FRAMES = 120
 class Seed:
     """Real frames to start from: features (T, 276) unnormalised, contacts (T, 4), ground (T, 3)."""
 
-    features: Tensor
-    contacts: Tensor
-    ground: Tensor
+    features: Array
+    contacts: Array
+    ground: Array
 
 
 @dataclass(frozen=True)
@@ -65,9 +65,9 @@ class Outline:
         phases: (L,) progress through a performance, negative outside.
     """
 
-    poses: Tensor
-    ground: Tensor
-    phases: Tensor
+    poses: Array
+    ground: Array
+    phases: Array
 
     def __len__(self) -> int:
         return len(self.ground)
@@ -75,15 +75,15 @@ class Outline:
     @property
     def performed(self) -> bool:
         """Whether it is one performance from beginning to end."""
-        return bool((self.phases >= 0.0).all()) and bool((torch.diff(self.phases) > 0.0).all())
+        return bool((self.phases >= 0.0).all()) and bool((np.diff(self.phases) > 0.0).all())
 
     @cached_property
-    def movement(self) -> Tensor:
+    def movement(self) -> Array:
         """How much the pose changes in a frame (L,), the mean over the coming MOVEMENT_FRAMES, fewer at the end."""
-        steps = (self.poses[1 : len(self) + 1] - self.poses[: len(self)]).norm(dim=1)
-        sums = torch.cat([steps.new_zeros(1), steps.cumsum(0)])
-        frames = torch.arange(len(self))
-        ends = (frames + MOVEMENT_FRAMES).clamp(max=len(self))
+        steps = np.linalg.norm(self.poses[1 : len(self) + 1] - self.poses[: len(self)], axis=1)
+        sums = np.pad(steps.cumsum(), (1, 0))
+        frames = np.arange(len(self))
+        ends = np.minimum(frames + MOVEMENT_FRAMES, len(self))
         return (sums[ends] - sums[frames]) / (ends - frames)
 
 
@@ -105,14 +105,14 @@ class MotionModel:
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
-    network: PartTransformer
+    network: NetworkWeights
     types: tuple[str, ...]
     fps: float
     scaling: Scaling
     trajectory_scaling: Scaling
-    references: Tensor
+    references: Array
     outline: PoseOutline
-    characters: dict[str, Tensor]
+    characters: dict[str, Array]
     seeds: dict[str, list[Seed]]
     gaits: dict[str, Gait] = field(default_factory=dict)
     outlines: dict[str, list[Outline]] = field(default_factory=dict)
@@ -172,11 +172,10 @@ def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
     return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"
 
 
-def model_tensors(model: MotionModel, half: bool) -> dict[str, Tensor]:
-    """All tensors of a model by the names they have in its file."""
-    tensors = {f"network.{name}": t for name, t in model.network.state_dict().items()}
-    if half:
-        tensors = {name: t.half() if t.is_floating_point() else t for name, t in tensors.items()}
+def model_arrays(model: MotionModel, half: bool) -> dict[str, Array]:
+    """All arrays of a model by the names they have in its file."""
+    weight = np.float16 if half else np.float32
+    tensors: dict[str, Array] = {f"network.{n}": a.astype(weight) for n, a in model.network.arrays.items()}
     tensors["scaling.mean"], tensors["scaling.std"] = model.scaling.mean, model.scaling.std
     tensors["trajectory.mean"], tensors["trajectory.std"] = (
         model.trajectory_scaling.mean,
@@ -188,16 +187,18 @@ def model_tensors(model: MotionModel, half: bool) -> dict[str, Tensor]:
     for kind, seeds in model.seeds.items():
         for i, seed in enumerate(seeds):
             key = f"seed.{i}.{kind}"
-            tensors[f"{key}:features"] = seed.features.half() if half else seed.features
-            tensors[f"{key}:contacts"] = seed.contacts.to(torch.uint8)
+            tensors[f"{key}:features"] = seed.features.astype(weight)
+            tensors[f"{key}:contacts"] = seed.contacts.astype(np.uint8)
             tensors[f"{key}:ground"] = seed.ground
     tensors["outline.matrix"], tensors["outline.offset"] = model.outline.matrix, model.outline.offset
     for kind, outlines in model.outlines.items():
         for i, each in enumerate(outlines):
             key = f"outline.{i}.{kind}"
-            tensors[f"{key}:poses"] = each.poses.half()  # of unit size, and played to the network only
+            tensors[f"{key}:poses"] = each.poses.astype(
+                np.float16
+            )  # of unit size, and played to the network only
             tensors[f"{key}:ground"], tensors[f"{key}:phases"] = each.ground, each.phases
-    return {name: t.detach().cpu().contiguous() for name, t in tensors.items()}
+    return {name: np.ascontiguousarray(array) for name, array in tensors.items()}
 
 
 def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None:
@@ -219,7 +220,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
         "card": _plain(model.card),
     }
-    data = save(model_tensors(model, half), metadata={"motionkit": json.dumps(header)})
+    data = save(model_arrays(model, half), metadata={"motionkit": json.dumps(header)})
     with atomic_write(path, "wb") as file:
         file.write(data)
 
@@ -261,32 +262,33 @@ def _open_model(path: str | Path) -> Iterator[TensorFile]:
             raise ModelError(f"{path}: {error}") from None
 
 
-def load_model(path: str | Path, device: str | torch.device = "cpu") -> MotionModel:
+def load_model(path: str | Path) -> MotionModel:
     """Read a model file, ready to synthesize; raises ModelError if it is not one or is damaged."""
     with _open_model(path) as file:
         header, tensors = file.metadata, file.read_all()
-        check_values((name, values.numpy()) for name, values in tensors.items())
+        check_values(tensors.items())
     types = tuple(header["types"])
-    network = PartTransformer(ModelConfig.from_dict(header["config"]), ControlLayout(types).size)
-    network.load_state_dict(
-        {n.removeprefix("network."): t.float() for n, t in tensors.items() if n.startswith("network.")}
-    )
+    arrays = {
+        name: array if array.dtype == np.uint8 else array.astype(np.float32)
+        for name, array in tensors.items()
+    }
+    weights = {n.removeprefix("network."): a for n, a in arrays.items() if n.startswith("network.")}
     return MotionModel(
-        network.to(device).eval(),
+        NetworkWeights(ModelConfig.from_dict(header["config"]), ControlLayout(types).size, weights),
         types,
         float(header["fps"]),
-        Scaling(tensors["scaling.mean"].float(), tensors["scaling.std"].float()),
-        Scaling(tensors["trajectory.mean"].float(), tensors["trajectory.std"].float()),
-        tensors["references"].float(),
-        PoseOutline(tensors["outline.matrix"].float(), tensors["outline.offset"].float()),
-        {name: tensors[f"character.{name}"].float() for name in header["characters"]},
+        Scaling(arrays["scaling.mean"], arrays["scaling.std"]),
+        Scaling(arrays["trajectory.mean"], arrays["trajectory.std"]),
+        arrays["references"],
+        PoseOutline(arrays["outline.matrix"], arrays["outline.offset"]),
+        {name: arrays[f"character.{name}"] for name in header["characters"]},
         {
-            kind: [_read_seed(tensors, f"seed.{i}.{kind}") for i in range(count)]
+            kind: [_read_seed(arrays, f"seed.{i}.{kind}") for i in range(count)]
             for kind, count in header["seeds"].items()
         },
         {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
         {
-            kind: [_read_outline(tensors, f"outline.{i}.{kind}") for i in range(count)]
+            kind: [_read_outline(arrays, f"outline.{i}.{kind}") for i in range(count)]
             for kind, count in header["outlines"].items()
         },
         header["guides"],
@@ -302,13 +304,13 @@ def _numbers(header: dict[str, Any], key: str) -> dict[str, float]:
     return {kind: float(value) for kind, value in header.get(key, {}).items()}
 
 
-def _read_seed(tensors: dict[str, Tensor], key: str) -> Seed:
+def _read_seed(arrays: dict[str, Array], key: str) -> Seed:
     return Seed(
-        tensors[f"{key}:features"].float(),
-        tensors[f"{key}:contacts"].float(),
-        tensors[f"{key}:ground"].float(),
+        arrays[f"{key}:features"],
+        arrays[f"{key}:contacts"].astype(np.float32),
+        arrays[f"{key}:ground"],
     )
 
 
-def _read_outline(tensors: dict[str, Tensor], key: str) -> Outline:
-    return Outline(*(tensors[f"{key}:{name}"].float() for name in ("poses", "ground", "phases")))
+def _read_outline(arrays: dict[str, Array], key: str) -> Outline:
+    return Outline(*(arrays[f"{key}:{name}"] for name in ("poses", "ground", "phases")))

@@ -18,8 +18,8 @@ from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.guide import GUIDE_OFFSETS, OUTLINE_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.config import ModelConfig
-from motionkit.models.network import part_columns
 from motionkit.models.parts import partition
+from motionkit.models.weights import part_columns
 from motionkit.motion.skeleton import JOINT_COUNT
 
 MOST_TYPES, MOST_CHARACTERS, LONGEST_NAME = 1000, 10_000, 200

@@ -13,11 +13,12 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from motionkit.features.control import TRAJECTORY_COUNT
-from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.attention import LocalAttention
 from motionkit.models.config import ModelConfig
 from motionkit.models.layers import FeedForward, PartLinear, PartNorm, sinusoidal_positions, spatial_dropout
 from motionkit.models.parts import Partition, partition
+from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts, part_columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,10 +95,6 @@ class AutoRegressiveModule(nn.Module):
         self.embed_mask: Tensor
         self.register_buffer("embed_mask", torch.ones(1), persistent=False)
 
-    def restrict_embedding(self, mask: Tensor) -> None:
-        """Let only some inputs reach some channels: mask (P, inputs, motion width) of 0 and 1."""
-        self.embed_mask = mask.repeat(1, self.kernel, 1)
-
     def embed_motion(self, x: Tensor) -> Tensor:
         """Embedding of kernel frames side by side (P, ..., kernel x inputs), oldest first."""
         flat = x.reshape(x.shape[0], -1, x.shape[-1])
@@ -130,17 +127,17 @@ class PartTransformer(nn.Module):
         self.config, self.control_size = config, control_size
         self.body: Partition = partition(config.partition)
         P, D = len(self.body.parts), config.width
-        gather, shared = part_columns(config)
+        gather, _ = part_columns(config)
         self.part_columns: Tensor
-        self.register_buffer("part_columns", gather, persistent=False)
+        self.register_buffer("part_columns", torch.from_numpy(gather), persistent=False)
         self.shallow = AutoRegressiveModule(P, gather.shape[1], control_size, config, config.kernel)
-        self.shallow.restrict_embedding(_embedding_mask(gather, shared, config))
+        self.shallow.embed_mask = torch.from_numpy(embedding_mask(config))
         self.deep = AutoRegressiveModule(P, D, control_size, config, 1)
         # Each part gets one linear map of all the other parts' shallow features.
         self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.fusion == "linear" else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
         self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head_momentum else None
-        self.feet = [i for i, part in enumerate(self.body.parts) if part.contacts]
+        self.feet = foot_parts(config)
         self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.contact_hidden, CONTACT_COUNT)
         self._initialise()
 
@@ -149,6 +146,18 @@ class PartTransformer(nn.Module):
         with torch.no_grad():
             self.aggregate.weight.mul_(0.1)
             self.aggregate.bias.zero_()
+
+    @classmethod
+    def from_weights(cls, weights: NetworkWeights) -> PartTransformer:
+        """The network of a model file, ready to predict."""
+        network = cls(weights.config, weights.control_size)
+        network.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
+        return network.eval()
+
+    def weights(self) -> NetworkWeights:
+        """A copy of all parameters as arrays."""
+        arrays = {name: t.detach().cpu().float().numpy().copy() for name, t in self.state_dict().items()}
+        return NetworkWeights(self.config, self.control_size, arrays)
 
     def split_parts(self, x: Tensor, contacts: Tensor) -> Tensor:
         """Inputs of all parts (P, ..., N) from features (..., 276) and contacts (..., 4); short parts end in zeros."""
@@ -200,36 +209,6 @@ class PartTransformer(nn.Module):
             shallow,
             deep,
         )
-
-
-def part_columns(config: ModelConfig) -> tuple[Tensor, Tensor]:
-    """For each part the columns it takes in (P, N), and which of them are of shared joints (P, N).
-
-    Columns count the 276 features, then the 4 contacts, then one column of zeros for padding.
-    """
-    layout = feature_layout(config.layout)
-    body = partition(config.partition)
-    rows, shared = [], []
-    for part in body.parts:
-        joints = list(body.shared) + [j for j in part.joints if j not in body.shared]
-        columns = [c for joint in joints for c in layout.joint_columns(joint)]
-        common = len(body.shared) * 12
-        columns += [FEATURE_COUNT + contact for contact in part.contacts]
-        rows.append(columns)
-        shared.append([True] * common + [False] * (len(columns) - common))
-    size = max(len(row) for row in rows)
-    zero = FEATURE_COUNT + CONTACT_COUNT
-    gather = torch.tensor([row + [zero] * (size - len(row)) for row in rows])
-    is_shared = torch.tensor([row + [False] * (size - len(row)) for row in shared])
-    return gather, is_shared
-
-
-def _embedding_mask(gather: Tensor, shared: Tensor, config: ModelConfig) -> Tensor:
-    """(P, N, motion width): the first channels take the shared joints only; padding reaches nothing."""
-    width = config.width - config.control_width
-    mask = torch.ones(*gather.shape, width)
-    mask[:, :, : config.shared_channels] = shared[:, :, None].float()
-    return mask * (gather < FEATURE_COUNT + CONTACT_COUNT)[:, :, None].float()
 
 
 def parameter_count(network: PartTransformer) -> int:

@@ -12,9 +12,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.step_kernel import TILE, StepKernel
-from motionkit.models.step_weights import NORM_EPS, Floats, ModuleWeights, StepWeights
+from motionkit.models.step_weights import NORM_EPS, ModuleWeights, StepWeights
 
 INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT + 1  # a column of zeros at the end, for short parts
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
@@ -12,11 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
+from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.models.step_weights import NORM_EPS, Floats, ModuleWeights, StepWeights
+from motionkit.models.step_weights import NORM_EPS, ModuleWeights, StepWeights
 
 if TYPE_CHECKING:
     from motionkit.models.step import NetworkStep
@@ -84,6 +85,11 @@ def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | N
             found = getattr(library, version_name, None)
             return library if found is not None and found() == version else None
     return None
+
+
+def _cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
@@ -157,7 +163,7 @@ class StepKernel:
             if len(calls) == 1:
                 call(*calls[0])
             else:  # the library does not hold Python's lock
-                list(_workers(torch.get_num_threads()).map(lambda words: call(*words), calls))
+                list(_workers(_cores()).map(lambda words: call(*words), calls))
 
         step.keeps = (shares, controls)  # type: ignore[attr-defined]
         return step

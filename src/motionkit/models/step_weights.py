@@ -1,6 +1,6 @@
 """The network as a program for one frame: weights folded together once, so that a step has little to do.
 
-Everything that knows how PartTransformer is put together for streaming is here; models/step.py and
+Everything that knows how the network is put together for streaming is here; models/step.py and
 apps/onnx_export.py run what this file packs. What is folded, all of it exact:
 
 - The mean is taken out of everything that is written into the residual stream, so that a layer norm is a
@@ -20,16 +20,14 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
+from motionkit.arrays import Array, Doubles, Floats
 from motionkit.errors import ModelError
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.models.config import ModelConfig
-from motionkit.models.network import AttentionLayer, AutoRegressiveModule, PartTransformer
+from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts, part_columns
 
-Floats = NDArray[np.float32]
 NORM_EPS = 1e-5  # of torch's layer_norm
 
 
@@ -98,8 +96,7 @@ def why_not_packable(config: ModelConfig) -> str | None:
     return None
 
 
-@torch.no_grad()
-def pack(network: PartTransformer) -> StepWeights:
+def pack(network: NetworkWeights) -> StepWeights:
     """Fold a network's weights into a step.
 
     Raises:
@@ -109,90 +106,84 @@ def pack(network: PartTransformer) -> StepWeights:
     reason = why_not_packable(config)
     if reason:
         raise ModelError(f"the network cannot be packed: {reason}")
-    P, D = len(network.body.parts), config.width
+    columns, _ = part_columns(config)
+    P, D = len(columns), config.width
     root = math.sqrt(D)
-    shallow = network.shallow
-    embed = (shallow.embed.weight * shallow.embed_mask).double()
+    embed = (network["shallow.embed.weight"] * embedding_mask(config)).astype(np.float64)
     # Deep inputs are s_p + fusion(others): one map of all parts' features, which come without their sqrt(D).
-    fused = torch.eye(P * D, dtype=torch.float64).reshape(P * D, P, D).transpose(0, 1).clone()
-    if network.fusion is not None:
+    fused = np.eye(P * D).reshape(P * D, P, D).swapaxes(0, 1).copy()
+    fusion = network.get("fusion.weight")
+    if fusion is not None:
         for p in range(P):
             others = [q for q in range(P) if q != p]
-            rows = torch.cat([torch.arange(q * D, (q + 1) * D) for q in others])
-            fused[p, rows] += network.fusion.weight[p].double()
-    deep_embed = root * (fused @ network.deep.embed.weight.double())
-    aggregate = network.aggregate
+            rows = np.concatenate([np.arange(q * D, (q + 1) * D) for q in others])
+            fused[p, rows] += fusion[p]
+    deep_embed = root * (fused @ network["deep.embed.weight"].astype(np.float64))
     shown = 2 * FEATURE_COUNT
-    feet = network.contact_mlp
-    hidden = config.contact_hidden
-    first = feet.inner.weight[0].double().reshape(len(network.feet), 2, D, hidden)
-    from_shallow, from_deep = (torch.zeros(P, D, hidden, dtype=torch.float64) for _ in range(2))
-    from_shallow[network.feet], from_deep[network.feet] = root * first[:, 0], root * first[:, 1]
-    head = torch.cat([root * aggregate.weight[:shown].double().T, from_deep.reshape(P * D, hidden)], dim=1)
-    assert feet.inner.bias is not None and feet.outer.bias is not None
-    head_bias = torch.cat([aggregate.bias[:shown], feet.inner.bias[0, 0]])
+    hidden, feet = config.contact_hidden, foot_parts(config)
+    first = network["contact_mlp.inner.weight"][0].astype(np.float64).reshape(len(feet), 2, D, hidden)
+    from_shallow, from_deep = (np.zeros((P, D, hidden)) for _ in range(2))
+    from_shallow[feet], from_deep[feet] = root * first[:, 0], root * first[:, 1]
+    aggregate = network["aggregate.weight"][:shown].astype(np.float64).T
+    head = np.concatenate([root * aggregate, from_deep.reshape(P * D, hidden)], axis=1)
+    head_bias = np.concatenate([network["aggregate.bias"][:shown], network["contact_mlp.inner.bias"][0, 0]])
+    momentum = network.get("momentum")
     return StepWeights(
         config,
-        network.part_columns.numpy(),
-        _pack_module(shallow, embed),
-        _pack_module(network.deep, deep_embed),
+        columns,
+        _pack_module(network, "shallow", embed),
+        _pack_module(network, "deep", deep_embed),
         _floats(from_shallow.reshape(P * D, hidden)),
         _floats(head),
         _floats(head_bias),
-        _floats(feet.outer.weight[0]),
-        _floats(feet.outer.bias[0, 0]),
-        None if network.momentum is None else _floats(network.momentum),
+        _floats(network["contact_mlp.outer.weight"][0]),
+        _floats(network["contact_mlp.outer.bias"][0, 0]),
+        None if momentum is None else _floats(momentum),
     )
 
 
-def _pack_module(module: AutoRegressiveModule, embed: Tensor) -> ModuleWeights:
-    config = module.config
+def _pack_module(network: NetworkWeights, module: str, embed: Doubles) -> ModuleWeights:
+    config = network.config
     D, Dc, E = config.width, config.control_embedding, config.width // config.heads
     beside_count = config.control_width
     P, root = embed.shape[0], math.sqrt(D)
-    layers = [layer for layer in module.layers if isinstance(layer, AttentionLayer)]
-    assert module.embed.bias is not None and module.embed_controls.bias is not None
+
+    def layers(name: str) -> Doubles:
+        """A parameter of all layers (L, ...)."""
+        whole = [network[f"{module}.layers.{i}.{name}"] for i in range(config.layers)]
+        return np.stack(whole).astype(np.float64)
+
     # The stream is motion beside the first of the embedded controls; then what the first layer adds.
-    beside = torch.zeros(P, Dc, D, dtype=torch.float64)
-    beside[:, :beside_count, D - beside_count :] = torch.eye(beside_count, dtype=torch.float64)
-    added = [layer.control.weight.double() for layer in layers if layer.control is not None]
-    controls = [beside + added[0], *added[1:]] if added else [beside]
-    wide = torch.nn.functional.pad(torch.cat([embed, module.embed.bias.double()], dim=1), (0, beside_count))
-    wide = _centred(wide)
-    query = torch.ones(3 * D, dtype=torch.float64)
+    beside = np.zeros((P, Dc, D))
+    beside[:, :beside_count, D - beside_count :] = np.eye(beside_count)
+    controls = [beside]
+    if config.layer_controls:
+        added = layers("control.weight")
+        controls = [beside + added[0], *added[1:]]
+    bias = network[f"{module}.embed.bias"].astype(np.float64)
+    wide = _centred(np.pad(np.concatenate([embed, bias], axis=1), ((0, 0), (0, 0), (0, beside_count))))
+    query = np.ones(3 * D)
     query[:D] /= math.sqrt(E)
-    scale = root * query
-    qkv = torch.stack([layer.attention.qkv.weight.double() * scale for layer in layers])
-    inner = torch.stack([root * layer.ffn.inner.weight.double() for layer in layers])
-    qkv_bias: list[Tensor] = []
-    inner_bias: list[Tensor] = []
-    position: list[Tensor] = []
-    for layer in layers:
-        assert layer.attention.qkv.bias is not None and layer.ffn.inner.bias is not None
-        assert layer.attention.offset_bias is not None
-        qkv_bias.append(layer.attention.qkv.bias[:, 0] * query)
-        inner_bias.append(layer.ffn.inner.bias[:, 0])
-        position.append(layer.attention.offset_bias)
     return ModuleWeights(
         _floats(wide[:, :-1]),
         _floats(wide[:, -1]),
-        _floats(module.embed_controls.weight),
-        _floats(module.embed_controls.bias[:, 0]),
-        _floats(torch.cat([_centred(c) for c in controls], dim=-1)),
-        _floats(qkv),
-        _floats(torch.stack(qkv_bias)),
-        _floats(torch.stack([_centred(layer.attention.out.weight.double()) for layer in layers])),
-        _floats(inner),
-        _floats(torch.stack(inner_bias)),
-        _floats(torch.stack([_centred(layer.ffn.outer.weight.double()) for layer in layers])),
-        _floats(torch.stack(position)),
+        _floats(network[f"{module}.embed_controls.weight"]),
+        _floats(network[f"{module}.embed_controls.bias"][:, 0]),
+        _floats(np.concatenate([_centred(c) for c in controls], axis=-1)),
+        _floats(layers("attention.qkv.weight") * (root * query)),
+        _floats(layers("attention.qkv.bias")[:, :, 0] * query),
+        _floats(_centred(layers("attention.out.weight"))),
+        _floats(root * layers("ffn.inner.weight")),
+        _floats(layers("ffn.inner.bias")[:, :, 0]),
+        _floats(_centred(layers("ffn.outer.weight"))),
+        _floats(layers("attention.offset_bias")),
     )
 
 
-def _centred(weight: Tensor) -> Tensor:
+def _centred(weight: Doubles) -> Doubles:
     """A map whose outputs have no mean."""
-    return weight - weight.mean(dim=-1, keepdim=True)
+    return weight - weight.mean(axis=-1, keepdims=True)
 
 
-def _floats(values: Tensor) -> Floats:
-    return np.ascontiguousarray(values.detach().cpu().numpy(), dtype=np.float32)
+def _floats(values: Array) -> Floats:
+    return np.ascontiguousarray(values, dtype=np.float32)

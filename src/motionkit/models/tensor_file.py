@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from safetensors import SafetensorError, safe_open
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.errors import ModelError
 from motionkit.files import open_regular, parse_json
 from motionkit.models.file_check import TensorFacts
@@ -34,11 +34,11 @@ class TensorFile:
             part = file.get_slice(name)
             self.found[name] = TensorFacts(str(part.get_dtype()), tuple(part.get_shape()))
 
-    def read(self, name: str) -> Tensor:
+    def read(self, name: str) -> Array:
         """A tensor of the file."""
         return self._file.get_tensor(name)
 
-    def read_all(self) -> dict[str, Tensor]:
+    def read_all(self) -> dict[str, Array]:
         """All tensors by name."""
         return {name: self.read(name) for name in self.found}
 
@@ -62,7 +62,7 @@ def open_tensors(path: str | Path, key: str, what: str, limit: int) -> Iterator[
             f"{path}: not {what} (its header would have {length} bytes, at most {MOST_HEADER} are read)"
         )
     try:
-        with safe_open(str(path), framework="pt") as file:
+        with safe_open(str(path), framework="numpy") as file:
             yield TensorFile(f"{path}: not {what}", file, key)
     except (SafetensorError, OSError) as error:
         raise ModelError(f"{path}: not {what} ({str(error).splitlines()[0]})") from None

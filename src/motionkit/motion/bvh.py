@@ -12,10 +12,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.errors import BvhError
 from motionkit.files import atomic_write
 from motionkit.motion.bvh_text import MAX_NUMBER, implausible_value, read_bvh_text
@@ -88,18 +87,18 @@ def read_bvh(path: str | Path) -> BvhFile:
         if not joint.Children:
             ends[index] = tuple(joint.EndSite)
         waiting.extend((child, index) for child in reversed(joint.Children))
-    skeleton = Skeleton(tuple(names), tuple(parents), torch.tensor(offsets, dtype=torch.float32), ends)
+    skeleton = Skeleton(tuple(names), tuple(parents), np.array(offsets, np.float32), ends)
     return BvhFile(skeleton, tuple(channels), text.values, text.frame_time)
 
 
 def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) -> Motion:
     """The motion in a BVH file, lengths multiplied by scale, at the declared rate unless fps is given."""
     frames, joints = bvh.values.shape[0], len(bvh.skeleton)
-    rotations = torch.zeros(frames, joints, 4, dtype=torch.float64)
-    offsets = bvh.skeleton.offsets.to(torch.float64)
-    places = offsets.expand(frames, joints, 3).clone()
+    rotations = np.zeros((frames, joints, 4), np.float64)
+    offsets = bvh.skeleton.offsets.astype(np.float64)
+    places = np.broadcast_to(offsets, (frames, joints, 3)).copy()
     translates = False
-    values = torch.from_numpy(bvh.values)
+    values = bvh.values
     by_order: dict[str, list[tuple[int, list[int]]]] = {}
     for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
         turns = [c for name, c in zip(names, columns, strict=True) if name.endswith("rotation")]
@@ -111,13 +110,13 @@ def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) ->
                 translates = translates or joint > 0
     for order, members in by_order.items():
         turned = [turns for _, turns in members]
-        rotations[:, [joint for joint, _ in members]] = euler_to_quat(torch.deg2rad(values[:, turned]), order)
+        rotations[:, [joint for joint, _ in members]] = euler_to_quat(np.deg2rad(values[:, turned]), order)
     motion = Motion(
         bvh.skeleton,
-        quat_continuous(rotations).to(torch.float32),
-        places[:, 0].to(torch.float32),
+        quat_continuous(rotations).astype(np.float32),
+        places[:, 0].astype(np.float32),
         bvh.fps if fps is None else fps,
-        places.to(torch.float32) if translates else None,
+        places.astype(np.float32) if translates else None,
     )
     return motion if scale == 1.0 else motion.scaled(scale)
 
@@ -134,24 +133,24 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
         channels = tuple(moves + turns if j == 0 or every else turns for j in range(len(motion.skeleton)))
     orders = ["".join(name[0] for name in names if name.endswith("rotation")) for names in channels]
     eulers = _unrolled_eulers(motion, orders)
-    blocks: list[Tensor] = []
+    blocks: list[Array] = []
     for joint, names in enumerate(channels):
         if joint == 0:
             place = motion.root_positions
         elif motion.local_positions is not None:
             place = motion.local_positions[:, joint]
         else:
-            place = motion.skeleton.offsets[joint].expand(len(motion), 3)
+            place = np.broadcast_to(motion.skeleton.offsets[joint], (len(motion), 3))
         for name in names:
             if name.endswith("position"):
-                blocks.append(place[:, "XYZ".index(name[0])].double())
+                blocks.append(place[:, "XYZ".index(name[0])].astype(np.float64))
             else:
                 blocks.append(eulers[:, joint, orders[joint].index(name[0])])
-    values = torch.stack(blocks, dim=-1).numpy()
+    values = np.stack(blocks, axis=-1)
     return BvhFile(motion.skeleton, channels, values, 1.0 / motion.fps)
 
 
-def _unrolled_eulers(motion: Motion, orders: list[str]) -> Tensor:
+def _unrolled_eulers(motion: Motion, orders: list[str]) -> Array:
     """Euler angles (T, J, 3) in degrees: of two equal triples the nearer one, without 360-degree jumps."""
     first = np.zeros((len(motion), len(orders), 3))
     for joint, order in enumerate(orders):
@@ -160,7 +159,7 @@ def _unrolled_eulers(motion: Motion, orders: list[str]) -> Tensor:
                 motion.skeleton.names[joint], f"cannot write {len(order)} rotation channels, expected 3"
             )
         if order:
-            first[:, joint] = quat_to_euler(motion.local_rotations[:, joint].double(), order).numpy()
+            first[:, joint] = quat_to_euler(motion.local_rotations[:, joint].astype(np.float64), order)
     second = first * np.array([1.0, -1.0, 1.0]) + math.pi
     out = first.copy()
     turn = 2 * math.pi
@@ -169,7 +168,7 @@ def _unrolled_eulers(motion: Motion, orders: list[str]) -> Tensor:
         b = second[t] + turn * np.round((out[t - 1] - second[t]) / turn)
         nearer = np.abs(a - out[t - 1]).sum(-1) <= np.abs(b - out[t - 1]).sum(-1)
         out[t] = np.where(nearer[:, None], a, b)
-    return torch.rad2deg(torch.from_numpy(out))
+    return np.rad2deg(out)
 
 
 def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) -> None:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
+from motionkit.arrays import Array, cross, lower_median, normalized
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_between, quat_inverse, quat_multiply, quat_normalize, quat_rotate
@@ -47,7 +47,7 @@ def _leg(side: str, contacts: tuple[int, int]) -> _Leg:
 LEGS = (_leg("Left", (0, 1)), _leg("Right", (2, 3)))
 
 
-def lock_feet(motion: Motion, contacts: Tensor) -> Motion:
+def lock_feet(motion: Motion, contacts: Array) -> Motion:
     """The motion with its feet held still while they touch the floor.
 
     Args:
@@ -66,9 +66,9 @@ def lock_feet(motion: Motion, contacts: Tensor) -> Motion:
     return motion
 
 
-def locked_spans(contacts: Tensor) -> list[tuple[int, int]]:
+def locked_spans(contacts: Array) -> list[tuple[int, int]]:
     """Stretches (start, end) in which a foot is in contact, from probabilities (T, 2) of ankle and toe."""
-    level = contacts.max(dim=-1).values.tolist()
+    level = contacts.max(axis=-1).tolist()
     spans, start = [], None
     for t, value in enumerate([*level, 0.0]):
         if start is None and value > CONTACT_ON:
@@ -80,7 +80,7 @@ def locked_spans(contacts: Tensor) -> list[tuple[int, int]]:
     return spans
 
 
-def _still_spans(toe: Tensor, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _still_spans(toe: Array, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Spans cut where the foot has slid further than a lock may hold it back: it then takes a new place.
 
     The frames in which it goes over are left out, so that it does not jump.
@@ -89,119 +89,122 @@ def _still_spans(toe: Tensor, spans: list[tuple[int, int]]) -> list[tuple[int, i
     for start, end in spans:
         first = start
         for t in range(start, end):
-            if float((toe[t] - toe[first])[[0, 2]].norm()) > MAX_SLIDE:
+            if float(np.linalg.norm((toe[t] - toe[first])[[0, 2]])) > MAX_SLIDE:
                 out.append((first, t - EASE_FRAMES))
                 first = t
         out.append((first, end))
     return [(start, end) for start, end in out if end > start]
 
 
-def _toe_shifts(toe: Tensor, contacts: Tensor) -> Tensor:
+def _toe_shifts(toe: Array, contacts: Array) -> Array:
     """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
     frames = len(toe)
-    pulls, strength = torch.zeros(frames, 3, dtype=torch.float64), torch.zeros(frames, 1, dtype=torch.float64)
-    weights = torch.zeros(frames, 1, dtype=torch.float64)
+    pulls, strength = np.zeros((frames, 3), np.float64), np.zeros((frames, 1), np.float64)
+    weights = np.zeros((frames, 1), np.float64)
     for start, end in _still_spans(toe, locked_spans(contacts)):
-        lock = toe[start:end].median(dim=0).values
-        shift = torch.zeros_like(pulls)
+        lock = lower_median(toe[start:end], axis=0)
+        shift = np.zeros_like(pulls)
         shift[start:end] = lock - toe[start:end]
         # Outside the lock the shift at its edge fades away.
-        shift[:start], shift[end:] = shift[start].clone(), shift[end - 1].clone()
-        distance = torch.zeros(frames, dtype=torch.float64)
-        distance[:start] = torch.arange(start, 0, -1)
-        distance[end:] = torch.arange(1, frames - end + 1)
-        x = (1.0 - distance / EASE_FRAMES).clamp(0.0, 1.0)
+        shift[:start], shift[end:] = shift[start].copy(), shift[end - 1].copy()
+        distance = np.zeros(frames, np.float64)
+        distance[:start] = np.arange(start, 0, -1)
+        distance[end:] = np.arange(1, frames - end + 1)
+        x = np.clip(1.0 - distance / EASE_FRAMES, 0.0, 1.0)
         share = (x * x * (3.0 - 2.0 * x))[:, None]
         # Frames between two near locks are shared by them; within a lock it alone counts.
         weight = share / (1.0 - share + 1e-9)
         pulls, weights = pulls + weight * shift, weights + weight
-        strength = torch.maximum(strength, share)
-    total = (strength * pulls / weights.clamp(min=1e-12)).to(toe.dtype)
+        strength = np.maximum(strength, share)
+    total = (strength * pulls / np.maximum(weights, 1e-12)).astype(toe.dtype)
     total[:, 1] += _lift(toe + total)
     return total
 
 
-def _lift(toe: Tensor) -> Tensor:
+def _lift(toe: Array) -> Array:
     """How much higher (T,) a toe (T, 3) has to be, to stay off a floor that it moves along.
 
     At the ends of a lock the toe comes down and leaves the floor, as a foot does at the ends of a step.
     """
-    way = torch.diff(toe[:, [0, 2]], dim=0).norm(dim=-1)
+    way = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=-1)
     # The longer of the ways to a frame and from it.
-    way = torch.maximum(F.pad(way, (1, 0)), F.pad(way, (0, 1)))
-    least = TOE_HEIGHT + (CLEARANCE * way).clamp(max=MAX_CLEARANCE)
-    missing = (least - toe[:, 1]).clamp(min=0.0)
+    way = np.maximum(np.pad(way, (1, 0)), np.pad(way, (0, 1)))
+    least = TOE_HEIGHT + np.minimum(CLEARANCE * way, MAX_CLEARANCE)
+    missing = np.maximum(least - toe[:, 1], 0.0)
     return _eased_most(missing, missing[:, None], LIFT_FRAMES)[:, 0]
 
 
-def _eased_most(size: Tensor, values: Tensor, half: int) -> Tensor:
+def _eased_most(size: Array, values: Array, half: int) -> Array:
     """Of values (T, k) the one of largest size (T,) within half frames around each, smoothed over as many.
 
     So the smoothed ones nowhere fall short of what is needed.
     """
-    kernel = torch.hann_window(2 * half + 3, periodic=False, dtype=values.dtype)[1:-1]
-    kernel = (kernel / kernel.sum())[None, None]
-    _, largest = F.max_pool1d(size[None, None], 2 * half + 1, stride=1, padding=half, return_indices=True)
-    padded = F.pad(values[largest[0, 0]].T[:, None], (half, half), mode="replicate")
-    return F.conv1d(padded, kernel)[:, 0].T
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    kernel = (kernel / kernel.sum()).astype(values.dtype)
+    around = sliding_window_view(np.pad(size, half, constant_values=-1.0), 2 * half + 1)
+    largest = values[around.argmax(axis=-1) + np.arange(len(size)) - half]
+    padded = np.pad(largest, ((half, half), (0, 0)), mode="edge")
+    return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
 
 
-def _lower_hips(motion: Motion, positions: Tensor, targets: list[Tensor]) -> Motion:
+def _lower_hips(motion: Motion, positions: Array, targets: list[Array]) -> Motion:
     """Move the root towards feet its legs cannot reach, smoothly over time."""
-    need = torch.zeros_like(motion.root_positions)
+    need = np.zeros_like(motion.root_positions)
     for leg, target in zip(LEGS, targets, strict=True):
-        lengths = motion.skeleton.offsets[[leg.knee, leg.ankle]].norm(dim=-1).sum()
+        lengths = np.linalg.norm(motion.skeleton.offsets[[leg.knee, leg.ankle]], axis=-1).sum()
         reach = target - positions[:, leg.hip]
-        distance = reach.norm(dim=-1, keepdim=True)
-        missing = (distance - MAX_REACH * lengths).clamp(min=0.0)
-        already = (positions[:, leg.ankle] - positions[:, leg.hip]).norm(dim=-1, keepdim=True)
+        distance = np.linalg.norm(reach, axis=-1, keepdims=True)
+        missing = np.maximum(distance - MAX_REACH * lengths, 0.0)
+        already = np.linalg.norm(positions[:, leg.ankle] - positions[:, leg.hip], axis=-1, keepdims=True)
         # A leg that was straight before stays so; only what the lock adds is taken from the hips.
-        missing = torch.minimum(missing, (distance - already).clamp(min=0.0))
-        move = reach / distance.clamp(min=1e-6) * missing
-        need = torch.where(missing > need.norm(dim=-1, keepdim=True), move, need)
-    eased = _eased_most(need.norm(dim=-1), need, EASE_FRAMES)
+        missing = np.minimum(missing, np.maximum(distance - already, 0.0))
+        move = reach / np.maximum(distance, 1e-6) * missing
+        need = np.where(missing > np.linalg.norm(need, axis=-1, keepdims=True), move, need)
+    eased = _eased_most(np.linalg.norm(need, axis=-1), need, EASE_FRAMES)
     return replace(motion, root_positions=motion.root_positions + eased)
 
 
-def _reach(motion: Motion, leg: _Leg, target: Tensor) -> Motion:
+def _reach(motion: Motion, leg: _Leg, target: Array) -> Motion:
     """Bend one leg so that its ankle comes to target (T, 3); the foot keeps its orientation in the world."""
     rotations, positions = motion_kinematics(motion)
     hip, knee, ankle = (positions[:, j] for j in (leg.hip, leg.knee, leg.ankle))
-    thigh, shin = (knee - hip).norm(dim=-1), (ankle - knee).norm(dim=-1)
-    reach = (target - hip).norm(dim=-1)
-    reach = torch.minimum(torch.maximum(reach, (thigh - shin).abs() + 0.5), (thigh + shin) * MAX_REACH)
+    thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
+    reach = np.linalg.norm(target - hip, axis=-1)
+    reach = np.minimum(np.maximum(reach, np.abs(thigh - shin) + 0.5), (thigh + shin) * MAX_REACH)
     # Where nothing is asked for, nothing changes, a fully straight leg included.
-    still = (target - ankle).norm(dim=-1, keepdim=True) < 1e-3
-    bend_now = _interior_angle(thigh, shin, (ankle - hip).norm(dim=-1))
+    still = np.linalg.norm(target - ankle, axis=-1, keepdims=True) < 1e-3
+    bend_now = _interior_angle(thigh, shin, np.linalg.norm(ankle - hip, axis=-1))
     bend_then = _interior_angle(thigh, shin, reach)
-    axis = torch.linalg.cross(hip - knee, ankle - knee)
+    axis = cross(hip - knee, ankle - knee)
     # A straight leg has no plane; its knee bends about the thigh's own sideways axis.
-    sideways = quat_rotate(rotations[:, leg.hip], torch.tensor([1.0, 0.0, 0.0]).expand_as(axis))
-    flat = axis.norm(dim=-1, keepdim=True) < 1e-2 * (thigh * shin)[:, None]
-    axis = F.normalize(torch.where(flat, -sideways, axis), dim=-1)
+    sideways = quat_rotate(
+        rotations[:, leg.hip], np.broadcast_to(np.array([1.0, 0.0, 0.0], np.float32), axis.shape)
+    )
+    flat = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-2 * (thigh * shin)[:, None]
+    axis = normalized(np.where(flat, -sideways, axis))
     opened = _about(axis, bend_then - bend_now)
     new_ankle = knee + quat_rotate(opened, ankle - knee)
     swing = quat_between(new_ankle - hip, target - hip)
     thigh_turn = quat_multiply(swing, rotations[:, leg.hip])
     shin_turn = quat_multiply(swing, quat_multiply(opened, rotations[:, leg.knee]))
     parent = motion.skeleton.parents[leg.hip]
-    local = motion.local_rotations.clone()
+    local = motion.local_rotations.copy()
     new = {
         leg.hip: quat_multiply(quat_inverse(rotations[:, parent]), thigh_turn),
         leg.knee: quat_multiply(quat_inverse(thigh_turn), shin_turn),
         leg.ankle: quat_multiply(quat_inverse(shin_turn), rotations[:, leg.ankle]),
     }
     for joint, turn in new.items():
-        local[:, joint] = torch.where(still, local[:, joint], quat_normalize(turn))
+        local[:, joint] = np.where(still, local[:, joint], quat_normalize(turn))
     return replace(motion, local_rotations=local)
 
 
-def _interior_angle(a: Tensor, b: Tensor, opposite: Tensor) -> Tensor:
+def _interior_angle(a: Array, b: Array, opposite: Array) -> Array:
     """The angle (T,) between sides a and b of a triangle."""
-    return torch.acos(((a * a + b * b - opposite * opposite) / (2 * a * b)).clamp(-1.0, 1.0))
+    return np.arccos(np.clip((a * a + b * b - opposite * opposite) / (2 * a * b), -1.0, 1.0))
 
 
-def _about(axis: Tensor, angle: Tensor) -> Tensor:
+def _about(axis: Array, angle: Array) -> Array:
     """Rotations (T, 4) by angle about unit axes."""
     half = 0.5 * angle[:, None]
-    return torch.cat([torch.cos(half), torch.sin(half) * axis], dim=-1)
+    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply, quat_rotate
 
 
 def forward_kinematics(
-    local_rotations: Tensor,
-    root_positions: Tensor,
-    offsets: Tensor,
+    local_rotations: Array,
+    root_positions: Array,
+    offsets: Array,
     parents: tuple[int, ...],
-    local_positions: Tensor | None = None,
-) -> tuple[Tensor, Tensor]:
+    local_positions: Array | None = None,
+) -> tuple[Array, Array]:
     """Global rotations (..., J, 4) and global positions (..., J, 3).
 
     Args:
@@ -32,15 +32,15 @@ def forward_kinematics(
         parent = parents[joint]
         rotations.append(quat_multiply(rotations[parent], local_rotations[..., joint, :]))
         positions.append(positions[parent] + quat_rotate(rotations[parent], places[..., joint, :]))
-    return torch.stack(rotations, dim=-2), torch.stack(positions, dim=-2)
+    return np.stack(rotations, axis=-2), np.stack(positions, axis=-2)
 
 
-def motion_kinematics(motion: Motion) -> tuple[Tensor, Tensor]:
+def motion_kinematics(motion: Motion) -> tuple[Array, Array]:
     """Global rotations (T, J, 4) and global positions (T, J, 3) of a motion."""
     return forward_kinematics(
         motion.local_rotations,
         motion.root_positions,
-        motion.skeleton.offsets.to(motion.local_rotations.dtype),
+        motion.skeleton.offsets.astype(motion.local_rotations.dtype),
         motion.skeleton.parents,
         motion.local_positions,
     )

@@ -16,10 +16,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError, OverwriteError, SkeletonError
 from motionkit.files import check_outputs, files_below
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
@@ -147,7 +146,7 @@ def _checked_twins(skeleton: Skeleton) -> tuple[int, ...]:
     return twins
 
 
-def is_z_up(positions: Tensor, names: Sequence[str]) -> bool:
+def is_z_up(positions: Array, names: Sequence[str]) -> bool:
     """Whether a motion's global positions (T, J, 3) have heads and feet apart along Z rather than Y.
 
     For rigs without such names it is the axis along which the body is larger, in doubt Y.
@@ -155,39 +154,39 @@ def is_z_up(positions: Tensor, names: Sequence[str]) -> bool:
     high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
     low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
     if high and low:
-        up = (positions[:, high].mean(dim=1) - positions[:, low].mean(dim=1)).mean(dim=0).abs()
+        up = np.abs((positions[:, high].mean(axis=1) - positions[:, low].mean(axis=1)).mean(axis=0))
         return bool(up[2] > up[1])
-    spread = (positions.amax(dim=1) - positions.amin(dim=1)).mean(dim=0)
+    spread = (positions.max(axis=1) - positions.min(axis=1)).mean(axis=0)
     return bool(spread[2] > 1.5 * spread[1])
 
 
-def _mean_places(motion: Motion) -> tuple[Tensor, tuple[bool, ...]]:
+def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:
     """Mean positions (J, 3) in the parent's space, and for every joint whether it stays there."""
     count = len(motion.skeleton)
     if motion.local_positions is None:
-        return motion.skeleton.offsets.double(), (False,) + (True,) * (count - 1)
-    places = motion.local_positions.double()
-    mean = places.mean(dim=0)
-    size = float(mean[1:].norm(dim=-1).mean()) if count > 1 else 1.0
-    wander = (places - mean).norm(dim=-1).amax(dim=0)
+        return motion.skeleton.offsets.astype(np.float64), (False,) + (True,) * (count - 1)
+    places = motion.local_positions.astype(np.float64)
+    mean = places.mean(axis=0)
+    size = float(np.linalg.norm(mean[1:], axis=-1).mean()) if count > 1 else 1.0
+    wander = np.linalg.norm(places - mean, axis=-1).max(axis=0)
     return mean, (False, *(bool(w < _RIGID_SHARE * size) for w in wander[1:]))
 
 
-def _common_axis(twins: tuple[int, ...], places: Tensor, rigid: tuple[bool, ...]) -> int | None:
+def _common_axis(twins: tuple[int, ...], places: Array, rigid: tuple[bool, ...]) -> int | None:
     """The axis along which all bones mirror their twins; None for a rig whose joints have own axes."""
     own = places[[joint for joint, stays in enumerate(rigid) if stays]]
     other = places[[twins[joint] for joint, stays in enumerate(rigid) if stays]]
-    reflections = torch.tensor(_REFLECTIONS, dtype=own.dtype)
-    misses = (own - other * reflections[:, None]).norm(dim=-1)
-    axis = int(misses[:3].sum(dim=-1).argmin())
-    length = torch.maximum(own.norm(dim=-1), other.norm(dim=-1))
-    against = misses[axis] > misses.amin(dim=0) + _SPEAKS_AGAINST * length
+    reflections = np.array(_REFLECTIONS, own.dtype)
+    misses = np.linalg.norm(own - other * reflections[:, None], axis=-1)
+    axis = int(misses[:3].sum(axis=-1).argmin())
+    length = np.maximum(np.linalg.norm(own, axis=-1), np.linalg.norm(other, axis=-1))
+    against = misses[axis] > misses.min(axis=0) + _SPEAKS_AGAINST * length
     heard = length > _SHORT_SHARE * length.mean()
     return None if int((against & heard).sum()) > _ODD_SHARE * int(heard.sum()) else axis
 
 
 def _own_reflections(
-    motion: Motion, twins: tuple[int, ...], places: Tensor, rigid: tuple[bool, ...], world: Signs
+    motion: Motion, twins: tuple[int, ...], places: Array, rigid: tuple[bool, ...], world: Signs
 ) -> tuple[Signs, ...]:
     """For every joint the reflection that best carries its twin's bones and mean rotation onto its own.
 
@@ -195,8 +194,8 @@ def _own_reflections(
     a turn off, which no natural asymmetry does.
     """
     skeleton = motion.skeleton
-    rotations = motion.local_rotations.double()
-    means = mean_rotation(torch.einsum("tji,tjk->jik", rotations, rotations))
+    rotations = motion.local_rotations.astype(np.float64)
+    means = mean_rotation(np.einsum("tji,tjk->jik", rotations, rotations))
     found: list[Signs] = []
     for joint, parent in enumerate(skeleton.parents):
         twin = twins[joint]
@@ -210,7 +209,7 @@ def _own_reflections(
         for signs in sorted(_REFLECTIONS, key=lambda candidate: candidate != outer):
             bones = _bone_misfit(skeleton, joint, signs, twins, places, rigid)
             turned = reflect_rotations(means[twin], outer, signs)
-            pose = 0.0 if known else float(quat_angle(means[joint], turned)) / torch.pi
+            pose = 0.0 if known else float(quat_angle(means[joint], turned)) / np.pi
             costs.append((bones + 0.5 * pose, signs))
         best = min(cost for cost, _ in costs)
         found.append(next(signs for cost, signs in costs if cost <= best + 1e-3))
@@ -222,7 +221,7 @@ def _bone_misfit(
     joint: int,
     signs: Signs,
     twins: tuple[int, ...],
-    places: Tensor,
+    places: Array,
     rigid: tuple[bool, ...],
 ) -> float:
     """By what share of their length the bones below a joint differ from their reflected twins."""
@@ -232,22 +231,22 @@ def _bone_misfit(
     if not joint and all(twins[child] == child for child in below):
         return 0.0  # where the hips stand over a root on the floor says nothing about left and right
     if joint in skeleton.end_sites and twin in skeleton.end_sites:
-        own, other = (torch.tensor(skeleton.end_sites[j], dtype=places.dtype) for j in (joint, twin))
+        own, other = (np.array(skeleton.end_sites[j], places.dtype) for j in (joint, twin))
         pairs.append((own, other))
-    reflection = torch.tensor(signs, dtype=places.dtype)
-    length = sum(float(own.norm()) for own, _ in pairs)
-    return sum(float((own - reflection * other).norm()) for own, other in pairs) / max(length, 1e-9)
+    reflection = np.array(signs, places.dtype)
+    length = sum(float(np.linalg.norm(own)) for own, _ in pairs)
+    return sum(float(np.linalg.norm(own - reflection * other)) for own, other in pairs) / max(length, 1e-9)
 
 
-def reflect_rotations(quat: Tensor, outer: Signs, inner: Signs) -> Tensor:
+def reflect_rotations(quat: Array, outer: Signs, inner: Signs) -> Array:
     """The rotations (..., 4) diag(outer) q diag(inner) for unit quaternions q (..., 4)."""
-    conjugated = quat * torch.tensor([1.0, *(-sign for sign in outer)], dtype=quat.dtype)
+    conjugated = quat * np.array([1.0, *(-sign for sign in outer)], quat.dtype)
     half_turn = _half_turn_axis(outer, inner)
     if half_turn is None:
         return conjugated
-    turn = torch.zeros(4, dtype=quat.dtype)
+    turn = np.zeros(4, quat.dtype)
     turn[1 + half_turn] = 1.0
-    return quat_multiply(conjugated, turn.expand_as(conjugated))
+    return quat_multiply(conjugated, np.broadcast_to(turn, conjugated.shape))
 
 
 def _half_turn_axis(outer: Signs, inner: Signs) -> int | None:
@@ -267,14 +266,14 @@ def mirror_motion(motion: Motion) -> Motion:
         reflect_rotations(motion.local_rotations[:, twin], plan.outer(skeleton, joint), plan.joints[joint])
         for joint, twin in enumerate(twins)
     ]
-    world = torch.tensor(plan.world, dtype=motion.root_positions.dtype)
+    world = np.array(plan.world, motion.root_positions.dtype)
     places = motion.local_positions
     if places is not None:
-        signs = torch.tensor([plan.outer(skeleton, j) for j in range(len(twins))], dtype=places.dtype)
+        signs = np.array([plan.outer(skeleton, j) for j in range(len(twins))], places.dtype)
         places = places[:, list(twins)] * signs
     return replace(
         motion,
-        local_rotations=torch.stack(rotations, dim=1),
+        local_rotations=np.stack(rotations, axis=1),
         root_positions=motion.root_positions * world,
         local_positions=places,
     )

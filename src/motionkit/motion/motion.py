@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.motion.rotations import quat_continuous, quat_slerp
 from motionkit.motion.skeleton import Skeleton
@@ -26,10 +26,10 @@ class Motion:
     """
 
     skeleton: Skeleton
-    local_rotations: Tensor
-    root_positions: Tensor
+    local_rotations: Array
+    root_positions: Array
     fps: float
-    local_positions: Tensor | None = None
+    local_positions: Array | None = None
 
     def __len__(self) -> int:
         return int(self.local_rotations.shape[0])
@@ -82,18 +82,18 @@ def resample(motion: Motion, fps: float) -> Motion:
             f"expected at most {longest_seconds(motion.fps) / 3600:g}"
         )
     frames = int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1
-    times = torch.arange(frames, dtype=torch.float64) * (motion.fps / fps)
-    before = times.floor().clamp(max=len(motion) - 2).long()
-    fraction = (times - before).to(motion.local_rotations.dtype)
+    times = np.arange(frames, dtype=np.float64) * (motion.fps / fps)
+    before = np.minimum(np.floor(times), len(motion) - 2).astype(np.int64)
+    fraction = (times - before).astype(motion.local_rotations.dtype)
     after = before + 1
     rotations = quat_slerp(
         motion.local_rotations[before],
         motion.local_rotations[after],
-        fraction[:, None].expand(frames, motion.local_rotations.shape[1]),
+        np.broadcast_to(fraction[:, None], (frames, motion.local_rotations.shape[1])),
     )
 
-    def linear(values: Tensor) -> Tensor:
-        weight = fraction.reshape(frames, *[1] * (values.dim() - 1)).to(values.dtype)
+    def linear(values: Array) -> Array:
+        weight = fraction.reshape(frames, *[1] * (values.ndim - 1)).astype(values.dtype)
         return values[before] * (1 - weight) + values[after] * weight
 
     local = None if motion.local_positions is None else linear(motion.local_positions)

@@ -12,10 +12,9 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, cross, length, normalized
 from motionkit.motion.rig_names import RigMap
 from motionkit.motion.rotations import (
     matrix_to_quat,
@@ -72,95 +71,94 @@ class SourceRig:
 
     skeleton: Skeleton
     rig: RigMap
-    rest: Tensor
+    rest: Array
 
-    def place(self, name: str) -> Tensor | None:
+    def place(self, name: str) -> Array | None:
         """Rest position (3,) of a canonical joint, or None."""
         joint = self.rig.places.get(name)
         return None if joint is None else self.rest[joint]
 
-    def bone(self, name: str) -> tuple[Tensor, Tensor] | None:
+    def bone(self, name: str) -> tuple[Array, Array] | None:
         """The bone from a joint on, canonical and source rest vectors (3,), or None if it has no end."""
         return self._bones.get(name)
 
     @cached_property
-    def _bones(self) -> dict[str, tuple[Tensor, Tensor]]:
+    def _bones(self) -> dict[str, tuple[Array, Array]]:
         tiny = tiny_length(self.skeleton)
         found = {name: self._find_bone(name, joint, tiny) for name, joint in self.rig.places.items()}
         return {name: bone for name, bone in found.items() if bone is not None}
 
-    def _find_bone(self, name: str, joint: int, tiny: float) -> tuple[Tensor, Tensor] | None:
+    def _find_bone(self, name: str, joint: int, tiny: float) -> tuple[Array, Array] | None:
         own = JOINT_NAMES.index(name)
         for ahead in _AHEAD.get(name, ()):
             place = self.place(ahead)
-            if place is not None and float((place - self.rest[joint]).norm()) > tiny:
+            if place is not None and float(np.linalg.norm(place - self.rest[joint])) > tiny:
                 canonical = _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[own]
                 return canonical, place - self.rest[joint]
         end = bone_end(self.skeleton, joint, tiny)
         if end is None:
             return None
         if own in _CANONICAL.end_sites:
-            return torch.tensor(_CANONICAL.end_sites[own]), end
+            return np.array(_CANONICAL.end_sites[own], np.float32), end
         return _CANONICAL.offsets[_CANONICAL.children(own)[0]], end
 
 
-def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Tensor | None:
+def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
     """Where a joint's bone ends (3,), from End Sites and the joints below: the mean, thumbs left out."""
     end = skeleton.end_sites.get(joint)
     if end is not None and math.hypot(*end) > tiny:
-        return torch.tensor(end, dtype=torch.float32)
+        return np.array(end, np.float32)
     ends = []
     for child in skeleton.children(joint):
         offset = skeleton.offsets[child]
         if "thumb" in skeleton.names[child].lower():
             continue
-        if float(offset.norm()) > tiny:
+        if float(np.linalg.norm(offset)) > tiny:
             ends.append(offset)
         elif (further := bone_end(skeleton, child, tiny)) is not None:
             ends.append(offset + further)
-    return torch.stack(ends).mean(0) if ends else None
+    return np.stack(ends).mean(0) if ends else None
 
 
 def tiny_length(skeleton: Skeleton) -> float:
     """What counts as no length at all in this skeleton's unit."""
-    return 1e-2 * float(skeleton.offsets[1:].norm(dim=-1).max())
+    return 1e-2 * float(np.linalg.norm(skeleton.offsets[1:], axis=-1).max())
 
 
-def frame_from(lateral: Tensor, up: Tensor) -> Tensor:
+def frame_from(lateral: Array, up: Array) -> Array:
     """Rotations (..., 4) whose Y axis is up (..., 3) and whose X axis is as near lateral as can be."""
-    y = F.normalize(up, dim=-1)
-    x = F.normalize(lateral - (lateral * y).sum(-1, keepdim=True) * y, dim=-1)
-    return matrix_to_quat(torch.stack([x, y, torch.linalg.cross(x, y)], dim=-1))
+    y = normalized(up)
+    x = normalized(lateral - (lateral * y).sum(-1, keepdims=True) * y)
+    return matrix_to_quat(np.stack([x, y, cross(x, y)], axis=-1))
 
 
-def body_frame(source: SourceRig) -> Tensor:
+def body_frame(source: SourceRig) -> Array:
     """Which way the rest pose stands and faces (4,): snapped to the axes when it is near them."""
     hips, arms = (_pair(source, part) for part in ("UpLeg", "Arm"))
     frame = frame_from(hips[0] - hips[1], (arms[0] + arms[1] - hips[0] - hips[1]) / 2)
     matrix = quat_to_matrix(frame)
     snapped = matrix.round()
-    aligned = bool((snapped.abs().sum(0) == 1).all() and (matrix - snapped).abs().max() < 0.35)
+    aligned = bool((np.abs(snapped).sum(0) == 1).all() and np.abs(matrix - snapped).max() < 0.35)
     return matrix_to_quat(snapped) if aligned else frame
 
 
-def _pair(source: SourceRig, part: str) -> tuple[Tensor, Tensor]:
+def _pair(source: SourceRig, part: str) -> tuple[Array, Array]:
     left, right = (source.place(f"{side}{part}") for side in SIDES)
     assert left is not None and right is not None
     return left, right
 
 
-def angle_between(a: Tensor, b: Tensor) -> Tensor:
+def angle_between(a: Array, b: Array) -> Array:
     """The angle (...) in degrees between vectors (..., 3)."""
-    cross = torch.linalg.cross(a, b).norm(dim=-1)
-    return torch.rad2deg(torch.atan2(cross, (a * b).sum(-1)))
+    return np.rad2deg(np.arctan2(length(cross(a, b)), (a * b).sum(-1)))
 
 
-def stands(source: SourceRig, frame: Tensor) -> bool:
+def stands(source: SourceRig, frame: Array) -> bool:
     """Whether the rest pose is a standing human: legs down, spine up, arms not across, limbs straight."""
-    down, up = torch.tensor([0.0, -1.0, 0.0]), torch.tensor([0.0, 1.0, 0.0])
-    limits: list[tuple[str, Tensor, float]] = [(name, up, 60.0) for name in ("LowerBack", "Spine")]
+    down, up = np.array([0.0, -1.0, 0.0], np.float32), np.array([0.0, 1.0, 0.0], np.float32)
+    limits: list[tuple[str, Array, float]] = [(name, up, 60.0) for name in ("LowerBack", "Spine")]
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-        outward = torch.tensor([sign, 0.0, 0.0])
+        outward = np.array([sign, 0.0, 0.0], np.float32)
         limits += [(f"{side}UpLeg", down, 60.0), (f"{side}Leg", down, 60.0)]
         limits += [(f"{side}Arm", outward, 105.0), (f"{side}ForeArm", outward, 120.0)]
     for name, direction, limit in limits:
@@ -171,9 +169,9 @@ def stands(source: SourceRig, frame: Tensor) -> bool:
     return True
 
 
-def rest_differences(source: SourceRig, frame: Tensor) -> Tensor:
+def rest_differences(source: SourceRig, frame: Array) -> Array:
     """The differences D (23, 4) from a standing rest pose."""
-    out = frame.expand(len(JOINT_NAMES), 4).clone()
+    out = np.broadcast_to(frame, (len(JOINT_NAMES), 4)).copy()
     for joint, name in enumerate(JOINT_NAMES):
         part = name.removeprefix("Left").removeprefix("Right")
         bone = source.bone(name)
@@ -193,12 +191,12 @@ def rest_differences(source: SourceRig, frame: Tensor) -> Tensor:
     return out
 
 
-def _forward(frame: Tensor) -> Tensor:
+def _forward(frame: Array) -> Array:
     """Where a body frame faces (3,)."""
-    return quat_rotate(frame, torch.tensor([0.0, 0.0, 1.0]))
+    return quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
 
 
-def _turned(base: Tensor, bone: tuple[Tensor, Tensor] | None, tolerance: float) -> Tensor:
+def _turned(base: Array, bone: tuple[Array, Array] | None, tolerance: float) -> Array:
     """base, or base turned the shortest way onto the source bone where that is further off than tolerance."""
     if bone is None:
         return base
@@ -209,18 +207,18 @@ def _turned(base: Tensor, bone: tuple[Tensor, Tensor] | None, tolerance: float) 
     return quat_multiply(quat_between(canonical, bone[1]), base)
 
 
-def _foot_difference(source: SourceRig, frame: Tensor, name: str, canonical: Tensor, bone: Tensor) -> Tensor:
+def _foot_difference(source: SourceRig, frame: Array, name: str, canonical: Array, bone: Array) -> Array:
     """Feet stand flat in a rest pose, however high their ankle sits: heading and roll are what counts."""
     to_frame = quat_inverse(frame)
     in_frame = quat_rotate(to_frame, bone)
-    pitch = math.degrees(math.asin(float(-in_frame[1] / in_frame.norm())))
+    pitch = math.degrees(math.asin(float(-in_frame[1] / np.linalg.norm(in_frame))))
     if not -30.0 < pitch < 70.0:  # hanging toes
         return _turned(frame, (canonical, bone), 0.0)
     hip, ankle = (source.place(name.replace("Foot", part)) for part in ("UpLeg", "Foot"))
     assert hip is not None and ankle is not None
     roll = _spread(quat_rotate(to_frame, ankle - hip)) - _canonical_spread(name)
     if abs(float(roll)) < math.radians(5.0):
-        roll = torch.zeros(())
+        roll = np.zeros((), np.float32)
     flat = quat_from_roll(roll)
     yaw = _heading(in_frame) - _heading(quat_rotate(flat, canonical))
     if abs(float(yaw)) > math.radians(15.0):
@@ -228,29 +226,29 @@ def _foot_difference(source: SourceRig, frame: Tensor, name: str, canonical: Ten
     return quat_multiply(frame, flat)
 
 
-def quat_from_roll(roll: Tensor) -> Tensor:
+def quat_from_roll(roll: Array) -> Array:
     """Rotations (..., 4) about Z by roll (...)."""
-    zero = torch.zeros_like(roll)
-    return torch.stack([torch.cos(0.5 * roll), zero, zero, torch.sin(0.5 * roll)], dim=-1)
+    zero = np.zeros_like(roll)
+    return np.stack([np.cos(0.5 * roll), zero, zero, np.sin(0.5 * roll)], axis=-1)
 
 
-def _spread(leg: Tensor) -> Tensor:
+def _spread(leg: Array) -> Array:
     """How far a leg vector (..., 3) points to the left of straight down, in radians."""
-    return torch.atan2(leg[..., 0], -leg[..., 1])
+    return np.arctan2(leg[..., 0], -leg[..., 1])
 
 
-def _canonical_spread(foot: str) -> Tensor:
+def _canonical_spread(foot: str) -> Array:
     """The canonical legs stand apart, and a foot rolls with its shin when they come together."""
     hip = JOINT_NAMES.index(foot.replace("Foot", "UpLeg"))
     return _spread(_CANONICAL_REST[JOINT_NAMES.index(foot)] - _CANONICAL_REST[hip])
 
 
-def _heading(vector: Tensor) -> Tensor:
+def _heading(vector: Array) -> Array:
     """The angle (...) about Y that turns +Z towards a vector (..., 3)."""
-    return torch.atan2(vector[..., 0], vector[..., 2])
+    return np.arctan2(vector[..., 0], vector[..., 2])
 
 
-def posed_differences(source: SourceRig, rotations: Tensor, positions: Tensor) -> Tensor:
+def posed_differences(source: SourceRig, rotations: Array, positions: Array) -> Array:
     """The differences D (23, 4) from recorded poses: global rotations (T, J, 4), positions (T, J, 3), Y up.
 
     Pelvis and chest are framed by the hips or shoulders and the spine while the body is upright; limbs
@@ -264,41 +262,43 @@ def posed_differences(source: SourceRig, rotations: Tensor, positions: Tensor) -
 class _Poses:
     """Reference poses of a source rig, and the canonical global rotations read from them."""
 
-    def __init__(self, source: SourceRig, rotations: Tensor, positions: Tensor) -> None:
+    def __init__(self, source: SourceRig, rotations: Array, positions: Array) -> None:
         self.source = source
         self.rotations = rotations
         self.positions = positions
         hips, arms = self.pair("UpLeg"), self.pair("Arm")
         self.hip_axis, self.arm_axis = hips[0] - hips[1], arms[0] - arms[1]
         self.up = (arms[0] + arms[1] - hips[0] - hips[1]) / 2
-        self.lean = torch.deg2rad(angle_between(self.up, torch.tensor([0.0, 1.0, 0.0]).expand_as(self.up)))
-        limit = max(_UPRIGHT, float(self.lean.quantile(0.05)))
+        self.lean = np.deg2rad(
+            angle_between(self.up, np.broadcast_to(np.array([0.0, 1.0, 0.0], np.float32), self.up.shape))
+        )
+        limit = max(_UPRIGHT, float(np.quantile(self.lean, 0.05)))
         self.upright = self.lean <= limit
-        self.geometry: dict[str, Tensor] = {}  # canonical global rotations (T, 4), as far as seen
+        self.geometry: dict[str, Array] = {}  # canonical global rotations (T, 4), as far as seen
         self.out = quat_identity((len(JOINT_NAMES),))
 
-    def place(self, name: str) -> Tensor | None:
+    def place(self, name: str) -> Array | None:
         joint = self.source.rig.places.get(name)
         return None if joint is None else self.positions[:, joint]
 
-    def pair(self, part: str) -> tuple[Tensor, Tensor]:
+    def pair(self, part: str) -> tuple[Array, Array]:
         left, right = (self.place(f"{side}{part}") for side in SIDES)
         assert left is not None and right is not None
         return left, right
 
-    def turn(self, name: str) -> Tensor:
+    def turn(self, name: str) -> Array:
         return self.rotations[:, self.source.rig.turns[name]]
 
-    def bone(self, name: str) -> tuple[Tensor, Tensor] | None:
+    def bone(self, name: str) -> tuple[Array, Array] | None:
         """Canonical rest vector (3,) and the source bone in the world (T, 3)."""
         bone = self.source.bone(name)
         if bone is None:
             return None
-        return bone[0], quat_rotate(self.turn(name), bone[1].expand(len(self.up), 3))
+        return bone[0], quat_rotate(self.turn(name), np.broadcast_to(bone[1], (len(self.up), 3)))
 
-    def differences(self) -> Tensor:
+    def differences(self) -> Array:
         self.settle("Hips", frame_from(self.hip_axis, self.up), self.upright)
-        hips, arms = F.normalize(self.hip_axis, dim=-1), F.normalize(self.arm_axis, dim=-1)
+        hips, arms = normalized(self.hip_axis), normalized(self.arm_axis)
         for share, name in (
             (0.3, "LowerBack"),
             (0.6, "Spine"),
@@ -318,30 +318,30 @@ class _Poses:
             self._hand(side)
         return self.out
 
-    def seen(self, name: str) -> Tensor:
+    def seen(self, name: str) -> Array:
         """The canonical global rotation (T, 4) of the nearest joint above that the source has."""
         joint = PARENTS[JOINT_NAMES.index(name)]
         while JOINT_NAMES[joint] not in self.geometry:
             joint = PARENTS[joint]
         return self.geometry[JOINT_NAMES[joint]]
 
-    def settle(self, name: str, geometry: Tensor, frames: Tensor) -> None:
+    def settle(self, name: str, geometry: Array, frames: Array) -> None:
         """Take the mean difference over some frames, and the rotation of all frames from it."""
         if name not in self.source.rig.places:
             return
         difference = quat_multiply(quat_inverse(self.turn(name)), geometry)[frames]
-        moment = torch.einsum("ti,tj->ij", difference, difference)
+        moment = np.einsum("ti,tj->ij", difference, difference)
         mean = mean_rotation(moment)
         self.out[JOINT_NAMES.index(name)] = mean
-        self.geometry[name] = quat_multiply(self.turn(name), mean.expand(len(self.up), 4))
+        self.geometry[name] = quat_multiply(self.turn(name), np.broadcast_to(mean, (len(self.up), 4)))
 
-    def _along_spine(self, name: str, lateral: Tensor) -> None:
+    def _along_spine(self, name: str, lateral: Array) -> None:
         bone = self.bone(name)
         if bone is None:
             self.settle(name, self.seen(name), self.upright)
             return
         canonical, world = bone
-        rest = frame_from(torch.tensor([1.0, 0.0, 0.0]), canonical)
+        rest = frame_from(np.array([1.0, 0.0, 0.0], np.float32), canonical)
         self.settle(name, quat_multiply(frame_from(lateral, world), quat_inverse(rest)), self.upright)
 
     def _limb(self, name: str, hinge_name: str) -> None:
@@ -353,14 +353,14 @@ class _Poses:
         upper = self.bone(hinge_name.replace("ForeArm", "Arm").replace("Leg", "UpLeg"))
         lower = self.bone(hinge_name)
         if upper is not None and lower is not None:
-            bent = torch.deg2rad(angle_between(upper[1], lower[1])) > _BENT
+            bent = np.deg2rad(angle_between(upper[1], lower[1])) > _BENT
             if int(bent.sum()) >= 3:
-                axis = torch.linalg.cross(upper[1], lower[1])
-                rest = frame_from(torch.tensor(_HINGES[hinge_name]), canonical)
+                axis = cross(upper[1], lower[1])
+                rest = frame_from(np.array(_HINGES[hinge_name], np.float32), canonical)
                 self.settle(name, quat_multiply(frame_from(axis, world), quat_inverse(rest)), bent)
                 return
         base = self.seen(name)
-        start = quat_rotate(base, canonical.expand_as(world))
+        start = quat_rotate(base, np.broadcast_to(canonical, world.shape))
         self.settle(name, quat_multiply(quat_between(start, world), base), self.upright)
 
     def _foot(self, side: str) -> None:
@@ -369,27 +369,30 @@ class _Poses:
         if place is None:
             return
         if bone is None:
-            roll = quat_from_roll(-_canonical_spread(name)).expand(len(self.up), 4)
+            roll = np.broadcast_to(quat_from_roll(-_canonical_spread(name)), (len(self.up), 4))
             self.settle(name, quat_multiply(quat_from_yaw(self.heading()), roll), self.upright)
             return
         canonical, world = bone
         height = place[:, 1] + 0.5 * world[:, 1]
-        low = self.upright & (height <= height[self.upright].quantile(0.2))
+        low = self.upright & (height <= np.quantile(height[self.upright], 0.2))
         roll = quat_from_roll(-_canonical_spread(name))
         yaw = _heading(world) - _heading(quat_rotate(roll, canonical))
-        flat = quat_multiply(quat_from_yaw(yaw), roll.expand(len(yaw), 4))
+        flat = quat_multiply(quat_from_yaw(yaw), np.broadcast_to(roll, (len(yaw), 4)))
         self.settle(name, flat, low)
         self.settle(toe, flat, low)
 
-    def heading(self) -> Tensor:
+    def heading(self) -> Array:
         return _heading(
-            quat_rotate(self.geometry["Hips"], torch.tensor([0.0, 0.0, 1.0]).expand(len(self.up), 3))
+            quat_rotate(
+                self.geometry["Hips"],
+                np.broadcast_to(np.array([0.0, 0.0, 1.0], np.float32), (len(self.up), 3)),
+            )
         )
 
     def _hand(self, side: str) -> None:
         name = f"{side}Hand"
         bone, base = self.bone(name), self.seen(name)
         if bone is not None:
-            start = quat_rotate(base, bone[0].expand_as(bone[1]))
+            start = quat_rotate(base, np.broadcast_to(bone[0], bone[1].shape))
             base = quat_multiply(quat_between(start, bone[1]), base)
         self.settle(name, base, self.upright)

@@ -11,10 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
-import torch.nn.functional as F
-from torch import Tensor
 
+from motionkit.arrays import Array, length, lower_median, normalized
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
@@ -73,7 +71,7 @@ class RetargetReport:
     leg_length: float
     root_scale: float
     notes: tuple[str, ...]
-    body: Tensor
+    body: Array
 
 
 def retarget_file(
@@ -110,10 +108,10 @@ def retarget(
     frame = body_frame(source)
     standing = stands(source, frame)
     up = _up_axis(source, positions, frame if standing else None)
-    turn = quat_between(up, torch.tensor([0.0, 1.0, 0.0]))
+    turn = quat_between(up, np.array([0.0, 1.0, 0.0], np.float32))
     if float(up[1]) < 1.0:
         rotations, positions = (
-            quat_multiply(turn.expand_as(rotations), rotations),
+            quat_multiply(np.broadcast_to(turn, rotations.shape), rotations),
             quat_rotate(turn, positions),
         )
     if standing:
@@ -149,7 +147,7 @@ def retarget(
 
 def _median_offsets(bvh: BvhFile) -> BvhFile:
     """With six-channel joints the channels place a joint, not its OFFSET: their median stands for it."""
-    offsets = bvh.skeleton.offsets.clone()
+    offsets = bvh.skeleton.offsets.copy()
     for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
         for name, column in zip(names, columns, strict=True):
             if joint and name.endswith("position"):
@@ -187,21 +185,21 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     return small, RigMap(places, {name: new[j] for name, j in rig.turns.items()})
 
 
-def _up_axis(source: SourceRig, positions: Tensor, frame: Tensor | None) -> Tensor:
+def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
     """The world axis (3,) that bodies stand along: by the recorded poses, Y and the rest pose favoured."""
     places = source.rig.places
     arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
     hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
-    mean = F.normalize(arms - hips, dim=-1).mean(0)
-    votes = mean.abs() + torch.tensor([0.0, 0.3, 0.0])
-    sign = torch.where(mean < 0, -1.0, 1.0)
+    mean = normalized(arms - hips).mean(0)
+    votes = np.abs(mean) + np.array([0.0, 0.3, 0.0], np.float32)
+    sign = np.where(mean < 0, -1.0, 1.0)
     if frame is not None:  # a whole clip may be spent on the floor or upside down
-        rest = quat_rotate(frame, torch.tensor([0.0, 1.0, 0.0]))
-        axis = int(rest.abs().argmax())
+        rest = quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
+        axis = int(np.abs(rest).argmax())
         votes[axis] += 0.4
         sign[axis] = 1.0 if rest[axis] > 0 else -1.0
     best = int(votes.argmax())
-    return F.one_hot(torch.tensor(best), 3).float() * sign[best]
+    return np.eye(3, dtype=np.float32)[best] * sign[best].astype(np.float32)
 
 
 def _leg(source: SourceRig) -> float:
@@ -212,27 +210,27 @@ def _leg(source: SourceRig) -> float:
             bone = source.bone(f"{side}{part}")
             if bone is None:
                 raise SkeletonError(f"{side}{part}: a bone without length, nothing to scale by")
-            total += float(bone[1].norm())
+            total += float(np.linalg.norm(bone[1]))
     return total / 2.0
 
 
-def _canonical_rotations(rig: RigMap, rotations: Tensor, differences: Tensor) -> Tensor:
+def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> Array:
     """Global rotations (T, 23, 4) of the canonical joints; those without a source follow their parent."""
     carriers: list[int] = []  # the canonical joint whose source moves each canonical joint
     for joint, name in enumerate(JOINT_NAMES):
         carriers.append(joint if name in rig.turns else carriers[PARENTS[joint]])
     sources = [rig.turns[JOINT_NAMES[joint]] for joint in carriers]
-    return quat_multiply(rotations[:, sources], differences[carriers].expand(len(rotations), -1, 4))
+    return quat_multiply(rotations[:, sources], differences[carriers])
 
 
-def _to_local(rotations: Tensor) -> Tensor:
+def _to_local(rotations: Array) -> Array:
     """Rotations (T, 23, 4) in the parent's space from global ones, signs continuous in time."""
     parents = rotations[:, list(PARENTS[1:])]
     local = quat_multiply(quat_inverse(parents), rotations[:, 1:])
-    return quat_continuous(quat_normalize(torch.cat([rotations[:, :1], local], dim=1)))
+    return quat_continuous(quat_normalize(np.concatenate([rotations[:, :1], local], axis=1)))
 
 
-def _root_positions(rig: RigMap, positions: Tensor, hips: Tensor, target: Skeleton) -> Tensor:
+def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton) -> Array:
     """Where the hips must be (T, 3) for the middle between the thighs to be where the source has it.
 
     Rigs put their hip joint anywhere between the thighs and the navel; the legs must not notice.
@@ -240,10 +238,10 @@ def _root_positions(rig: RigMap, positions: Tensor, hips: Tensor, target: Skelet
     thighs = [positions[:, rig.places[f"{side}UpLeg"]] for side in SIDES]
     sockets = [target.offsets[target.index(f"{side}UpLeg")] for side in SIDES]
     middle, socket = (thighs[0] + thighs[1]) / 2, (sockets[0] + sockets[1]) / 2
-    return middle - quat_rotate(hips, socket.expand_as(middle))
+    return middle - quat_rotate(hips, np.broadcast_to(socket, middle.shape))
 
 
-def _body(source: SourceRig, shape: Tensor, scale: float) -> tuple[Tensor, tuple[str, ...]]:
+def _body(source: SourceRig, shape: Array, scale: float) -> tuple[Array, tuple[str, ...]]:
     """This body's offsets (23, 3) in cm, canonical in direction, and notes on lengths that were assumed.
 
     A length that the rig lacks is the canonical one in proportion to the legs. Where the rig's torso is
@@ -252,21 +250,21 @@ def _body(source: SourceRig, shape: Tensor, scale: float) -> tuple[Tensor, tuple
     canonical = canonical_skeleton()
     rest = canonical.rest_positions()
     share = _leg(source) * scale / leg_length(canonical)
-    ratios = torch.full((len(JOINT_NAMES),), share)
+    ratios = np.full(len(JOINT_NAMES), share, np.float32)
     assumed: list[str] = []
     for joint, name in enumerate(JOINT_NAMES[1:], start=1):
         above = PARENTS[joint]
         while above > 0 and JOINT_NAMES[above] not in source.rig.places:
             above = PARENTS[above]
         own = _own_length(source, JOINT_NAMES[above], name)
-        length = float((rest[joint] - rest[above]).norm())
-        if own is None or length == 0.0:
+        usual = float(np.linalg.norm(rest[joint] - rest[above]))
+        if own is None or usual == 0.0:
             continue
-        if own * scale < _GAP * share * length:
+        if own * scale < _GAP * share * usual:
             assumed.append(name)
             continue
         while joint != above:  # joints that the rig lacks share the length with the one below them
-            ratios[joint] = own * scale / length
+            ratios[joint] = own * scale / usual
             joint = PARENTS[joint]
     if not all(name in source.rig.places for name in _TORSO):
         for names, ratio in _torso_ratios(source, shape, rest):
@@ -283,27 +281,27 @@ def _own_length(source: SourceRig, above: str, name: str) -> float | None:
     """The rest length of a bone in file units, or None if the rig does not have it."""
     top, bottom = source.place(above), source.place(name)
     if top is not None and bottom is not None:
-        return float((bottom - top).norm())
+        return float(np.linalg.norm(bottom - top))
     if above.endswith(("ForeArm", "Foot")):  # a hand or toe that only an End Site tells of
         bone = source.bone(above)
-        return None if bone is None else float(bone[1].norm())
+        return None if bone is None else float(np.linalg.norm(bone[1]))
     return None
 
 
-def _torso_ratios(source: SourceRig, shape: Tensor, rest: Tensor) -> list[tuple[tuple[str, ...], float]]:
+def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tuple[str, ...], float]]:
     """How much larger than the canonical one the torso is: in height, at the shoulders, at the hips."""
 
     places = source.rig.places
 
-    def corners(at: Tensor, index: dict[str, int]) -> list[Tensor]:
+    def corners(at: Array, index: dict[str, int]) -> list[Array]:
         return [at[..., index[f"{side}{part}"], :] for part in ("UpLeg", "Arm") for side in SIDES]
 
-    def sizes(left_hip: Tensor, right_hip: Tensor, left_arm: Tensor, right_arm: Tensor) -> Tensor:
+    def sizes(left_hip: Array, right_hip: Array, left_arm: Array, right_arm: Array) -> Array:
         spine = (left_arm + right_arm - left_hip - right_hip) / 2
         widths = [left_arm - right_arm, left_hip - right_hip]
-        return torch.stack([v.norm(dim=-1) for v in (spine, *widths)], dim=-1)
+        return np.stack([np.linalg.norm(v, axis=-1) for v in (spine, *widths)], axis=-1)
 
-    own = sizes(*corners(shape, places)).reshape(-1, 3).median(dim=0).values
+    own = lower_median(sizes(*corners(shape, places)).reshape(-1, 3), axis=0)
     ours = sizes(*corners(rest, {name: j for j, name in enumerate(JOINT_NAMES)}))
     height, arms, hips = (float(ratio) for ratio in own / ours)
     ratios = [
@@ -313,27 +311,27 @@ def _torso_ratios(source: SourceRig, shape: Tensor, rest: Tensor) -> list[tuple[
     ]
     if "Head" in places:  # necks begin anywhere: the head belongs as high above the shoulders as it was
         middle = (shape[:, places["LeftArm"]] + shape[:, places["RightArm"]]) / 2
-        above = float((shape[:, places["Head"]] - middle).norm(dim=-1).median())
+        above = float(lower_median(length(shape[:, places["Head"]] - middle)))
         neck, head = rest[JOINT_NAMES.index("Neck")], rest[JOINT_NAMES.index("Head")]
         below = height * float(rest[JOINT_NAMES.index("LeftArm")][1] - neck[1])
         ratios.append((("Neck1", "Head"), (above + below) / float(head[1] - neck[1])))
     return ratios
 
 
-def _pose_notes(up: Tensor, frame: Tensor, standing: bool, differences: Tensor) -> tuple[str, ...]:
+def _pose_notes(up: Array, frame: Array, standing: bool, differences: Array) -> tuple[str, ...]:
     """In words, how the source's axes and rest pose differ."""
     notes = []
     if float(up[1]) < 0.5:
-        axis = int(up.abs().argmax())
+        axis = int(np.abs(up).argmax())
         notes.append(f"up axis {'+' if float(up[axis]) > 0 else '-'}{'XYZ'[axis]} turned to +Y")
     if not standing:
         notes.append("the rest pose is not a standing human: reference poses taken from the motion")
         return tuple(notes)
-    facing = quat_rotate(frame, torch.tensor([0.0, 0.0, 1.0]))
-    axis = int(facing.abs().argmax())
+    facing = quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
+    axis = int(np.abs(facing).argmax())
     if axis != 2 or float(facing[axis]) < 0:
         notes.append(f"the rest pose faces {'+' if float(facing[axis]) > 0 else '-'}{'XYZ'[axis]}")
-    apart = torch.rad2deg(quat_angle(frame.expand_as(differences), differences))
+    apart = np.rad2deg(quat_angle(np.broadcast_to(frame, differences.shape), differences))
     turned = [
         f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
     ]

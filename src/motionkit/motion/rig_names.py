@@ -12,6 +12,8 @@ import re
 from dataclasses import dataclass
 from itertools import combinations
 
+import numpy as np
+
 from motionkit.errors import SkeletonError
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 
@@ -219,7 +221,7 @@ class _Mapper:
         picked = spine if len(spine) <= 3 else [spine[0], spine[len(spine) // 2], chest]
         heights = [self.length(self.places["Hips"], joint) for joint in picked]
         arms = (self.rest[self.places["LeftArm"]] + self.rest[self.places["RightArm"]]) / 2
-        top = self.length(self.places["Hips"], chest) + float((arms - self.rest[chest]).norm())
+        top = self.length(self.places["Hips"], chest) + float(np.linalg.norm(arms - self.rest[chest]))
         for name, joint in zip(_spine_names(heights, max(top, 1e-6)), picked, strict=True):
             self.places[name] = joint
         return chest
@@ -228,7 +230,7 @@ class _Mapper:
         """Rest length along the hierarchy from the first path's fork to a joint."""
         path = self.path(below)
         start = path.index(self.common(above, below))
-        return float(sum(self.offsets[j].norm() for j in path[start + 1 :]))
+        return float(sum(np.linalg.norm(self.offsets[j]) for j in path[start + 1 :]))
 
     def _neck(self, chest: int) -> None:
         head = self.put("Head", self.find("", "head", under=chest))

@@ -1,4 +1,4 @@
-"""Rotation mathematics, in torch so that losses through it have gradients.
+"""Rotation mathematics. models/torch_rotations.py has the few functions that losses differentiate.
 
 Quaternions are (..., 4) as w, x, y, z. Matrices are (..., 3, 3) and act on columns. An exponential
 map (..., 3) is axis times full angle, in radians. All functions take any leading dimensions.
@@ -8,218 +8,213 @@ from __future__ import annotations
 
 import math
 
-import torch
-import torch.nn.functional as F
-from torch import Tensor
+import numpy as np
+from numpy.typing import DTypeLike
+
+from motionkit.arrays import Array, cross, length, normalized
 
 # Below this angle the trigonometric quotients are replaced by their series, so gradients stay finite.
 SMALL_ANGLE = 1e-4
 
 
-def quat_identity(shape: tuple[int, ...] = (), dtype: torch.dtype = torch.float32) -> Tensor:
+def quat_identity(shape: tuple[int, ...] = (), dtype: DTypeLike = np.float32) -> Array:
     """Identity quaternions of shape (*shape, 4)."""
-    quat = torch.zeros(*shape, 4, dtype=dtype)
+    quat = np.zeros((*shape, 4), dtype)
     quat[..., 0] = 1.0
     return quat
 
 
-def quat_normalize(quat: Tensor) -> Tensor:
+def quat_normalize(quat: Array) -> Array:
     """Unit quaternions (..., 4)."""
-    return F.normalize(quat, dim=-1, eps=1e-12)
+    return normalized(quat)
 
 
-def quat_inverse(quat: Tensor) -> Tensor:
+def quat_inverse(quat: Array) -> Array:
     """The inverse of unit quaternions (..., 4): the conjugate."""
-    return torch.cat([quat[..., :1], -quat[..., 1:]], dim=-1)
+    return np.concatenate([quat[..., :1], -quat[..., 1:]], axis=-1)
 
 
-def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
+def quat_multiply(a: Array, b: Array) -> Array:
     """The product a b (..., 4): rotates by b first, then by a."""
-    aw, ax, ay, az = a.unbind(-1)
-    bw, bx, by, bz = b.unbind(-1)
-    return torch.stack(
+    aw, ax, ay, az = np.moveaxis(a, -1, 0)
+    bw, bx, by, bz = np.moveaxis(b, -1, 0)
+    return np.stack(
         [
             aw * bw - ax * bx - ay * by - az * bz,
             aw * bx + ax * bw + ay * bz - az * by,
             aw * by - ax * bz + ay * bw + az * bx,
             aw * bz + ax * by - ay * bx + az * bw,
         ],
-        dim=-1,
+        axis=-1,
     )
 
 
-def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
+def quat_rotate(quat: Array, vector: Array) -> Array:
     """Vectors (..., 3) turned by unit quaternions (..., 4)."""
-    axis, vector = torch.broadcast_tensors(quat[..., 1:], vector)
-    twice_cross = 2.0 * torch.linalg.cross(axis, vector)
-    return vector + quat[..., :1] * twice_cross + torch.linalg.cross(axis, twice_cross)
+    axis = quat[..., 1:]
+    twice_cross = 2.0 * cross(axis, vector)
+    return vector + quat[..., :1] * twice_cross + cross(axis, twice_cross)
 
 
-def quat_to_matrix(quat: Tensor) -> Tensor:
+def quat_to_matrix(quat: Array) -> Array:
     """Rotation matrices (..., 3, 3) of unit quaternions (..., 4)."""
-    w, x, y, z = quat.unbind(-1)
+    w, x, y, z = np.moveaxis(quat, -1, 0)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
         2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
     ]  # fmt: skip
-    return torch.stack(rows, dim=-1).reshape(*quat.shape[:-1], 3, 3)
+    return np.stack(rows, axis=-1).reshape(*quat.shape[:-1], 3, 3)
 
 
-def matrix_to_quat(matrix: Tensor) -> Tensor:
+def matrix_to_quat(matrix: Array) -> Array:
     """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
 
     Each of the four components gives one candidate row; the candidate with the largest leading
     component is the well-conditioned one.
     """
-    m = matrix.reshape(*matrix.shape[:-2], 9).unbind(-1)
+    m = np.moveaxis(matrix.reshape(*matrix.shape[:-2], 9), -1, 0)
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m
-    candidates = torch.stack(
+    candidates = np.stack(
         [
-            torch.stack([1 + m00 + m11 + m22, m21 - m12, m02 - m20, m10 - m01], dim=-1),
-            torch.stack([m21 - m12, 1 + m00 - m11 - m22, m01 + m10, m02 + m20], dim=-1),
-            torch.stack([m02 - m20, m01 + m10, 1 - m00 + m11 - m22, m12 + m21], dim=-1),
-            torch.stack([m10 - m01, m02 + m20, m12 + m21, 1 - m00 - m11 + m22], dim=-1),
+            np.stack([1 + m00 + m11 + m22, m21 - m12, m02 - m20, m10 - m01], axis=-1),
+            np.stack([m21 - m12, 1 + m00 - m11 - m22, m01 + m10, m02 + m20], axis=-1),
+            np.stack([m02 - m20, m01 + m10, 1 - m00 + m11 - m22, m12 + m21], axis=-1),
+            np.stack([m10 - m01, m02 + m20, m12 + m21, 1 - m00 - m11 + m22], axis=-1),
         ],
-        dim=-2,
+        axis=-2,
     )
-    best = torch.diagonal(candidates, dim1=-2, dim2=-1).argmax(dim=-1)
-    picked = torch.gather(candidates, -2, best[..., None, None].expand(*best.shape, 1, 4)).squeeze(-2)
+    best = candidates.diagonal(axis1=-2, axis2=-1).argmax(axis=-1)
+    picked = np.take_along_axis(candidates, best[..., None, None], axis=-2)[..., 0, :]
     quat = quat_normalize(picked)
-    return torch.where(quat[..., :1] < 0, -quat, quat)
+    return np.where(quat[..., :1] < 0, -quat, quat)
 
 
-def expmap_to_quat(expmap: Tensor) -> Tensor:
+def expmap_to_quat(expmap: Array) -> Array:
     """Unit quaternions (..., 4) of exponential maps (..., 3); any angle, 2 pi and beyond included."""
-    squared = (expmap * expmap).sum(-1, keepdim=True)
+    squared = (expmap * expmap).sum(-1, keepdims=True)
     small = squared < SMALL_ANGLE**2
-    angle = torch.sqrt(torch.where(small, torch.ones_like(squared), squared))
+    angle = np.sqrt(np.where(small, np.ones_like(squared), squared))
     half = 0.5 * angle
-    scale = torch.where(small, 0.5 - squared / 48.0, torch.sin(half) / angle)
-    cosine = torch.where(small, 1.0 - squared / 8.0, torch.cos(half))
-    return torch.cat([cosine, scale * expmap], dim=-1)
+    scale = np.where(small, 0.5 - squared / 48.0, np.sin(half) / angle)
+    cosine = np.where(small, 1.0 - squared / 8.0, np.cos(half))
+    return np.concatenate([cosine, scale * expmap], axis=-1)
 
 
-def quat_to_expmap(quat: Tensor) -> Tensor:
+def quat_to_expmap(quat: Array) -> Array:
     """Exponential maps (..., 3) of unit quaternions (..., 4), the shorter way round: angle <= pi."""
-    quat = torch.where(quat[..., :1] < 0, -quat, quat)
+    quat = np.where(quat[..., :1] < 0, -quat, quat)
     w, xyz = quat[..., :1], quat[..., 1:]
-    squared = (xyz * xyz).sum(-1, keepdim=True)
+    squared = (xyz * xyz).sum(-1, keepdims=True)
     small = squared < (0.5 * SMALL_ANGLE) ** 2
-    sine = torch.sqrt(torch.where(small, torch.ones_like(squared), squared))
-    angle = 2.0 * torch.atan2(sine, w)
-    scale = torch.where(small, 2.0 / torch.clamp(w, min=0.5) * (1.0 - squared / 3.0), angle / sine)
+    sine = np.sqrt(np.where(small, np.ones_like(squared), squared))
+    angle = 2.0 * np.arctan2(sine, w)
+    scale = np.where(small, 2.0 / np.maximum(w, 0.5) * (1.0 - squared / 3.0), angle / sine)
     return scale * xyz
 
 
-def unwrap_expmap(expmap: Tensor) -> Tensor:
+def unwrap_expmap(expmap: Array) -> Array:
     """Exponential maps (T, ..., 3) of the same rotations, each frame the branch nearest the one before.
 
     A rotation by angle a about an axis is also one by a - 2 pi k; following the nearest branch keeps
     a track through pi continuous, except where it passes near a full turn.
     """
-    out = expmap.clone()
+    out = expmap.copy()
     for t in range(1, expmap.shape[0]):
         current, previous = expmap[t], out[t - 1]
-        angle = current.norm(dim=-1, keepdim=True)
-        axis = current / angle.clamp(min=1e-8)
-        along = (previous * axis).sum(-1, keepdim=True)
-        turns = torch.round((along - angle) / (2 * math.pi))
+        angle = np.linalg.norm(current, axis=-1, keepdims=True)
+        axis = current / np.maximum(angle, 1e-8)
+        along = (previous * axis).sum(-1, keepdims=True)
+        turns = np.round((along - angle) / (2 * math.pi))
         # Only near pi can another branch be meant; near zero the axis itself is noise.
-        turns = torch.where(angle < 0.5, torch.zeros_like(turns), turns.clamp(-1, 1))
+        turns = np.where(angle < 0.5, np.zeros_like(turns), np.clip(turns, -1, 1))
         out[t] = axis * (angle + 2 * math.pi * turns)
     return out
 
 
-def quat_between(source: Tensor, target: Tensor) -> Tensor:
+def quat_between(source: Array, target: Array) -> Array:
     """The smallest rotation (..., 4) that turns directions source onto target (..., 3)."""
-    source, target = F.normalize(source, dim=-1), F.normalize(target, dim=-1)
-    cross = torch.linalg.cross(source, target)
-    w = 1.0 + (source * target).sum(-1, keepdim=True)
+    source, target = normalized(source), normalized(target)
+    normal = cross(source, target)
+    w = 1.0 + (source * target).sum(-1, keepdims=True)
     # Opposite directions: any axis at right angles will do.
-    helper = torch.where(
-        source[..., :1].abs() < 0.9,
-        source.new_tensor([1.0, 0.0, 0.0]),
-        source.new_tensor([0.0, 1.0, 0.0]),
-    )
-    sideways = torch.linalg.cross(source, helper.expand_as(source))
+    x, y = np.eye(3, dtype=source.dtype)[:2]
+    sideways = cross(source, np.where(np.abs(source[..., :1]) < 0.9, x, y))
     opposite = w < 1e-6
-    quat = torch.cat(
-        [torch.where(opposite, torch.zeros_like(w), w), torch.where(opposite, sideways, cross)], -1
-    )
+    quat = np.concatenate([np.where(opposite, np.zeros_like(w), w), np.where(opposite, sideways, normal)], -1)
     return quat_normalize(quat)
 
 
-def quat_slerp(a: Tensor, b: Tensor, fraction: Tensor) -> Tensor:
+def quat_slerp(a: Array, b: Array, fraction: Array) -> Array:
     """Spherical interpolation from a to b (..., 4) at fraction (...), the shorter way round."""
-    dot = (a * b).sum(-1, keepdim=True)
-    b = torch.where(dot < 0, -b, b)
-    dot = dot.abs().clamp(max=1.0)
-    angle = torch.acos(dot)
-    sine = torch.sin(angle)
+    dot = (a * b).sum(-1, keepdims=True)
+    b = np.where(dot < 0, -b, b)
+    dot = np.minimum(np.abs(dot), 1.0)
+    angle = np.arccos(dot)
+    sine = np.sin(angle)
     fraction = fraction[..., None]
     near = sine < 1e-5
-    safe = torch.where(near, torch.ones_like(sine), sine)
-    weight_a = torch.where(near, 1.0 - fraction, torch.sin((1.0 - fraction) * angle) / safe)
-    weight_b = torch.where(near, fraction, torch.sin(fraction * angle) / safe)
+    safe = np.where(near, np.ones_like(sine), sine)
+    weight_a = np.where(near, 1.0 - fraction, np.sin((1.0 - fraction) * angle) / safe)
+    weight_b = np.where(near, fraction, np.sin(fraction * angle) / safe)
     return quat_normalize(weight_a * a + weight_b * b)
 
 
-def quat_continuous(quat: Tensor) -> Tensor:
+def quat_continuous(quat: Array) -> Array:
     """The same rotations (T, ..., 4) with signs chosen so that neighbours in time are close."""
     dots = (quat[1:] * quat[:-1]).sum(-1)
-    flips = torch.cumprod(torch.where(dots < 0, -1.0, 1.0).to(quat.dtype), dim=0)
-    return torch.cat([quat[:1], quat[1:] * flips[..., None]], dim=0)
+    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0).astype(quat.dtype), axis=0)
+    return np.concatenate([quat[:1], quat[1:] * flips[..., None]], axis=0)
 
 
-def quat_from_yaw(yaw: Tensor) -> Tensor:
+def quat_from_yaw(yaw: Array) -> Array:
     """Rotations (..., 4) about Y by yaw (...)."""
-    zero = torch.zeros_like(yaw)
-    return torch.stack([torch.cos(0.5 * yaw), zero, torch.sin(0.5 * yaw), zero], dim=-1)
+    zero = np.zeros_like(yaw)
+    return np.stack([np.cos(0.5 * yaw), zero, np.sin(0.5 * yaw), zero], axis=-1)
 
 
-def wrap_angle(angle: Tensor) -> Tensor:
+def wrap_angle(angle: Array) -> Array:
     """Angles folded into [-pi, pi)."""
-    return torch.remainder(angle + math.pi, 2 * math.pi) - math.pi
+    return np.remainder(angle + math.pi, 2 * math.pi) - math.pi
 
 
-def rotate_ground(yaw: Tensor, xz: Tensor) -> Tensor:
+def rotate_ground(yaw: Array, xz: Array) -> Array:
     """Ground vectors (..., 2) as x, z, turned about Y by yaw (...)."""
-    sine, cosine = torch.sin(yaw), torch.cos(yaw)
-    x, z = xz.unbind(-1)
-    return torch.stack([cosine * x + sine * z, -sine * x + cosine * z], dim=-1)
+    sine, cosine = np.sin(yaw), np.cos(yaw)
+    x, z = np.moveaxis(xz, -1, 0)
+    return np.stack([cosine * x + sine * z, -sine * x + cosine * z], axis=-1)
 
 
-def quat_to_sixd(quat: Tensor) -> Tensor:
+def quat_to_sixd(quat: Array) -> Array:
     """The first two matrix columns (..., 6): a form without jumps (Zhou et al. 2019)."""
     matrix = quat_to_matrix(quat)
-    return torch.cat([matrix[..., :, 0], matrix[..., :, 1]], dim=-1)
+    return np.concatenate([matrix[..., :, 0], matrix[..., :, 1]], axis=-1)
 
 
-def sixd_to_quat(sixd: Tensor) -> Tensor:
+def sixd_to_quat(sixd: Array) -> Array:
     """Unit quaternions (..., 4) of two columns (..., 6), made orthonormal first (Gram-Schmidt)."""
-    first = F.normalize(sixd[..., :3], dim=-1, eps=1e-8)
-    second = sixd[..., 3:] - (first * sixd[..., 3:]).sum(-1, keepdim=True) * first
-    second = F.normalize(second, dim=-1, eps=1e-8)
-    return matrix_to_quat(torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1))
+    first = normalized(sixd[..., :3], 1e-8)
+    second = sixd[..., 3:] - (first * sixd[..., 3:]).sum(-1, keepdims=True) * first
+    second = normalized(second, 1e-8)
+    return matrix_to_quat(np.stack([first, second, cross(first, second)], axis=-1))
 
 
-def euler_to_quat(euler: Tensor, order: str) -> Tensor:
+def euler_to_quat(euler: Array, order: str) -> Array:
     """Rotations (..., 4) of intrinsic Euler angles (..., len(order)) in radians, as BVH channels list them.
 
     order is a word over X, Y, Z, such as "ZYX": the first angle turns about the first axis, outermost.
     """
-    quat = quat_identity(tuple(euler.shape[:-1]), euler.dtype).to(euler.device)
+    quat = quat_identity(euler.shape[:-1], euler.dtype)
     for index, axis in enumerate(order):
         half = 0.5 * euler[..., index]
-        step = euler.new_zeros(*euler.shape[:-1], 4)
-        step[..., 0] = torch.cos(half)
-        step[..., 1 + "XYZ".index(axis)] = torch.sin(half)
+        step = np.zeros((*euler.shape[:-1], 4), euler.dtype)
+        step[..., 0] = np.cos(half)
+        step[..., 1 + "XYZ".index(axis)] = np.sin(half)
         quat = quat_multiply(quat, step)
     return quat
 
 
-def quat_to_euler(quat: Tensor, order: str) -> Tensor:
+def quat_to_euler(quat: Array, order: str) -> Array:
     """Intrinsic Euler angles (..., 3) in radians of rotations (..., 4), for an order of three distinct axes.
 
     The middle angle lies within [-pi/2, pi/2]. At the pole the last angle is put to zero.
@@ -227,25 +222,25 @@ def quat_to_euler(quat: Tensor, order: str) -> Tensor:
     i, j, k = ("XYZ".index(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0
     matrix = quat_to_matrix(quat)
-    sine = (sign * matrix[..., i, k]).clamp(-1.0, 1.0)
-    cosine = torch.sqrt(matrix[..., i, i] ** 2 + matrix[..., i, j] ** 2)
-    middle = torch.atan2(sine, cosine)
+    sine = np.clip(sign * matrix[..., i, k], -1.0, 1.0)
+    cosine = np.sqrt(matrix[..., i, i] ** 2 + matrix[..., i, j] ** 2)
+    middle = np.arctan2(sine, cosine)
     pole = cosine < 1e-6
-    first = torch.atan2(-sign * matrix[..., j, k], matrix[..., k, k])
-    last = torch.atan2(-sign * matrix[..., i, j], matrix[..., i, i])
-    first_at_pole = torch.atan2(sign * matrix[..., k, j], matrix[..., j, j])
-    first = torch.where(pole, first_at_pole, first)
-    last = torch.where(pole, torch.zeros_like(last), last)
-    return torch.stack([first, middle, last], dim=-1)
+    first = np.arctan2(-sign * matrix[..., j, k], matrix[..., k, k])
+    last = np.arctan2(-sign * matrix[..., i, j], matrix[..., i, i])
+    first_at_pole = np.arctan2(sign * matrix[..., k, j], matrix[..., j, j])
+    first = np.where(pole, first_at_pole, first)
+    last = np.where(pole, np.zeros_like(last), last)
+    return np.stack([first, middle, last], axis=-1)
 
 
-def quat_angle(a: Tensor, b: Tensor) -> Tensor:
+def quat_angle(a: Array, b: Array) -> Array:
     """The angle (...) in radians of the rotation between a and b (..., 4), in [0, pi]."""
-    return quat_to_expmap(quat_multiply(quat_inverse(a), b)).norm(dim=-1)
+    return length(quat_to_expmap(quat_multiply(quat_inverse(a), b)))
 
 
-def mean_rotation(moment: Tensor) -> Tensor:
+def mean_rotation(moment: Array) -> Array:
     """The mean rotation (..., 4) from summed outer products q q^T (..., 4, 4) (Markley et al. 2007)."""
-    _, vectors = torch.linalg.eigh(moment)
+    _, vectors = np.linalg.eigh(moment)
     quat = vectors[..., -1]
-    return torch.where(quat[..., :1] < 0, -quat, quat)
+    return np.where(quat[..., :1] < 0, -quat, quat)

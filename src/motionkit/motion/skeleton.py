@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 
 
@@ -23,7 +23,7 @@ class Skeleton:
 
     names: tuple[str, ...]
     parents: tuple[int, ...]
-    offsets: Tensor
+    offsets: Array
     end_sites: dict[int, tuple[float, float, float]] = field(default_factory=dict)
 
     def __len__(self) -> int:
@@ -40,12 +40,12 @@ class Skeleton:
         """Indices of the joints whose parent this is."""
         return [j for j, parent in enumerate(self.parents) if parent == joint]
 
-    def rest_positions(self) -> Tensor:
+    def rest_positions(self) -> Array:
         """(J, 3) joint positions of the rest pose, the root at the origin."""
-        positions = [torch.zeros(3, dtype=self.offsets.dtype)]
+        positions = [np.zeros(3, self.offsets.dtype)]
         for joint in range(1, len(self)):
             positions.append(positions[self.parents[joint]] + self.offsets[joint])
-        return torch.stack(positions)
+        return np.stack(positions)
 
     def scaled(self, factor: float) -> Skeleton:
         """The same skeleton with every length multiplied."""
@@ -118,25 +118,25 @@ def mirrored_name(name: str) -> str:
 MIRROR_JOINTS: tuple[int, ...] = tuple(JOINT_NAMES.index(mirrored_name(name)) for name in JOINT_NAMES)
 
 
-def canonical_skeleton(offsets: Tensor | None = None) -> Skeleton:
+def canonical_skeleton(offsets: Array | None = None) -> Skeleton:
     """The canonical skeleton of 23 joints in cm, facing +Z, left along +X, with other offsets (23, 3) if given.
 
     End sites keep their share of the length of the bone they end.
     """
-    default = torch.tensor([offset for _, _, offset in _CANONICAL], dtype=torch.float32)
+    default = np.array([offset for _, _, offset in _CANONICAL], np.float32)
     ends = {JOINT_NAMES.index(name): end for name, end in _CANONICAL_ENDS.items()}
     if offsets is not None:
         if tuple(offsets.shape) != (JOINT_COUNT, 3):
             raise SkeletonError(f"expected offsets of shape (23, 3), found {tuple(offsets.shape)}")
         for joint, end in ends.items():
-            share = float(offsets[joint].norm() / default[joint].norm().clamp(min=1e-6))
+            share = float(np.linalg.norm(offsets[joint]) / np.maximum(np.linalg.norm(default[joint]), 1e-6))
             ends[joint] = (end[0] * share, end[1] * share, end[2] * share)
-        default = offsets.to(torch.float32)
+        default = offsets.astype(np.float32)
     return Skeleton(JOINT_NAMES, PARENTS, default, ends)
 
 
 def leg_length(skeleton: Skeleton) -> float:
     """Thigh plus shin of a canonical skeleton, the mean of both sides, in its own unit."""
-    lengths = skeleton.offsets.norm(dim=-1)
+    lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     names = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
     return float(sum(lengths[skeleton.index(name)] for name in names)) / 2.0

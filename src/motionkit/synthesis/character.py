@@ -6,13 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array, Floats
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.models.checkpoint import MotionModel
-from motionkit.models.step_weights import Floats
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
 from motionkit.synthesis.foot_lock import FootLock
 from motionkit.synthesis.footing import Footing
@@ -36,11 +34,11 @@ class CharacterFrame:
         ground: (N, 3) root x, z and heading in the world, from which controllers make trajectories.
     """
 
-    positions: Tensor
-    rotations: Tensor
-    root_positions: Tensor
-    contacts: Tensor
-    ground: Tensor
+    positions: Array
+    rotations: Array
+    root_positions: Array
+    contacts: Array
+    ground: Array
 
 
 class CharacterStream:
@@ -73,7 +71,7 @@ class CharacterStream:
         self.model, self.count = model, count
         self.state = RolloutState(model, count, noise or Noise(), seed, compiled)
         self.scale = np.ones(count, np.float32)
-        self.decoder = PoseDecoder(model.config.layout, model.references.numpy())
+        self.decoder = PoseDecoder(model.config.layout, model.references)
         self.offsets = np.zeros((count, JOINT_COUNT, 3), np.float32)
         self.body = BodyKinematics(self.offsets)
         self.footing = Footing(model.config.layout, count)
@@ -87,22 +85,22 @@ class CharacterStream:
             self._take_body(index, characters[index % len(characters)])
         kind = model_first_type(model)
         start = seed_start(model, kind, count)
-        weights = self._weights(kind).expand(count, -1)
+        weights = self._weights(kind).repeat(count, axis=0)
         self.state.start(start.features, start.contacts, weights, None, model.phase_seconds(kind) * model.fps)
 
     def _take_body(self, index: int, character: str) -> None:
         skeleton = self.model.character(character)
         self.scale[index] = leg_length(skeleton) / leg_length(self.model.character("default"))
         self._scaled = bool((self.scale != 1.0).any())
-        self.offsets[index] = skeleton.offsets.numpy()
+        self.offsets[index] = skeleton.offsets
         self.body.set_offsets(index, self.offsets[index])
         self.footing.rise[index] = 0.0
         if self.feet is not None:
             self.feet.reset(index)
 
-    def _weights(self, kind: str) -> Tensor:
+    def _weights(self, kind: str) -> Array:
         """Type weights (1, N) of one type alone."""
-        weights = torch.zeros(1, len(self.model.types))
+        weights = np.zeros((1, len(self.model.types)), np.float32)
         weights[0, self.model.type_id(kind)] = 1.0
         return weights
 
@@ -122,31 +120,31 @@ class CharacterStream:
         weights = self._weights(kind)
         start = seed_start(model, kind, 1)
         self._take_body(index, character)
-        ground = torch.tensor([place])
+        ground = np.array([place], np.float32)
         ground[:, :2] /= float(self.scale[index])
         length = model.phase_seconds(kind) * model.fps
         self.state.start_one(index, start.features, start.contacts, weights, ground, length)
 
     @property
-    def ground(self) -> Tensor:
+    def ground(self) -> Array:
         """Root x, z (cm) and heading (radians) of every character in its world (N, 3)."""
         ground = self.state.ground
-        ground[:, :2] *= torch.from_numpy(self.scale)[:, None]
+        ground[:, :2] *= self.scale[:, None]
         return ground
 
     def step(self, controls: FrameControls) -> CharacterFrame:
         """Move every character on by one frame (1 / model.fps seconds)."""
         if self._scaled:
-            trajectory = controls.trajectory.clone()
-            trajectory[:, :_POSITIONS] /= torch.from_numpy(self.scale)[:, None]
+            trajectory = controls.trajectory.copy()
+            trajectory[:, :_POSITIONS] /= self.scale[:, None]
             controls = replace(controls, trajectory=trajectory)
         features, contacts, ground = self.state.advance(controls)
         rotations, root, positions = self._pose(features, contacts, ground)
         return CharacterFrame(
-            torch.from_numpy(positions),
-            torch.from_numpy(rotations),
-            torch.from_numpy(root),
-            torch.from_numpy(contacts.copy()),
+            positions,
+            rotations,
+            root,
+            contacts.copy(),
             self.ground,
         )
 

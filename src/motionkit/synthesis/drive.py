@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.guide import GUIDE_COUNT
 from motionkit.models.checkpoint import MotionModel
@@ -25,7 +25,6 @@ from motionkit.synthesis.steering import (
 
 DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
 AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
-_NO_PROGRESS = torch.full((1,), -1.0)
 
 
 @dataclass(frozen=True)
@@ -79,12 +78,12 @@ class _Asked:
     """
 
     kind: str
-    trajectory: Tensor | None = None
-    progress: Tensor = _NO_PROGRESS
-    weights: Tensor | None = None
-    guide: Tensor | None = None
-    guided: Tensor | None = None
-    grip: Tensor | None = None
+    trajectory: Array | None = None
+    progress: Array = field(default_factory=lambda: np.full(1, -1.0, np.float32))
+    weights: Array | None = None
+    guide: Array | None = None
+    guided: Array | None = None
+    grip: Array | None = None
 
 
 class Driver:
@@ -142,7 +141,7 @@ class Driver:
             return None
         return min(1.0, self._follower.arc / max(self._follower.path.length - SPACING, SPACING))
 
-    def __call__(self, frame: int, ground: Tensor) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> FrameControls:
         """Controls of a frame; frame counts up by one at each call, ground (1, 3) is where the body is."""
         self._take_turns(frame)
         shown = self._performance
@@ -153,8 +152,10 @@ class Driver:
         if shown is not None:
             asked = self._show(shown, frame, asked)
         weights = self._blend(asked.kind, asked.weights)
-        given = torch.tensor([0.0 if asked.trajectory is None else 1.0])
-        trajectory = torch.zeros(1, TRAJECTORY_COUNT) if asked.trajectory is None else asked.trajectory
+        given = np.array([0.0 if asked.trajectory is None else 1.0], np.float32)
+        trajectory = (
+            np.zeros((1, TRAJECTORY_COUNT), np.float32) if asked.trajectory is None else asked.trajectory
+        )
         signals = (asked.progress, asked.guide, asked.guided, asked.grip)
         return FrameControls(weights[None], trajectory, given, *signals)
 
@@ -191,13 +192,13 @@ class Driver:
         if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
             gait = self.model.gaits.get(kind)
             facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
-        trajectory = torch.tensor([self.steering.trajectory(wish.velocity, facing)])
+        trajectory = np.array([self.steering.trajectory(wish.velocity, facing)], np.float32)
         if kind in STEERED_TYPES:
             self._played = ""
             return _Asked(kind, trajectory)
         return self._guided(kind, trajectory)
 
-    def _guided(self, kind: str, trajectory: Tensor | None) -> _Asked:
+    def _guided(self, kind: str, trajectory: Array | None) -> _Asked:
         """A type as it is recorded, for as long as it is wished."""
         if kind != self._played:
             self._player.begin(kind)
@@ -206,7 +207,7 @@ class Driver:
         shown = None if trajectory is None else asked.trajectory
         return _Asked(kind, shown, asked.progress, None, asked.guide, asked.guided)
 
-    def _follow(self, follower: PathFollower, frame: int, ground: Tensor) -> _Asked:
+    def _follow(self, follower: PathFollower, frame: int, ground: Array) -> _Asked:
         asked = follower(frame, ground)
         if follower.arc >= follower.path.length - SPACING:
             self._follower, self.wish = None, Wish()
@@ -229,7 +230,7 @@ class Driver:
         goes = self._follower is not None or math.hypot(*(self.wish.velocity or (0.0, 0.0))) >= STANDS_BELOW
         return _Asked(kind, otherwise.trajectory if goes else None, *signals)
 
-    def _blend(self, kind: str, weights: Tensor | None) -> Tensor:
+    def _blend(self, kind: str, weights: Array | None) -> Array:
         """Type weights (N,) that go over to those of a kind, or to the given ones, within blend_frames."""
         if kind != self._target:
             self._from, self._target, self._blended = self._weights, kind, 0
@@ -240,21 +241,25 @@ class Driver:
         self.type = kind or self.model.types[int(goal.argmax())]
         return self._weights
 
-    def _one(self, kind: str) -> Tensor:
-        weights = torch.zeros(len(self.model.types))
+    def _one(self, kind: str) -> Array:
+        weights = np.zeros(len(self.model.types), np.float32)
         weights[self.model.type_id(kind)] = 1.0
         return weights
 
 
 def together(asked: list[FrameControls]) -> FrameControls:
     """The controls of several characters as those of one batch."""
-    none, never, all_of_it = torch.zeros(1, GUIDE_COUNT), torch.zeros(1), torch.ones(1)
+    none, never, all_of_it = (
+        np.zeros((1, GUIDE_COUNT), np.float32),
+        np.zeros(1, np.float32),
+        np.ones(1, np.float32),
+    )
     return FrameControls(
-        torch.cat([a.type_weights for a in asked]),
-        torch.cat([a.trajectory for a in asked]),
-        torch.cat([a.given for a in asked]),
-        torch.cat([a.progress for a in asked]),
-        torch.cat([none if a.guide is None else a.guide for a in asked]),
-        torch.cat([never if a.guided is None else a.guided for a in asked]),
-        torch.cat([all_of_it if a.grip is None else a.grip for a in asked]),
+        np.concatenate([a.type_weights for a in asked]),
+        np.concatenate([a.trajectory for a in asked]),
+        np.concatenate([a.given for a in asked]),
+        np.concatenate([a.progress for a in asked]),
+        np.concatenate([none if a.guide is None else a.guide for a in asked]),
+        np.concatenate([never if a.guided is None else a.guided for a in asked]),
+        np.concatenate([all_of_it if a.grip is None else a.grip for a in asked]),
     )

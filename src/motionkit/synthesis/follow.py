@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
@@ -20,7 +21,7 @@ from motionkit.synthesis.path import SPACING, Path2D
 from motionkit.synthesis.rollout import FrameControls, Noise, Rollout, RolloutState
 from motionkit.synthesis.start import clip_start, seed_start
 from motionkit.synthesis.steering import STEERED_TYPES
-from motionkit.synthesis.synthesize import SynthesisOptions, check_size, finish_motion, inner_threads
+from motionkit.synthesis.synthesize import SynthesisOptions, check_size, finish_motion
 
 # The place on the path is sought from a little behind the last one to a little ahead, so that a path
 # that crosses itself is not cut short.
@@ -64,11 +65,11 @@ class PathFollower:
         """behind: frames of the first part's performance that lie behind already."""
         self.path, self.fps = path, model.fps
         self.player, self.behind = OutlinePlayer(model, choice, own_way=0.0), behind
-        self.types = torch.tensor([model.type_id(part.type) for part in path.parts])
+        self.types = np.array([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
         gaits = [model.gaits.get(part.type) for part in path.parts]
         self.speeds = part_speeds(model, path)
-        self.facings = torch.tensor([0.0 if gait is None else gait.facing for gait in gaits])
+        self.facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
         self.entered = -1  # the part the character is on
         self.arc = 0.0
         self.arcs: list[float] = []
@@ -78,70 +79,69 @@ class PathFollower:
         """How long the path takes at the asked speeds."""
         return _seconds_along(self.path, self.speeds)
 
-    def __call__(self, frame: int, ground: Tensor) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> FrameControls:
         self.arc = self._project(ground[0, :2])
         self.arcs.append(self.arc)
-        ahead = self._arcs_ahead(torch.tensor(TRAJECTORY_OFFSETS))
+        ahead = self._arcs_ahead(TRAJECTORY_OFFSETS)
         points, tangents = self.path.at(ahead)
         heading = ground[0, 2]
         positions = rotate_ground(-heading, points - ground[0, :2])
         facing = self.facings[self.path.part_at(ahead)]
         directions = rotate_ground(-heading - facing, tangents)
-        trajectory = torch.cat([positions.flatten(), directions.flatten()])
+        trajectory = np.concatenate([positions.reshape(-1), directions.reshape(-1)])
         weights = self._type_weights()[None]
-        part = int(self.path.part_at(torch.tensor(self.arc)))
+        part = int(self.path.part_at(self.arc))
         kind = self.path.parts[part].type
         # On a path the way comes first, wherever feet stand or those of a recording went.
-        loose = torch.zeros(1)
+        loose = np.zeros(1, np.float32)
         if kind in STEERED_TYPES:
             self.entered = part
-            no_phase = torch.full((1,), -1.0)
-            return FrameControls(weights, trajectory[None], torch.ones(1), no_phase, grip=loose)
+            no_phase = np.full((1,), -1.0, np.float32)
+            return FrameControls(weights, trajectory[None], np.ones(1, np.float32), no_phase, grip=loose)
         if part != self.entered:
             self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
             self.entered = part
         asked = self.player.play(1, trajectory[None])
         shown = (asked.progress, asked.guide, asked.guided)
-        return FrameControls(weights, trajectory[None], torch.ones(1), *shown, loose)
+        return FrameControls(weights, trajectory[None], np.ones(1, np.float32), *shown, loose)
 
-    def _project(self, point: Tensor) -> float:
+    def _project(self, point: Array) -> float:
         first = max(0, int((self.arc - SEARCH_BACK) / SPACING))
         last = min(len(self.path.points), int((self.arc + SEARCH_AHEAD) / SPACING) + 2)
         near = self.path.points[first:last]
-        nearest = first + int((near - point).norm(dim=-1).argmin())
+        nearest = first + int(np.linalg.norm(near - point, axis=-1).argmin())
         # Past the last point the way on is counted along its direction, so that the end can be reached.
         beyond = float(((point - self.path.points[-1]) * self.path.tangents[-1]).sum())
         arc = nearest * SPACING
         return arc + max(0.0, beyond) if nearest == len(self.path.points) - 1 else arc
 
-    def _arcs_ahead(self, frames: Tensor) -> Tensor:
+    def _arcs_ahead(self, frames: Sequence[int]) -> Array:
         """Arc lengths frames (sorted, from 1) ahead at the wanted speeds, part by part."""
         out, arc, frame = [], self.arc, 0
-        for wanted in frames.tolist():
+        for wanted in frames:
             while frame < wanted:
                 step = min(5, wanted - frame)
-                speed = float(self.speeds[self.path.part_at(torch.tensor(arc))])
+                speed = float(self.speeds[self.path.part_at(arc)])
                 arc += speed * step / self.fps
                 frame += step
             out.append(arc)
-        return torch.tensor(out)
+        return np.array(out, np.float32)
 
-    def _type_weights(self) -> Tensor:
+    def _type_weights(self) -> Array:
         """Type weights (N,): the mean over half a blend behind and ahead, which is the blend of 40 frames."""
         half = TYPE_BLEND_FRAMES // 2
-        reach = float(self.speeds[self.path.part_at(torch.tensor(self.arc))]) * half / self.fps
-        arcs = torch.linspace(self.arc - reach, self.arc + reach, BLEND_SAMPLES)
+        reach = float(self.speeds[self.path.part_at(self.arc)]) * half / self.fps
+        arcs = np.linspace(self.arc - reach, self.arc + reach, BLEND_SAMPLES)
         kinds = self.types[self.path.part_at(arcs)]
-        return torch.nn.functional.one_hot(kinds, self.type_count).float().mean(dim=0)
+        return np.eye(self.type_count, dtype=np.float32)[kinds].mean(axis=0)
 
 
-def part_speeds(model: MotionModel, path: Path2D) -> Tensor:
+def part_speeds(model: MotionModel, path: Path2D) -> Array:
     """Speed (N,) in cm/s on each part of the path: what is asked for, else what is usual for its type."""
     gaits = [model.gaits.get(part.type) for part in path.parts]
     typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
-    return torch.tensor(
-        [part.speed if part.speed is not None else s for part, s in zip(path.parts, typical, strict=True)]
-    ).clamp(min=20.0)
+    wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
+    return np.maximum(np.array(wanted, np.float32), 20.0)
 
 
 def expected_seconds(model: MotionModel, path: Path2D) -> float:
@@ -149,7 +149,7 @@ def expected_seconds(model: MotionModel, path: Path2D) -> float:
     return _seconds_along(path, part_speeds(model, path))
 
 
-def _seconds_along(path: Path2D, speeds: Tensor) -> float:
+def _seconds_along(path: Path2D, speeds: Array) -> float:
     return float((SPACING / speeds[path.part]).sum())
 
 
@@ -170,43 +170,42 @@ def follow_path(
         raise ControlError("a path is followed by one character at a time")
     first = path.parts[0].type
     check_size(expected_seconds(model, path), model.fps, options)
-    weights = torch.zeros(1, len(model.types))
+    weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(first)] = 1.0
     start = seed_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
     # Seed frames are the beginning of a performance; what comes after them goes on from there.
     length = model.phase_seconds(first) * model.fps if options.init is None else 0.0
     follower = PathFollower(model, path, options.seed, start.features.shape[1] if length else 0)
     tangent = path.tangents[0]
-    heading = torch.atan2(tangent[0], tangent[1]) - follower.facings[0]
-    place = torch.cat([path.points[0], heading[None]])[None]
+    heading = math.atan2(*tangent) - follower.facings[0]
+    place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
-    made: list[tuple[Tensor, Tensor, Tensor]] = []
-    with inner_threads(1):
-        state = RolloutState(model, 1, options.noise, options.seed)
-        state.start(start.features, start.contacts, weights, place, length)
-        began = time.perf_counter()
-        for frame in range(limit):
-            made.append(state.step(follower(frame, state.ground)))
-            if progress:
-                progress(min(1.0, follower.arc / path.length))
-            if follower.arc >= path.length - SPACING:
-                break
-        seconds = time.perf_counter() - began
-    rollout = Rollout(*(torch.stack(values, 1) for values in zip(*made, strict=True)))
+    made: list[tuple[Array, Array, Array]] = []
+    state = RolloutState(model, 1, options.noise, options.seed)
+    state.start(start.features, start.contacts, weights, place, length)
+    began = time.perf_counter()
+    for frame in range(limit):
+        made.append(state.step(follower(frame, state.ground)))
+        if progress:
+            progress(min(1.0, follower.arc / path.length))
+        if follower.arc >= path.length - SPACING:
+            break
+    seconds = time.perf_counter() - began
+    rollout = Rollout(*(np.stack(values, 1) for values in zip(*made, strict=True)))
     track = rollout.ground[0, :, :2]
     return FollowResult(
         finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),
         trajectory_distance(track, path.points),
         _part_distances(track, follower.arcs, path),
-        tuple(torch.bincount(path.part_at(torch.tensor(follower.arcs)), minlength=len(path.parts)).tolist()),
+        tuple(np.bincount(path.part_at(np.array(follower.arcs)), minlength=len(path.parts)).tolist()),
         follower.arc >= path.length - SPACING,
         seconds,
         len(track),
     )
 
 
-def _part_distances(track: Tensor, arcs: list[float], path: Path2D) -> tuple[tuple[float, float] | None, ...]:
-    parts = path.part_at(torch.tensor(arcs))
+def _part_distances(track: Array, arcs: list[float], path: Path2D) -> tuple[tuple[float, float] | None, ...]:
+    parts = path.part_at(np.array(arcs))
     out: list[tuple[float, float] | None] = []
     for index in range(len(path.parts)):
         mine = track[: len(parts)][parts == index]

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from motionkit.arrays import Floats, cross
 from motionkit.motion.foot_ik import (
     CLEARANCE,
     CONTACT_OFF,
@@ -19,7 +20,7 @@ from motionkit.motion.foot_ik import (
     MAX_REACH,
     TOE_HEIGHT,
 )
-from motionkit.synthesis.pose import Floats, cross, quat_product
+from motionkit.synthesis.pose import quat_product
 
 # cm; less than in a finished motion, whose locks lie in the middle of the slide.
 MAX_SLIDE = 12.0
@@ -204,7 +205,7 @@ def _between(source: Floats, target: Floats) -> Floats:
 
 def _turn(quat: Floats, vectors: Floats) -> Floats:
     """Vectors (..., 3) turned by unit quaternions (..., 4)."""
-    twice = 2.0 * cross(quat[..., 1:], vectors)
+    twice = np.float32(2.0) * cross(quat[..., 1:], vectors)
     return vectors + quat[..., :1] * twice + cross(quat[..., 1:], twice)
 
 

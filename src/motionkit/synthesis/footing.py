@@ -11,10 +11,8 @@ goes back into the network. frame_kernel.c and apps/onnx_body.py do the same.
 from __future__ import annotations
 
 import numpy as np
-import torch
-from torch import Tensor
 
-from motionkit.models.step_weights import Floats
+from motionkit.arrays import Array, Floats
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.skeleton import FOOT_JOINTS, STANDING_HEIGHTS, Skeleton
 from motionkit.synthesis.grip import foot_columns
@@ -63,7 +61,7 @@ class Footing:
         world[..., 1, 3] += rise[:, None]
 
 
-def raised(features: Tensor, rotations: Tensor, roots: Tensor, skeleton: Skeleton, layout: str) -> Tensor:
+def raised(features: Array, rotations: Array, roots: Array, skeleton: Skeleton, layout: str) -> Array:
     """Root positions (B, T, 3) of whole motions, raised frame by frame.
 
     Args:
@@ -72,10 +70,12 @@ def raised(features: Tensor, rotations: Tensor, roots: Tensor, skeleton: Skeleto
         roots: (B, T, 3) in cm, the floor at height zero.
         skeleton: with the proportions of the canonical one.
     """
-    _, positions = forward_kinematics(rotations, roots, skeleton.offsets.to(roots), skeleton.parents)
-    heights, drawn = positions[..., 1].float().numpy(), features.numpy()
+    _, positions = forward_kinematics(
+        rotations, roots, skeleton.offsets.astype(roots.dtype), skeleton.parents
+    )
+    heights, drawn = positions[..., 1].astype(np.float32), features
     footing = Footing(layout, len(features))
     rises = [footing.follow(drawn[:, t], heights[:, t]).copy() for t in range(features.shape[1])]
-    out = roots.clone()
-    out[..., 1] += torch.from_numpy(np.stack(rises, axis=1))
+    out = roots.copy()
+    out[..., 1] += np.stack(rises, axis=1)
     return out

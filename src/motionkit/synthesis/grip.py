@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.arrays import Floats
 from motionkit.features.layout import feature_layout
-from motionkit.models.step_weights import Floats
 from motionkit.motion.skeleton import FOOT_JOINTS
 
 Doubles = NDArray[np.float64]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import random
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, lerp
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.guide import GUIDE_COUNT, guide_signal
 from motionkit.models.checkpoint import MotionModel, Outline
@@ -42,28 +42,28 @@ class Signals:
         progress: (T,) through a performance, negative for none.
     """
 
-    guide: Tensor
-    guided: Tensor
-    trajectory: Tensor
-    given: Tensor
-    progress: Tensor
+    guide: Array
+    guided: Array
+    trajectory: Array
+    given: Array
+    progress: Array
 
     @staticmethod
     def joined(parts: list[Signals]) -> Signals:
         """One after another."""
-        return Signals(**{name: torch.cat([getattr(p, name) for p in parts]) for name in vars(parts[0])})
+        return Signals(**{name: np.concatenate([getattr(p, name) for p in parts]) for name in vars(parts[0])})
 
     @staticmethod
     def side_by_side(characters: list[Signals]) -> Signals:
         """Those of B characters as one: (T, B, ...), the shorter ones going on with their last frame."""
         frames = max(len(c.progress) for c in characters)
-        rows = [torch.arange(frames).clamp(max=len(c.progress) - 1) for c in characters]
+        rows = [np.minimum(np.arange(frames), len(c.progress) - 1) for c in characters]
         pairs = list(zip(characters, rows, strict=True))
         return Signals(
-            **{name: torch.stack([getattr(c, name)[r] for c, r in pairs], 1) for name in vars(characters[0])}
+            **{name: np.stack([getattr(c, name)[r] for c, r in pairs], 1) for name in vars(characters[0])}
         )
 
-    def controls(self, frame: int, type_weights: Tensor) -> FrameControls:
+    def controls(self, frame: int, type_weights: Array) -> FrameControls:
         """What they ask of B characters at a frame, with type weights (B, N)."""
         signals = (self.trajectory, self.given, self.progress, self.guide, self.guided)
         return FrameControls(type_weights, *(values[frame] for values in signals))
@@ -90,9 +90,7 @@ class OutlinePlayer:
         self._places: dict[str, Places] = {}
         self._since = 0  # frames since a place was sought
 
-    def begin(
-        self, kind: str, near: Tensor | None = None, behind: int = 0, way: Tensor | None = None
-    ) -> None:
+    def begin(self, kind: str, near: Array | None = None, behind: int = 0, way: Array | None = None) -> None:
         """Go over to a type.
 
         Args:
@@ -130,7 +128,7 @@ class OutlinePlayer:
         first = ahead.index(True)
         return ahead.index(False, first) if False in ahead[first:] else len(ahead)
 
-    def play(self, frames: int, ways: Tensor | None = None) -> Signals:
+    def play(self, frames: int, ways: Array | None = None) -> Signals:
         """Signals of the coming frames; at the end of a recording another one is entered.
 
         ways: (frames, 24) the trajectories that are asked for, if what is played is to suit them.
@@ -161,7 +159,7 @@ class OutlinePlayer:
             played += count
         return Signals.joined(parts)
 
-    def _reconsider(self, way: Tensor) -> None:
+    def _reconsider(self, way: Array) -> None:
         """Go over to a place that suits the way clearly better; strikes and jumps would be kept from coming."""
         self._since = 0
         outline = self.outline
@@ -183,72 +181,76 @@ class OutlinePlayer:
             self._places[self.kind] = Places(self.model.outlines[self.kind])
         return self._places[self.kind]
 
-    def _stretch(self, count: int, ways: Tensor | None) -> Signals:
+    def _stretch(self, count: int, ways: Array | None) -> Signals:
         outline = self.outline
-        zeros = torch.zeros(count)
+        zeros = np.zeros(count, np.float32)
         if outline is None:
-            way = torch.zeros(count, TRAJECTORY_COUNT) if ways is None else ways
+            way = np.zeros((count, TRAJECTORY_COUNT), np.float32) if ways is None else ways
             return Signals(
-                torch.zeros(count, GUIDE_COUNT), zeros, way, zeros + float(ways is not None), zeros - 1.0
+                np.zeros((count, GUIDE_COUNT), np.float32),
+                zeros,
+                way,
+                zeros + float(ways is not None),
+                zeros - 1.0,
             )
-        frames = torch.arange(self.at, self.at + count)
+        frames = np.arange(self.at, self.at + count)
         guide = guide_signal(outline.poses, frames)
         if self.left is not None:
             # The poses that follow the recording that was left go over into those of this one.
             left, place, entered = self.left
             since = frames - entered
             before = guide_signal(left.poses, place + since)
-            guide = torch.lerp(before, guide, (since / BLEND).clamp(max=1.0)[:, None])
+            guide = lerp(before, guide, np.minimum(since / np.float32(BLEND), 1.0)[:, None])
         way, given = self._way(outline, frames, ways)
-        strength = torch.full((count,), self._strength())
+        strength = np.full(count, self._strength(), np.float32)
         return Signals(guide, strength, way, zeros + given, outline.phases[frames])
 
-    def _way(self, outline: Outline, frames: Tensor, ways: Tensor | None) -> tuple[Tensor, float]:
+    def _way(self, outline: Outline, frames: Array, ways: Array | None) -> tuple[Array, float]:
         """The trajectories (T, 24) to show at frames of an outline, and whether they count."""
         if ways is None and not outline.performed:
-            return torch.zeros(len(frames), TRAJECTORY_COUNT), 0.0
+            return np.zeros((len(frames), TRAJECTORY_COUNT), np.float32), 0.0
         if ways is not None and not self.own_way:
             return ways, 1.0
         # A cartwheel to the left is as good as one to the right; the way of the recorded one decides.
         own = future_trajectory(outline.ground, frames)
-        return (own if ways is None else torch.lerp(ways, own, self.own_way)), 1.0
+        return (own if ways is None else lerp(ways, own, self.own_way)), 1.0
 
-    def _between(self, left: Outline, frames: int, ways: Tensor | None) -> Signals:
+    def _between(self, left: Outline, frames: int, ways: Array | None) -> Signals:
         """From the end of a performance to the beginning of the next one, in no more than so many frames."""
         assert self.outline is not None
         count = min(PAUSE, frames)
-        share = (torch.arange(1, count + 1) / PAUSE)[:, None]
-        end, start = torch.tensor([len(left) - 1]), torch.tensor([0])
-        guide = torch.lerp(guide_signal(left.poses, end), guide_signal(self.outline.poses, start), share)
+        share = (np.arange(1, count + 1, dtype=np.float32) / PAUSE)[:, None]
+        end, start = np.array([len(left) - 1]), np.array([0])
+        guide = lerp(guide_signal(left.poses, end), guide_signal(self.outline.poses, start), share)
         if ways is None:
-            way = torch.lerp(
+            way = lerp(
                 future_trajectory(left.ground, end), future_trajectory(self.outline.ground, start), share
             )
         else:
             way = ways[:count]
-        ones = torch.ones(count)
+        ones = np.ones(count, np.float32)
         return Signals(guide, self._strength() * ones, way, ones, -ones)
 
     def _strength(self) -> float:
         """How much larger than it is the guide is shown."""
         return self.model.guidance.get(self.kind, 1.0) if self.model.guides else 0.0
 
-    def _present(self) -> Tensor | None:
+    def _present(self) -> Array | None:
         return None if self.outline is None else pose_state(self.outline, min(self.at, len(self.outline) - 1))
 
-    def _drawn(self, outlines: list[Outline], count: int, near: Tensor | None) -> tuple[Outline, int]:
+    def _drawn(self, outlines: list[Outline], count: int, near: Array | None) -> tuple[Outline, int]:
         """Of some places drawn the one most like the pose."""
         places = self._events(outlines) or self._anywhere(outlines, count)
         if near is None:
             return places[0]
-        states = torch.stack([pose_state(outline, at) for outline, at in places])
-        return places[int((states - near).flatten(1).norm(dim=1).argmin())]
+        states = np.stack([pose_state(outline, at) for outline, at in places])
+        return places[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
 
     def _events(self, outlines: list[Outline]) -> list[tuple[Outline, int]]:
         """Some places shortly before a strike or jump; none for types without."""
         found = []
         for outline in outlines:
-            begins = torch.nonzero((outline.phases[1:] >= 0.0) & (outline.phases[:-1] < 0.0)).flatten() + 1
+            begins = np.flatnonzero((outline.phases[1:] >= 0.0) & (outline.phases[:-1] < 0.0)) + 1
             found += [(outline, max(0, int(at) - BEFORE_EVENT)) for at in begins]
         return self.random.sample(found, min(EVENT_CANDIDATES, len(found)))
 
@@ -259,18 +261,18 @@ class OutlinePlayer:
         """
         least = round(LEAST_SECONDS * self.model.fps)
         movements = [outline.movement[: max(1, len(outline) - least)] for outline in outlines]
-        all_movements = torch.cat(movements)
+        all_movements = np.concatenate(movements)
         # Of two places one has to be left.
-        usual = all_movements.quantile(0.5, interpolation="lower")
-        lively = all_movements.quantile(LIVELY, interpolation="higher")
+        usual = np.quantile(all_movements, 0.5, method="lower")
+        lively = np.quantile(all_movements, LIVELY, method="higher")
         found = [
             (outline, at)
             for outline, movement in zip(outlines, movements, strict=True)
-            for at in torch.nonzero((movement >= usual) & (movement <= lively)).flatten().tolist()
+            for at in np.flatnonzero((movement >= usual) & (movement <= lively)).tolist()
         ]
         return self.random.sample(found, min(count, len(found)))
 
 
-def last_poses(model: MotionModel, features: Tensor) -> Tensor:
+def last_poses(model: MotionModel, features: Array) -> Array:
     """Outlines (S, 24) of the frames (T, 276) that are STATE_FRAMES before the last."""
     return model.outline.of(features[[max(0, len(features) - 1 - before) for before in STATE_FRAMES]])

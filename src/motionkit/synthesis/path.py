@@ -12,9 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, normalized
 from motionkit.errors import ControlError
 from motionkit.files import parse_json, read_text
 
@@ -29,7 +29,7 @@ MAX_TYPE = 100  # letters
 class PathPart:
     """A stretch of path: points (N, 2) as x, z in cm, what to do on it, and how fast (cm/s, None: as the type does)."""
 
-    points: Tensor
+    points: Array
     type: str
     speed: float | None = None
 
@@ -45,9 +45,9 @@ class Path2D:
         parts: what is asked for on each.
     """
 
-    points: Tensor
-    tangents: Tensor
-    part: Tensor
+    points: Array
+    tangents: Array
+    part: Array
     parts: tuple[PathPart, ...]
 
     @property
@@ -55,38 +55,38 @@ class Path2D:
         """Arc length in cm."""
         return (len(self.points) - 1) * SPACING
 
-    def at(self, arc: Tensor) -> tuple[Tensor, Tensor]:
+    def at(self, arc: Array) -> tuple[Array, Array]:
         """Points and unit directions (..., 2) at arc lengths (...); straight on beyond the ends."""
         last = len(self.points) - 1
         place = arc / SPACING
-        index = place.floor().clamp(0, last - 1).long()
-        share = (place - index).clamp(0.0, 1.0)[..., None]
-        beyond = (arc - self.length).clamp(min=0.0)[..., None]
-        before = arc.clamp(max=0.0)[..., None]
+        index = np.clip(np.floor(place), 0, last - 1).astype(np.int64)
+        share = np.clip(place - index, 0.0, 1.0)[..., None]
+        beyond = np.maximum(arc - self.length, 0.0)[..., None]
+        before = np.minimum(arc, 0.0)[..., None]
         points = self.points[index] * (1 - share) + self.points[index + 1] * share
         tangents = self.tangents[index] * (1 - share) + self.tangents[index + 1] * share
         points = points + beyond * self.tangents[last] + before * self.tangents[0]
-        return points, torch.nn.functional.normalize(tangents, dim=-1)
+        return points, normalized(tangents)
 
-    def part_at(self, arc: Tensor) -> Tensor:
+    def part_at(self, arc: Array | float) -> Array:
         """Index (...) of the part at arc lengths (...)."""
-        return self.part[(arc / SPACING).round().clamp(0, len(self.points) - 1).long()]
+        return self.part[np.clip(np.round(arc / SPACING), 0, len(self.points) - 1).astype(np.int64)]
 
 
 def make_path(parts: list[PathPart]) -> Path2D:
     """Join parts end to end; raises ControlError for parts too short to go anywhere."""
     if not parts:
         raise ControlError("the path has no parts")
-    pieces: list[Tensor] = []
+    pieces: list[Array] = []
     ends: list[float] = []
     total = 0.0
-    previous: Tensor | None = None
+    previous: Array | None = None
     for number, part in enumerate(parts, 1):
-        points = part.points.double()
+        points = part.points.astype(np.float64)
         if previous is not None:
-            points = torch.cat([previous[None], points])
-        steps = torch.diff(points, dim=0).norm(dim=-1) if len(points) > 1 else torch.zeros(0)
-        keep = torch.cat([torch.ones(1, dtype=torch.bool), steps > 1e-6])
+            points = np.concatenate([previous[None], points])
+        steps = np.linalg.norm(np.diff(points, axis=0), axis=-1)
+        keep = np.concatenate([[True], steps > 1e-6])
         length = float(steps.sum())
         if length < 2 * SPACING:
             raise ControlError(
@@ -99,75 +99,75 @@ def make_path(parts: list[PathPart]) -> Path2D:
         pieces.append(kept if previous is None else kept[1:])
         ends.append(total)
         previous = points[-1]
-    corners = torch.cat(pieces)
-    arc = torch.cat([torch.zeros(1, dtype=torch.float64), torch.diff(corners, dim=0).norm(dim=-1).cumsum(0)])
+    corners = np.concatenate(pieces)
+    arc = np.concatenate([[0.0], np.linalg.norm(np.diff(corners, axis=0), axis=-1).cumsum()])
     count = max(3, int(total / SPACING) + 1)
-    wanted = torch.arange(count, dtype=torch.float64) * SPACING
-    right = torch.searchsorted(arc, wanted.clamp(max=float(arc[-1]))).clamp(1, len(arc) - 1)
-    share = ((wanted - arc[right - 1]) / (arc[right] - arc[right - 1])).clamp(0.0, 1.0)[:, None]
+    wanted = np.arange(count, dtype=np.float64) * SPACING
+    right = np.clip(np.searchsorted(arc, np.minimum(wanted, float(arc[-1]))), 1, len(arc) - 1)
+    share = np.clip((wanted - arc[right - 1]) / (arc[right] - arc[right - 1]), 0.0, 1.0)[:, None]
     points = corners[right - 1] * (1 - share) + corners[right] * share
-    part_index = torch.searchsorted(torch.tensor(ends, dtype=torch.float64), wanted).clamp(max=len(parts) - 1)
-    return Path2D(points.float(), _tangents(points).float(), part_index, tuple(parts))
+    part_index = np.minimum(np.searchsorted(np.array(ends, np.float64), wanted), len(parts) - 1)
+    return Path2D(points.astype(np.float32), _tangents(points).astype(np.float32), part_index, tuple(parts))
 
 
-def _tangents(points: Tensor) -> Tensor:
-    ahead = torch.cat([points[1:], points[-1:]]) - torch.cat([points[:1], points[:-1]])
-    return torch.nn.functional.normalize(ahead, dim=-1)
+def _tangents(points: Array) -> Array:
+    ahead = np.concatenate([points[1:], points[-1:]]) - np.concatenate([points[:1], points[:-1]])
+    return normalized(ahead)
 
 
 # ---- named shapes ----
 
 
-def _arc(radius: float, start: float, sweep: float, centre: tuple[float, float]) -> Tensor:
+def _arc(radius: float, start: float, sweep: float, centre: tuple[float, float]) -> Array:
     """Points along a circle; angles from +Z towards +X, positive sweep turns left."""
     count = max(8, int(abs(sweep) * radius / SPACING))
-    angle = torch.linspace(start, start + sweep, count, dtype=torch.float64)
-    return torch.stack([centre[0] + radius * torch.sin(angle), centre[1] + radius * torch.cos(angle)], dim=-1)
+    angle = np.linspace(start, start + sweep, count, dtype=np.float64)
+    return np.stack([centre[0] + radius * np.sin(angle), centre[1] + radius * np.cos(angle)], axis=-1)
 
 
-def _line(size: float) -> Tensor:
-    return torch.tensor([[0.0, 0.0], [0.0, size]], dtype=torch.float64)
+def _line(size: float) -> Array:
+    return np.array([[0.0, 0.0], [0.0, size]], np.float64)
 
 
-def _circle(size: float) -> Tensor:
+def _circle(size: float) -> Array:
     # Starts at the origin facing +Z, the centre to the left (+X).
     return _arc(size, -math.pi / 2, 2 * math.pi, (size, 0.0))
 
 
-def _figure_eight(size: float) -> Tensor:
+def _figure_eight(size: float) -> Array:
     left = _arc(size, -math.pi / 2, 2 * math.pi, (size, 0.0))
     right = _arc(size, math.pi / 2, -2 * math.pi, (-size, 0.0))
-    return torch.cat([left, right[1:]])
+    return np.concatenate([left, right[1:]])
 
 
-def _polygon(size: float, corners: int, turn: float) -> Tensor:
-    points, heading = [torch.zeros(2, dtype=torch.float64)], 0.0
+def _polygon(size: float, corners: int, turn: float) -> Array:
+    points, heading = [np.zeros(2, np.float64)], 0.0
     for _ in range(corners):
-        step = torch.tensor([math.sin(heading), math.cos(heading)], dtype=torch.float64)
+        step = np.array([math.sin(heading), math.cos(heading)], np.float64)
         points.append(points[-1] + size * step)
         heading += turn
-    return torch.stack(points)
+    return np.stack(points)
 
 
-def _square(size: float) -> Tensor:
+def _square(size: float) -> Array:
     return _polygon(size, 4, math.pi / 2)
 
 
-def _pentagram(size: float) -> Tensor:
+def _pentagram(size: float) -> Array:
     return _polygon(size, 5, math.radians(144.0))
 
 
-def _u_turn(size: float) -> Tensor:
+def _u_turn(size: float) -> Array:
     # A way out, half a circle to the left with a tenth of its length as radius, and the way back.
     radius = 0.1 * size
-    out = torch.tensor([[0.0, 0.0], [0.0, size]], dtype=torch.float64)
+    out = np.array([[0.0, 0.0], [0.0, size]], np.float64)
     turn = _arc(radius, -math.pi / 2, math.pi, (radius, size))
-    back = torch.tensor([[2 * radius, 0.0]], dtype=torch.float64)
-    return torch.cat([out, turn[1:], back])
+    back = np.array([[2 * radius, 0.0]], np.float64)
+    return np.concatenate([out, turn[1:], back])
 
 
 # What size means: the length of line and u-turn, the radius of circle and figure-eight, the side of the others.
-SHAPES: dict[str, Callable[[float], Tensor]] = {
+SHAPES: dict[str, Callable[[float], Array]] = {
     "line": _line,
     "circle": _circle,
     "figure-eight": _figure_eight,
@@ -271,8 +271,7 @@ def _part(where: str, points: list, kind: str, speed: float | None) -> PathPart:
             _check_number(speed, "speed", 0.05, 15.0)
         except ControlError as error:
             raise ControlError(f"{where}: {error} m/s") from None
-    tensor = torch.tensor(points, dtype=torch.float64) * METRE
-    return PathPart(tensor, kind, None if speed is None else speed * METRE)
+    return PathPart(np.array(points, np.float64) * METRE, kind, None if speed is None else speed * METRE)
 
 
 def _csv_parts(file: Path, text: str) -> list[PathPart]:

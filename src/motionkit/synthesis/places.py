@@ -6,9 +6,9 @@ Animation"), here only to choose what a guide shows: the body itself is the netw
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, lower_median
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.models.checkpoint import Outline
 
@@ -32,16 +32,18 @@ class Places:
         self.outlines = outlines
         lengths = [len(outline) for outline in outlines]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]
-        self.left = torch.cat([torch.arange(length, 0, -1) for length in lengths])
-        movement = torch.cat([outline.movement for outline in outlines])
-        self.moves = movement >= movement.median()
-        frames = [torch.arange(length) for length in lengths]
+        self.left = np.concatenate([np.arange(length, 0, -1) for length in lengths])
+        movement = np.concatenate([outline.movement for outline in outlines])
+        self.moves = movement >= lower_median(movement)
+        frames = [np.arange(length) for length in lengths]
         states = [pose_states(o, at) for o, at in zip(outlines, frames, strict=True)]
         ways = [future_trajectory(o.ground, at) for o, at in zip(outlines, frames, strict=True)]
-        self._features = torch.cat([torch.cat(states).flatten(1), _scaled(torch.cat(ways))], dim=1)
+        self._features = np.concatenate(
+            [np.concatenate(states).reshape(len(self.left), -1), _scaled(np.concatenate(ways))], axis=1
+        )
 
     def nearest(
-        self, state: Tensor, way: Tensor, least: int, stay: int | None = None, gain: float = 1.0
+        self, state: Array, way: Array, least: int, stay: int | None = None, gain: float = 1.0
     ) -> tuple[int, int]:
         """The recording and frame most like a state (S, 24) and a trajectory (24,) to go.
 
@@ -50,11 +52,11 @@ class Places:
             stay: a place to stay at, unless another costs less than gain times as much. What is near it in its
                 recording does not count: of what moves slowly the same second would be played again and again.
         """
-        wanted = torch.cat([state.flatten(), _scaled(way)])
-        all_costs = (self._features - wanted).square().sum(dim=1)
-        costs = torch.where((self.left >= least) & self.moves, all_costs, torch.inf)
+        wanted = np.concatenate([state.reshape(-1), _scaled(way)])
+        all_costs = np.square(self._features - wanted).sum(axis=1)
+        costs = np.where((self.left >= least) & self.moves, all_costs, np.inf)
         if stay is not None:
-            costs[max(0, stay - NEARBY) : stay + NEARBY] = torch.inf
+            costs[max(0, stay - NEARBY) : stay + NEARBY] = np.inf
         best = int(costs.argmin())
         if stay is not None and float(costs[best]) >= gain * float(all_costs[stay]):
             best = stay
@@ -62,16 +64,16 @@ class Places:
         return number, best - self.first[number]
 
 
-def pose_states(outline: Outline, frames: Tensor) -> Tensor:
+def pose_states(outline: Outline, frames: Array) -> Array:
     """The poses (..., S, 24) in outline STATE_FRAMES before frames (...)."""
-    return outline.poses[(frames[..., None] - torch.tensor(STATE_FRAMES)).clamp(min=0)]
+    return outline.poses[np.maximum(frames[..., None] - np.array(STATE_FRAMES), 0)]
 
 
-def pose_state(outline: Outline, at: int) -> Tensor:
+def pose_state(outline: Outline, at: int) -> Array:
     """The poses (S, 24) in outline STATE_FRAMES before a frame."""
-    return pose_states(outline, torch.tensor(at))
+    return pose_states(outline, np.array(at))
 
 
-def _scaled(ways: Tensor) -> Tensor:
+def _scaled(ways: Array) -> Array:
     half = TRAJECTORY_COUNT // 2
-    return torch.cat([ways[..., :half] / PLACE_UNIT, ways[..., half:] / DIRECTION_UNIT], dim=-1)
+    return np.concatenate([ways[..., :half] / PLACE_UNIT, ways[..., half:] / DIRECTION_UNIT], axis=-1)

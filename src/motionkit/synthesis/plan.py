@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.features.control import blend_types
 from motionkit.models.checkpoint import MotionModel
@@ -73,17 +73,17 @@ def _seconds(text: str, word: str) -> float:
     return value
 
 
-def type_track(model: MotionModel, parts: Sequence[TypePart]) -> Tensor:
+def type_track(model: MotionModel, parts: Sequence[TypePart]) -> Array:
     """The type id (T,) of every frame of the parts; raises ControlError for an unknown type."""
     ids = [model.type_id(part.type) for part in parts]
     counts = [max(1, round(part.seconds * model.fps)) for part in parts]
-    return torch.cat([torch.full((count,), i) for i, count in zip(ids, counts, strict=True)])
+    return np.repeat(ids, counts)
 
 
 def crowd_controller(
     model: MotionModel,
     plans: list[list[TypePart]],
-    near: list[Tensor],
+    near: list[Array],
     behind: list[int],
     choice: int = 0,
 ) -> Controller:
@@ -98,27 +98,27 @@ def crowd_controller(
     tracks = [plan_weights(model, plan) for plan in plans]
     longest = max(len(track) for track in tracks)
 
-    def whole(values: Tensor) -> Tensor:
-        return torch.cat([values, values[-1:].expand(longest - len(values), *values.shape[1:])])
+    def whole(values: Array) -> Array:
+        return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
 
-    weights = torch.stack([whole(track) for track in tracks], 1)[:, turn]
+    weights = np.stack([whole(track) for track in tracks], 1)[:, turn]
     asked = [plan_signals(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
     signals = Signals.side_by_side(asked)
 
-    def controls(frame: int, ground: Tensor) -> FrameControls:
+    def controls(frame: int, ground: Array) -> FrameControls:
         now = min(frame, longest - 1)
         return signals.controls(now, weights[now])
 
     return controls
 
 
-def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Tensor:
+def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Array:
     """Blended type weights (T, N) of the parts: 40 frames at each change."""
     return blend_types(type_track(model, parts), len(model.types))
 
 
 def plan_signals(
-    model: MotionModel, parts: Sequence[TypePart], near: Tensor, behind: int = 0, choice: int = 0
+    model: MotionModel, parts: Sequence[TypePart], near: Array, behind: int = 0, choice: int = 0
 ) -> Signals:
     """What recordings of the parts' types ask for, frame by frame.
 

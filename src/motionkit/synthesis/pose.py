@@ -1,7 +1,7 @@
-"""The pose of one frame of N characters, in numpy: per frame torch would spend its time on dispatch.
+"""The pose of one frame of N characters.
 
-The same mathematics as features.decode and motion.kinematics, which serve whole motions and gradients;
-the tests hold the two together. All arrays are float32.
+The same mathematics as features.decode and motion.kinematics, which serve whole motions, with fewer calls for
+each frame; the tests hold the two together. All arrays are float32.
 """
 
 from __future__ import annotations
@@ -11,10 +11,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.arrays import Floats
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.motion.skeleton import JOINT_COUNT, PARENTS
-
-Floats = NDArray[np.float32]
 
 # Quaternion products as matrices: (p q) = p @ _PRODUCT[.., q], summed over both factors.
 _PRODUCT = np.zeros((4, 4, 4), np.float32)  # [p component, q component, result component]
@@ -117,14 +116,6 @@ def expmap_to_quat_one(expmap: list[float]) -> tuple[float, float, float, float]
     angle = max(math.sqrt(x * x + y * y + z * z), 1e-12)
     scale = math.sin(0.5 * angle) / angle
     return math.cos(0.5 * angle), scale * x, scale * y, scale * z
-
-
-def cross(a: Floats, b: Floats) -> Floats:
-    """Cross products (..., 3), without the checks of np.cross that cost more than the product."""
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.float32)
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return out
 
 
 class PoseDecoder:

@@ -6,16 +6,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
-from torch import Tensor
 
+from motionkit.arrays import Array, Floats
 from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.models.checkpoint import MotionModel, Seed
 from motionkit.models.step import NetworkStep
-from motionkit.models.step_weights import Floats
 from motionkit.motion.bvh_text import MAX_NUMBER
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
@@ -66,26 +64,26 @@ class FrameControls:
     at all. grip: (B,) the share of the types' grip that counts, None for all of it.
     """
 
-    type_weights: Tensor
-    trajectory: Tensor
-    given: Tensor
-    progress: Tensor
-    guide: Tensor | None = None
-    guided: Tensor | None = None
-    grip: Tensor | None = None
+    type_weights: Array
+    trajectory: Array
+    given: Array
+    progress: Array
+    guide: Array | None = None
+    guided: Array | None = None
+    grip: Array | None = None
 
 
 # Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
-Controller = Callable[[int, Tensor], FrameControls]
+Controller = Callable[[int, Array], FrameControls]
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
     """What came out: features (B, T, 276) unnormalised, contacts (B, T, 4) in [0, 1], ground (B, T, 3)."""
 
-    features: Tensor
-    contacts: Tensor
-    ground: Tensor
+    features: Array
+    contacts: Array
+    ground: Array
 
     def first(self, frames: int) -> Rollout:
         """The first frames of it."""
@@ -120,9 +118,9 @@ class RolloutState:
         self.random = np.random.default_rng(seed)
         blocks = feature_layout(model.config.layout).blocks
         self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
-        self._mean, self._std = (t.numpy() for t in (model.scaling.mean, model.scaling.std))
+        self._mean, self._std = model.scaling.mean, model.scaling.std
         scaling = model.trajectory_scaling
-        self._trajectory_mean, self._trajectory_std = scaling.mean.numpy(), scaling.std.numpy()
+        self._trajectory_mean, self._trajectory_std = scaling.mean, scaling.std
         self._layout = model.controls
         self._noise_shares = np.array([model.noise.get(kind, 1.0) for kind in model.types], np.float32)
         self._inertias = np.array([model.inertia.get(kind, 0.0) for kind in model.types], np.float32)
@@ -130,9 +128,7 @@ class RolloutState:
         self._feet = grip.foot_columns(model.config.layout)
         self._inert = inert_columns(model.config.layout)
         guides = model.guide_map
-        self._guide_gains, self._guide_matrix, self._guide_constant = (
-            g.numpy() for g in vars(guides).values()
-        )
+        self._guide_gains, self._guide_matrix, self._guide_constant = vars(guides).values()
         self._controls = np.zeros((batch, self._layout.size), np.float32)
         self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._before = np.zeros((batch, FEATURE_COUNT), np.float32)  # the frame before
@@ -158,9 +154,9 @@ class RolloutState:
         self._drawn_from = None
 
     @property
-    def ground(self) -> Tensor:
+    def ground(self) -> Array:
         """Root x, z (cm) and heading (radians) of every character (B, 3)."""
-        return torch.from_numpy(self._ground.copy())
+        return self._ground.copy()
 
     @property
     def normalised(self) -> Floats:
@@ -169,14 +165,14 @@ class RolloutState:
 
     def set_skeletons(self, skeletons: list[Skeleton]) -> None:
         """The skeleton control signal of each character."""
-        self._controls[:, self._layout.skeleton] = np.stack([skeleton_signal(s).numpy() for s in skeletons])
+        self._controls[:, self._layout.skeleton] = np.stack([skeleton_signal(s) for s in skeletons])
 
     def start(
         self,
-        features: Tensor,
-        contacts: Tensor,
-        type_weights: Tensor,
-        ground: Tensor | None = None,
+        features: Array,
+        contacts: Array,
+        type_weights: Array,
+        ground: Array | None = None,
         phase_frames: float | Sequence[float] = 0.0,
     ) -> None:
         """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
@@ -185,26 +181,26 @@ class RolloutState:
         The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
         """
         self.network.reset()
-        x = ((features.numpy() - self._mean) / self._std).astype(np.float32)
-        none = torch.zeros(self.batch, TRAJECTORY_COUNT)
+        x = ((features - self._mean) / self._std).astype(np.float32)
+        none = np.zeros((self.batch, TRAJECTORY_COUNT), np.float32)
         lengths = [phase_frames] * self.batch if isinstance(phase_frames, (int, float)) else phase_frames
         for t in range(x.shape[1] - 1):
-            progress = torch.tensor([progress_at(t, length) for length in lengths])
-            self._ask(FrameControls(type_weights, none, torch.zeros(self.batch), progress), x[:, t])
-            self.network.step(x[:, t], contacts[:, t].numpy(), self._controls)
-        self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1].numpy()
+            progress = np.array([progress_at(t, length) for length in lengths], np.float32)
+            self._ask(FrameControls(type_weights, none, np.zeros(self.batch, np.float32), progress), x[:, t])
+            self.network.step(x[:, t], contacts[:, t], self._controls)
+        self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1]
         self._before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
-        self._ground[:] = 0.0 if ground is None else ground.numpy()
+        self._ground[:] = 0.0 if ground is None else ground
         self._noise_state[:] = self.random.standard_normal(self._x.shape, np.float32)
         self._smooth_noise[:] = self._noise_state
 
     def start_one(
         self,
         index: int,
-        features: Tensor,
-        contacts: Tensor,
-        type_weights: Tensor,
-        ground: Tensor | None = None,
+        features: Array,
+        contacts: Array,
+        type_weights: Array,
+        ground: Array | None = None,
         phase_frames: float = 0.0,
     ) -> None:
         """Start one character anew, as start() does with all; the others go on. Shapes are those of a batch of one."""
@@ -229,31 +225,31 @@ class RolloutState:
     def _ask(self, asked: FrameControls, x: Floats) -> None:
         """Write control vectors, as features.control.control_vector makes them, for normalised frames x."""
         layout, controls = self._layout, self._controls
-        weights = asked.type_weights.numpy()
+        weights = asked.type_weights
         controls[:, layout.type] = weights
         self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
         np.matmul(weights, self._inertias, out=self._inertia[:, 0])
         np.matmul(weights, self._grips, out=self._grip[:, 0])
         if asked.grip is not None:
-            self._grip[:, 0] *= asked.grip.numpy()
-        given = asked.given.numpy()
+            self._grip[:, 0] *= asked.grip
+        given = asked.given
         shown = controls[:, layout.trajectory]
-        np.subtract(asked.trajectory.numpy(), self._trajectory_mean, out=shown)
+        np.subtract(asked.trajectory, self._trajectory_mean, out=shown)
         shown /= self._trajectory_std
         shown *= given[:, None]
         controls[:, layout.flag] = given
-        progress = asked.progress.numpy()
+        progress = asked.progress
         angle, has_phase = np.float32(2.0 * np.pi) * progress, progress >= 0
         controls[:, layout.phase.start] = np.sin(angle) * has_phase
         controls[:, layout.phase.start + 1] = np.cos(angle) * has_phase
         if asked.guide is None or asked.guided is None:
             controls[:, layout.guide.start :] = 0.0
         else:
-            guided = asked.guided.numpy()
+            guided = asked.guided
             shown = controls[:, layout.guide]
             np.matmul(x, self._guide_matrix, out=shown)
             shown += self._guide_constant
-            np.subtract(self._guide_gains * asked.guide.numpy(), shown, out=shown)
+            np.subtract(self._guide_gains * asked.guide, shown, out=shown)
             shown *= guided[:, None]
             controls[:, layout.guided] = guided > 0.0
 
@@ -331,7 +327,7 @@ class RolloutState:
             features[:, columns] += by
             self._x[:, columns] += by / self._std[columns]
 
-    def step(self, asked: FrameControls) -> tuple[Tensor, Tensor, Tensor]:
+    def step(self, asked: FrameControls) -> tuple[Array, Array, Array]:
         """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
 
         Raises ModelError for a frame that no BVH file could hold.
@@ -345,9 +341,9 @@ class RolloutState:
                 "(damaged weights, or a start unlike any motion)"
             )
         return (
-            torch.from_numpy(features.copy()),
-            torch.from_numpy(contacts.copy()),
-            torch.from_numpy(ground.copy()),
+            features.copy(),
+            contacts.copy(),
+            ground.copy(),
         )
 
     def _next_noise(self) -> Floats:
@@ -376,7 +372,7 @@ def run(
         ground.append(g)
         if progress:
             progress(t + 1)
-    return Rollout(torch.stack(features, 1), torch.stack(contacts, 1), torch.stack(ground, 1))
+    return Rollout(np.stack(features, 1), np.stack(contacts, 1), np.stack(ground, 1))
 
 
 def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton) -> Motion:
@@ -389,10 +385,10 @@ def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: S
     return replace(motion, root_positions=roots[0])
 
 
-def seed_batch(seeds: list[Seed]) -> tuple[Tensor, Tensor]:
+def seed_batch(seeds: list[Seed]) -> tuple[Array, Array]:
     """Seeds cut to the length of the shortest, from the end: features (B, T, 276), contacts (B, T, 4)."""
     frames = min(len(seed.features) for seed in seeds)
     return (
-        torch.stack([seed.features[-frames:] for seed in seeds]),
-        torch.stack([seed.contacts[-frames:] for seed in seeds]),
+        np.stack([seed.features[-frames:] for seed in seeds]),
+        np.stack([seed.contacts[-frames:] for seed in seeds]),
     )

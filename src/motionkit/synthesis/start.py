@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.features.encode import encode_motion
 from motionkit.models.checkpoint import MotionModel
@@ -20,9 +20,9 @@ INIT_FRAMES = 87  # the receptive field; the paper's number for its comparisons
 class Start:
     """Frames B characters start from: features (B, T, 276), contacts (B, T, 4), place of the last one (B, 3)."""
 
-    features: Tensor
-    contacts: Tensor
-    ground: Tensor
+    features: Array
+    contacts: Array
+    ground: Array
 
 
 def seed_start(model: MotionModel, kind: str | list[str], count: int) -> Start:
@@ -40,9 +40,9 @@ def seed_start(model: MotionModel, kind: str | list[str], count: int) -> Start:
         chosen.append(seeds[i // len(kinds) % len(seeds)])
     frames = min(len(seed.features) for seed in chosen)
     return Start(
-        torch.stack([seed.features[:frames] for seed in chosen]),
-        torch.stack([seed.contacts[:frames] for seed in chosen]),
-        torch.zeros(count, 3),
+        np.stack([seed.features[:frames] for seed in chosen]),
+        np.stack([seed.contacts[:frames] for seed in chosen]),
+        np.zeros((count, 3), np.float32),
     )
 
 
@@ -60,7 +60,7 @@ def clip_start(model: MotionModel, path: str | Path, count: int) -> Start:
     motion = motion.cut(0, INIT_FRAMES)
     encoded = encode_motion(motion, model.references, model.config.layout)
     return Start(
-        encoded.features.expand(count, -1, -1),
-        encoded.contacts.expand(count, -1, -1),
-        encoded.ground[-1].expand(count, -1),
+        encoded.features[None].repeat(count, axis=0),
+        encoded.contacts[None].repeat(count, axis=0),
+        encoded.ground[-1:].repeat(count, axis=0),
     )

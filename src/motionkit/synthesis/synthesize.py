@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
@@ -21,8 +20,6 @@ from motionkit.synthesis.plan import TypePart, crowd_controller, plan_weights
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.synthesis.start import clip_start, seed_start
 
-# Characters from which on the cores share the work.
-SHARED_FROM = 32
 # Frames of all characters together, or of the files written: four gigabytes of memory.
 MAX_FRAMES = 500_000
 
@@ -38,7 +35,7 @@ class Synthesis:
     """
 
     motion: Motion
-    contacts: Tensor
+    contacts: Array
     types: tuple[TypePart, ...]
 
 
@@ -89,7 +86,7 @@ def synthesize(
     plans = _plans(parts)
     check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
     skeletons = [model.character(name.strip()) for name in options.character.split(",")]
-    first = torch.stack([plan_weights(model, plan)[0] for plan in plans])
+    first = np.stack([plan_weights(model, plan)[0] for plan in plans])
     kinds = [plan[0].type for plan in plans]
     lengths = [0.0] * len(plans)
     if options.init is not None:
@@ -98,16 +95,15 @@ def synthesize(
         start = seed_start(model, kinds, count)
         lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
     turn = [i % len(plans) for i in range(count)]
-    with inner_threads(count):
-        state = RolloutState(model, count, options.noise, options.seed)
-        state.start(start.features, start.contacts, first[turn], start.ground, [lengths[i] for i in turn])
-        behind = [start.features.shape[1] if length else 0 for length in lengths]
-        near = [last_poses(model, features) for features in start.features]
-        controller = crowd_controller(model, plans, near, behind, options.seed)
-        frames = [len(plan_weights(model, plan)) for plan in plans]
-        started = time.perf_counter()
-        rollout = run(state, max(frames), controller, progress)
-        seconds = time.perf_counter() - started
+    state = RolloutState(model, count, options.noise, options.seed)
+    state.start(start.features, start.contacts, first[turn], start.ground, [lengths[i] for i in turn])
+    behind = [start.features.shape[1] if length else 0 for length in lengths]
+    near = [last_poses(model, features) for features in start.features]
+    controller = crowd_controller(model, plans, near, behind, options.seed)
+    frames = [len(plan_weights(model, plan)) for plan in plans]
+    started = time.perf_counter()
+    rollout = run(state, max(frames), controller, progress)
+    seconds = time.perf_counter() - started
     motions = []
     for i in range(count):
         mine = rollout.first(frames[turn[i]])
@@ -156,15 +152,3 @@ def on_character(motion: Motion, skeleton: Skeleton) -> Motion:
     """The same rotations on another body, the root's path scaled with the length of its legs."""
     share = leg_length(skeleton) / leg_length(motion.skeleton)
     return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * share)
-
-
-@contextmanager
-def inner_threads(batch: int) -> Iterator[None]:
-    """One thread while few characters run: the products are too small to share between cores."""
-    before = torch.get_num_threads()
-    if batch < SHARED_FROM:
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)

@@ -7,13 +7,13 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from typing import Any
 
-import torch
+import numpy as np
 
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.features.guide import GUIDE_OFFSETS
 from motionkit.models.checkpoint import Gait, MotionModel, Outline, Seed
-from motionkit.models.network import PartTransformer
+from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.synthesis.steering import STEERED_TYPES
 
@@ -52,7 +52,7 @@ STANDING = replace(GAIT, noise=0.7)
 
 
 def bundle_model(
-    network: PartTransformer, dataset: Dataset, card: dict[str, Any], guides: bool = True
+    network: NetworkWeights, dataset: Dataset, card: dict[str, Any], guides: bool = True
 ) -> MotionModel:
     """The model file's content for a network trained on a dataset, with guides or without."""
     characters = {"default": canonical_skeleton().offsets}
@@ -89,9 +89,9 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
     wanted = dataset.types.index(kind)
     columns = dataset.layout.blocks["joint_positions"]
     stretches: list[tuple[Clip, int, int]] = []
-    total, count = torch.zeros(columns.stop - columns.start), 0
+    total, count = np.zeros(columns.stop - columns.start, np.float32), 0
     for clip in dataset.select("train"):
-        mine = torch.nonzero(dataset.clip_types(clip) == wanted).flatten()
+        mine = np.flatnonzero(dataset.clip_types(clip) == wanted)
         if len(mine):
             data = dataset.read(clip)
             begins = mine
@@ -99,11 +99,11 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
                 # A strike or jump is started from its own beginning, at the beginning of the phase.
                 begins = mine[(data.phases[mine] >= 0.0) & (data.phases[mine] < 0.02)]
             shown = data.features[mine][:, columns]
-            total, count = total + shown.sum(dim=0), count + len(shown)
+            total, count = total + shown.sum(axis=0), count + len(shown)
             if len(begins):
                 # Only up to where the clip first goes over to another type.
                 mine = mine[mine >= begins[0]]
-                unbroken = int((mine == mine[0] + torch.arange(len(mine))).sum())
+                unbroken = int((mine == mine[0] + np.arange(len(mine))).sum())
                 stretches.append((clip, int(mine[0]), min(unbroken, SEED_FRAMES)))
     if not stretches:
         clip = dataset.select("train")[0]
@@ -113,7 +113,7 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
     for clip, first, frames in stretches:
         if frames == longest:
             data = dataset.read(clip, first, first + frames)
-            far = float((data.features[:, columns].mean(dim=0) - total / count).norm())
+            far = float(np.linalg.norm(data.features[:, columns].mean(axis=0) - total / count))
             ranked.append((far, clip.name, Seed(data.features, data.contacts, data.ground)))
     ranked.sort(key=lambda entry: entry[:2])
     return [seed for _, _, seed in ranked[:SEEDS_PER_TYPE]]
@@ -130,13 +130,13 @@ def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
     performed = dataset.phase_events.get(kind) == ""
     found: list[tuple[str, Outline]] = []
     for clip in dataset.select("train"):
-        for start, end, type_id in type_stretches(dataset.clip_types(clip).numpy()):
+        for start, end, type_id in type_stretches(dataset.clip_types(clip)):
             if type_id != wanted:
                 continue
             whole = dataset.read(clip, start, end + GUIDE_OFFSETS[-1])
             poses = dataset.outline.of(whole.features)
             beyond = end - start + GUIDE_OFFSETS[-1] - len(poses)
-            poses = torch.cat([poses, poses[-1:].expand(beyond, -1)])
+            poses = np.pad(poses, ((0, beyond), (0, 0)), mode="edge")
             step = end - start if performed else longest
             for first in range(0, end - start, step):
                 last = min(first + step, end - start)
@@ -171,7 +171,7 @@ def _not_too_short(found: list[tuple[str, Outline]], fps: float) -> list[tuple[s
 
 def before_rest(outline: Outline, least: float) -> Outline:
     """An outline up to where less than so much movement follows to its end; whole, if it never moves more."""
-    moving = torch.nonzero(outline.movement >= least).flatten()
+    moving = np.flatnonzero(outline.movement >= least)
     end = int(moving[-1]) + 1 if len(moving) else len(outline)
     return Outline(outline.poses[: end + GUIDE_OFFSETS[-1]], outline.ground[:end], outline.phases[:end])
 
@@ -207,13 +207,15 @@ def manners_of(dataset: Dataset) -> dict[str, Manner]:
 
 def _quiet_types(dataset: Dataset) -> set[str]:
     """The types whose joints turn slowly."""
-    turns, frames = (torch.zeros(len(dataset.types), dtype=torch.float64) for _ in range(2))
+    turns, frames = (np.zeros(len(dataset.types), np.float64) for _ in range(2))
     block = dataset.layout.blocks["joint_angular_velocities"]
     for clip in dataset.select("train"):
         data = dataset.read(clip)
-        speeds = data.features[:, block].reshape(len(data.features), -1, 3).norm(dim=-1).mean(dim=-1)
-        turns.index_add_(0, data.types, speeds.double())
-        frames += torch.bincount(data.types, minlength=len(frames))
+        speeds = np.linalg.norm(data.features[:, block].reshape(len(data.features), -1, 3), axis=-1).mean(
+            axis=-1
+        )
+        np.add.at(turns, data.types, speeds)
+        frames += np.bincount(data.types, minlength=len(frames))
     slow = (turns / frames < QUIET).tolist()
     return {kind for kind, quiet in zip(dataset.types, slow, strict=True) if quiet}
 
@@ -223,16 +225,14 @@ def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
 
     The angle is kept only where a type has one (walking backwards: half a turn), else it is zero.
     """
-    sums = {kind: torch.zeros(4, dtype=torch.float64) for kind in dataset.types}
+    sums = {kind: np.zeros(4, np.float64) for kind in dataset.types}
     block = dataset.layout.blocks["root_xz_velocity"]
     for clip in dataset.select("train"):
-        velocity = dataset.read(clip).features[:, block].double()
+        velocity = dataset.read(clip).features[:, block].astype(np.float64)
         kinds = dataset.clip_types(clip)
-        for i in kinds.unique().tolist():
+        for i in np.unique(kinds).tolist():
             mine = velocity[kinds == i]
-            sums[dataset.types[i]] += torch.tensor(
-                [len(mine), float(mine.norm(dim=-1).sum()), float(mine[:, 0].sum()), float(mine[:, 1].sum())]
-            )
+            sums[dataset.types[i]] += [len(mine), np.linalg.norm(mine, axis=-1).sum(), *mine.sum(axis=0)]
     gaits = {}
     for kind, (frames, distance, x, z) in ((k, v.tolist()) for k, v in sums.items()):
         if frames:

@@ -15,12 +15,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from motionkit.features.decode import decode_rotations, root_height
-from motionkit.features.layout import feature_layout
-from motionkit.features.normalize import Scaling
+from motionkit.data.dataset import Dataset
+from motionkit.features.layout import feature_layout, root_height_column
 from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
 from motionkit.models.network import PartTransformer, Prediction
-from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
+from motionkit.models.torch_rotations import decode_rotations, quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
 
 FOOT_UNIT = 20.0  # cm
@@ -70,6 +69,39 @@ class Batch:
         return Batch(**{name: value.chunk(count)[index] for name, value in vars(self).items()})
 
 
+@dataclass(frozen=True, eq=False)
+class FeatureSpace:
+    """What normalised features mean: mean and std (276,), references (23, 4), the layout's version, the rate."""
+
+    mean: Tensor
+    std: Tensor
+    references: Tensor
+    layout: str
+    fps: float
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> FeatureSpace:
+        """That of a dataset, on the CPU."""
+        mean, std, references = (
+            torch.from_numpy(array)
+            for array in (dataset.scaling.mean, dataset.scaling.std, dataset.references)
+        )
+        return cls(mean, std, references, dataset.layout.version, dataset.fps)
+
+    def to(self, device: torch.device) -> FeatureSpace:
+        """The same on another device."""
+        mean, std, references = (t.to(device) for t in (self.mean, self.std, self.references))
+        return FeatureSpace(mean, std, references, self.layout, self.fps)
+
+    def denormalize(self, values: Tensor) -> Tensor:
+        """Features (..., 276) in cm, radians and their rates."""
+        return values * self.std + self.mean
+
+    def root_height(self, features: Tensor) -> Tensor:
+        """Height (...) in cm of the root, from unnormalised features."""
+        return features[..., root_height_column(self.layout)]
+
+
 def _mean(values: Tensor, mask: Tensor) -> Tensor:
     return (values * mask).sum() / mask.numel()
 
@@ -113,9 +145,9 @@ def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     return _mean(F.binary_cross_entropy_with_logits(logits, target, reduction="none").sum(-1), mask)
 
 
-def foot_positions(features: Tensor, offsets: Tensor, references: Tensor, layout: str) -> Tensor:
+def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
     """Feet (B, T, 4, 3) in cm relative to the root, in the heading frame, from unnormalised features."""
-    rotations = decode_rotations(features, references, layout)
+    rotations = decode_rotations(features, space.references, space.layout)
     feet = []
     for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
         chain = [ankle]
@@ -134,10 +166,7 @@ def foot_positions(features: Tensor, offsets: Tensor, references: Tensor, layout
 def fk_loss(
     prediction: Prediction,
     batch: Batch,
-    scaling: Scaling,
-    references: Tensor,
-    layout: str,
-    fps: float,
+    space: FeatureSpace,
     slip_weight: float = 1.0,
     step_weight: float | Tensor = 0.0,
 ) -> Tensor:
@@ -151,26 +180,26 @@ def fk_loss(
     one predicted from it. step_weight times, a number or one for each frame (B, T), counts how far that movement of a
     foot over the ground is off the true one, the more the lower the foot is.
     """
-    features, truth = scaling.denormalize(prediction.mean), scaling.denormalize(batch.targets)
-    predicted = foot_positions(features, batch.offsets, references, layout)
+    features, truth = space.denormalize(prediction.mean), space.denormalize(batch.targets)
+    predicted = foot_positions(features, batch.offsets, space)
     with torch.no_grad():
-        true = foot_positions(truth, batch.offsets, references, layout)
+        true = foot_positions(truth, batch.offsets, space)
     loss = _mean(safe_norm((predicted - true) / FOOT_UNIT).sum(-1), batch.mask)
-    heights = root_height(features, layout)
+    heights = space.root_height(features)
     if slip_weight:
         before = (predicted[:, :-1], heights[:, :-1])
-        slip = _foot_moves(features[:, 1:], predicted[:, 1:], *before, layout, fps).abs().sum(-1) / FOOT_UNIT
+        slip = _foot_moves(features[:, 1:], predicted[:, 1:], *before, space).abs().sum(-1) / FOOT_UNIT
         touching = torch.sigmoid(prediction.contact_logits.detach())
         both = touching[:, 1:] * touching[:, :-1]
         loss = loss + slip_weight * _mean((both * slip).sum(-1), batch.mask[:, 1:])
     if isinstance(step_weight, Tensor) or step_weight:
         with torch.no_grad():
-            given = scaling.denormalize(batch.inputs[:, 1:])
-            start = (foot_positions(given, batch.offsets, references, layout), root_height(given, layout))
-            height = root_height(truth, layout)
-            wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], layout, fps)
+            given = space.denormalize(batch.inputs[:, 1:])
+            start = (foot_positions(given, batch.offsets, space), space.root_height(given))
+            height = space.root_height(truth)
+            wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], space)
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
-        moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, layout, fps)
+        moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, space)
         # Not upwards: a body that is too high or too low is to come back.
         off = (moves - wanted)[..., [0, 2]].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
@@ -179,7 +208,7 @@ def fk_loss(
 
 
 def _foot_moves(
-    features: Tensor, feet: Tensor, before: Tensor, height_before: Tensor, layout: str, fps: float
+    features: Tensor, feet: Tensor, before: Tensor, height_before: Tensor, space: FeatureSpace
 ) -> Tensor:
     """How far (B, T, 4, 3) feet move in the world from a frame to the next, in the heading frame of the later one.
 
@@ -188,10 +217,10 @@ def _foot_moves(
         feet, before: (B, T, 4, 3) relative to the root, of the later frames and of the earlier ones.
         height_before: (B, T) of the root in the earlier ones.
     """
-    blocks = feature_layout(layout).blocks
-    turn = features[..., blocks["root_yaw_velocity"]] / fps
-    step = features[..., blocks["root_xz_velocity"]] / fps
-    lift = (root_height(features, layout) - height_before)[..., None]
+    blocks = feature_layout(space.layout).blocks
+    turn = features[..., blocks["root_yaw_velocity"]] / space.fps
+    step = features[..., blocks["root_xz_velocity"]] / space.fps
+    lift = (space.root_height(features) - height_before)[..., None]
     step = torch.stack([step[..., 0], lift[..., 0], step[..., 1]], dim=-1)
     return feet + step[:, :, None] - quat_rotate(quat_from_yaw(-turn), before)
 
@@ -215,9 +244,7 @@ def training_losses(
     modules: ConsistencyModules | None,
     prediction: Prediction,
     batch: Batch,
-    scaling: Scaling,
-    references: Tensor,
-    fps: float,
+    space: FeatureSpace,
     options: LossOptions | None = None,
     step_share: Tensor | None = None,
 ) -> dict[str, Tensor]:
@@ -238,7 +265,7 @@ def training_losses(
         "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask, *rules),
         "smooth": smoothness_loss(prediction.mean, batch.mask),
         "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
-        "fk": fk_loss(prediction, batch, scaling, references, network.config.layout, fps, *feet),
+        "fk": fk_loss(prediction, batch, space, *feet),
         "consistency": consistency,
         "trajectory": gaussian_loss(
             prediction.trajectory_mean,

@@ -54,7 +54,7 @@ def load_run(
         try:
             _check_facts(facts)
             _check_fit(file.found, module, average)
-            tensors = file.read_all()
+            tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
             _check_numbers(tensors)
         except ModelError as error:
             raise ModelError(

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.data.splice import splice_clips
@@ -82,10 +83,10 @@ class WindowSampler:
         self.splice_bodies: list[int] = []
         self.probabilities = self._probabilities()
 
-    def _index(self, type_tracks: list[Tensor]) -> dict[int, list[Span]]:
+    def _index(self, type_tracks: list[Array]) -> dict[int, list[Span]]:
         spans: dict[int, list[Span]] = {}
         for source, types in enumerate(type_tracks):
-            for start, end, kind in type_stretches(types.numpy()):
+            for start, end, kind in type_stretches(types):
                 spans.setdefault(kind, []).append(Span(source, start, end))
         return spans
 
@@ -115,19 +116,23 @@ class WindowSampler:
         weights = torch.zeros_like(self.probabilities)
         for kind in usable:
             weights[kind] = self.probabilities[kind]
+
+        def pick(count: int) -> int:
+            return int(torch.randint(count, (), generator=generator))
+
         bodies = []
         for _ in range(self.options.splices if bool(weights.sum() > 0) else 0):
             first, second = (self._random_span(usable, weights, generator) for _ in range(2))
             clip_a, clip_b = self.clips[first.source], self.clips[second.source]
             if clip_a.body != clip_b.body:
                 continue
-            decay = 20 + int(torch.randint(21, (), generator=generator))
+            decay = 20 + pick(21)
             spliced = splice_clips(
                 self.dataset,
                 (clip_a, first.start, first.end),
                 (clip_b, second.start, second.end),
                 decay,
-                generator,
+                pick,
             )
             self.splices.append(spliced)
             bodies.append(clip_a.body)
@@ -145,9 +150,10 @@ class WindowSampler:
         """Windows first to first + count of the batch of the given size at a step."""
         count = size if count is None else count
         windows = [self._window(window_generator(self.seed, step, first + i)) for i in range(count)]
-        return Batch(**{name: torch.stack([w[name] for w in windows]) for name in windows[0]})
+        arrays = {name: np.stack([w[name] for w in windows]) for name in windows[0]}
+        return Batch(**{name: torch.from_numpy(array) for name, array in arrays.items()})
 
-    def _window(self, generator: torch.Generator) -> dict[str, Tensor]:
+    def _window(self, generator: torch.Generator) -> dict[str, Array]:
         options = self.options
         uniform = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
         kind = int(torch.multinomial(self.probabilities, 1, generator=generator))
@@ -168,19 +174,20 @@ class WindowSampler:
             data = self.dataset.read(clip, start, start + options.window + 62)
         return self._assemble(data, body, uniform[3], generator)
 
-    def _assemble(self, data: ClipData, body: int, u: float, generator: torch.Generator) -> dict[str, Tensor]:
+    def _assemble(self, data: ClipData, body: int, u: float, generator: torch.Generator) -> dict[str, Array]:
         options, T = self.options, self.options.window
         frames = min(T, len(data.types) - 1)
         x = self.dataset.scaling.normalize(data.features[: frames + 1])
-        trajectory = future_trajectory(data.ground, torch.arange(frames + 1))
+        trajectory = future_trajectory(data.ground, np.arange(frames + 1))
         types = data.types
         if torch.rand((), generator=generator) < options.lead_share:
             lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
-            types = torch.cat([types[lead:], types[-1:].expand(lead)]) if lead < len(types) else types
+            types = np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
         weights = blend_types(types, len(self.dataset.types))[:frames]
-        given = torch.full((frames,), 0.0 if u < options.trajectory_dropout else 1.0)
+        given = np.full(frames, float(u >= options.trajectory_dropout), np.float32)
         guided = self._guided(data.types[:frames], generator)
-        inputs = x[:frames] + torch.randn(frames, FEATURE_COUNT, generator=generator) * options.noise
+        noise = torch.randn(frames, FEATURE_COUNT, generator=generator).numpy()
+        inputs = x[:frames] + noise * options.noise
         guide = self.guide_map.shown(data.guide[:frames], inputs)
         controls = control_vector(
             self.controls,
@@ -194,7 +201,7 @@ class WindowSampler:
             self.dataset.trajectory_scaling,
         )
         # A short window counts as much as a full one.
-        mask = torch.full((frames,), T / frames)
+        mask = np.full(frames, T / frames, np.float32)
         window = {
             "inputs": inputs,
             "targets": x[1:],
@@ -208,14 +215,13 @@ class WindowSampler:
         padded["offsets"] = self.dataset.bodies[body]
         return padded
 
-    def _guided(self, types: Tensor, generator: torch.Generator) -> Tensor:
+    def _guided(self, types: Array, generator: torch.Generator) -> Array:
         """Where a guide is given (T,): before the first change of type, and after it."""
-        before, after = (torch.rand(2, generator=generator) >= self.options.guide_dropout).float()
-        return torch.where((types == types[0]).cumprod(dim=0).bool(), before, after)
+        before, after = (torch.rand(2, generator=generator) >= self.options.guide_dropout).float().tolist()
+        unchanged = np.logical_and.accumulate(types == types[0])
+        return np.where(unchanged, np.float32(before), np.float32(after))
 
 
-def _pad(values: Tensor, frames: int) -> Tensor:
+def _pad(values: Array, frames: int) -> Array:
     """Values (T, ...) continued with zeros to the given number of frames."""
-    if len(values) == frames:
-        return values
-    return torch.cat([values, values.new_zeros(frames - len(values), *values.shape[1:])])
+    return np.pad(values, [(0, frames - len(values)), *[(0, 0)] * (values.ndim - 1)])

@@ -10,9 +10,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-import torch
-from torch import Tensor
+import numpy as np
 
+from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
@@ -24,7 +24,6 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 from motionkit.synthesis.outline_player import last_poses
 from motionkit.synthesis.plan import TypePart, crowd_controller
 from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run, seed_batch
-from motionkit.synthesis.synthesize import inner_threads
 
 LOW_TOE = 5.0  # cm; the standing toe joint is at 4.1
 MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
@@ -64,8 +63,7 @@ def score_rollouts(
 
     With on_fault a sample that cannot be written is told there in a line, and the scores are answered all the same.
     """
-    with inner_threads(len(model.types)):
-        rollout = rollout_types(model, frames, seed, noise)
+    rollout = rollout_types(model, frames, seed, noise)
     scores = []
     for i, kind in enumerate(model.types):
         real = _real_frames(dataset, i)
@@ -85,7 +83,7 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     """All types side by side, each from its own first seed frames."""
     count = len(model.types)
     state = RolloutState(model, count, noise or Noise(), seed)
-    weights = torch.eye(count)
+    weights = np.eye(count, dtype=np.float32)
     features, contacts = seed_batch([model.seeds[kind][0] for kind in model.types])
     state.start(features, contacts, weights)
     plans = [[TypePart(kind, frames / model.fps)] for kind in model.types]
@@ -93,43 +91,43 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     return run(state, frames, crowd_controller(model, plans, near, [features.shape[1]] * count, seed))
 
 
-def _real_frames(dataset: Dataset, kind: int) -> Tensor:
+def _real_frames(dataset: Dataset, kind: int) -> Array:
     parts, taken = [], 0
     for clip in dataset.select("train"):
         chosen = dataset.clip_types(clip) == kind
         if bool(chosen.any()) and taken < MAX_REAL_FRAMES:
             parts.append(dataset.read(clip).features[chosen][: MAX_REAL_FRAMES - taken])
             taken += len(parts[-1])
-    return torch.cat(parts) if parts else torch.zeros(0, 276)
+    return np.concatenate(parts) if parts else np.zeros((0, 276), np.float32)
 
 
-def _score(kind: str, made: Tensor, real: Tensor, layout: FeatureLayout) -> TypeScore:
+def _score(kind: str, made: Array, real: Array, layout: FeatureLayout) -> TypeScore:
     positions = layout.blocks["joint_positions"]
-    distance = torch.cdist(made[::4, positions], real[:, positions]).min(dim=1).values.mean() / 23**0.5
+    distance = distances_between(made[::4, positions], real[:, positions]).min(axis=1).mean() / 23**0.5
     height = root_height(made, layout.version)
     return TypeScore(
         kind,
-        float(_joint_speed(made, layout) / _joint_speed(real, layout).clamp(min=1e-3)),
+        float(_joint_speed(made, layout) / np.maximum(_joint_speed(real, layout), 1e-3)),
         float(distance),
-        float(_slide(made, layout) / _slide(real, layout).clamp(min=0.5)),
+        float(_slide(made, layout) / np.maximum(_slide(real, layout), 0.5)),
         (float(height.min()), float(height.max())),
     )
 
 
-def _joint_speed(features: Tensor, layout: FeatureLayout) -> Tensor:
+def _joint_speed(features: Array, layout: FeatureLayout) -> Array:
     turns = features[:, layout.blocks["joint_angular_velocities"]]
-    return turns.reshape(len(features), 22, 3).norm(dim=-1).mean()
+    return np.linalg.norm(turns.reshape(len(features), 22, 3), axis=-1).mean()
 
 
-def _slide(features: Tensor, layout: FeatureLayout) -> Tensor:
+def _slide(features: Array, layout: FeatureLayout) -> Array:
     """Mean horizontal speed (cm/s) of toes near the floor."""
     place = {(c.block, c.joint, c.component): index for index, c in enumerate(layout.columns)}
     toes = (FOOT_JOINTS[1], FOOT_JOINTS[3])
     heights = features[:, [place["joint_positions", toe, 1] for toe in toes]]
     sideways = [features[:, [place["joint_velocities", toe, k] for k in (0, 2)]] for toe in toes]
-    speeds = torch.stack([velocity.norm(dim=-1) for velocity in sideways], dim=-1)
-    low = (heights < LOW_TOE).float()
-    return (speeds * low).sum() / low.sum().clamp(min=1.0)
+    speeds = np.stack([np.linalg.norm(velocity, axis=-1) for velocity in sideways], axis=-1)
+    low = (heights < LOW_TOE).astype(np.float32)
+    return (speeds * low).sum() / np.maximum(low.sum(), 1.0)
 
 
 def _write_samples(model: MotionModel, dataset: Dataset, rollout: Rollout, folder: Path) -> None:

@@ -13,10 +13,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
-from motionkit.features.guide import GUIDE_COUNT, GuideMap
+from motionkit.features.guide import GUIDE_COUNT
 from motionkit.models.network import PartTransformer
-from motionkit.synthesis.stream import NetworkStream
+from motionkit.models.stream import NetworkStream
 from motionkit.training.losses import Batch
 
 
@@ -41,11 +42,11 @@ def feed_back(
     batch: Batch,
     options: SelfFeedOptions,
     generators: list[torch.Generator],
-    guides: GuideMap,
+    guide_matrix: Tensor,
 ) -> Batch:
     """A batch whose inputs and contacts are, in short runs, predictions of the network.
 
-    Guides are shown as seen from these predictions.
+    Guides are shown as seen from these predictions; guide_matrix (276, 72) is that of the GuideMap.
 
     Each window has its own generator, so that it does not matter which windows are run together. Frames at
     which the real frame takes over do not count in the losses: the step between them and the frame before
@@ -76,7 +77,7 @@ def feed_back(
         chosen = now[:, None]
         moved = torch.where(chosen, frame - inputs[:, t + 1], 0.0)
         inputs[:, t + 1] += moved
-        controls[:, t + 1, shown] -= guided[:, t + 1, None] * (moved @ guides.matrix)
+        controls[:, t + 1, shown] -= guided[:, t + 1, None] * (moved @ guide_matrix)
         contacts[:, t + 1] = torch.where(chosen, torch.sigmoid(made.contact_logits), contacts[:, t + 1])
         own = now
     network.train(was_training)

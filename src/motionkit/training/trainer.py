@@ -28,7 +28,7 @@ from motionkit.models.file_check import check_names
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
-from motionkit.training.losses import Batch, LossOptions, total_loss, training_losses
+from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
 from motionkit.training.options import TrainOptions
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler, window_generator
@@ -56,18 +56,14 @@ class TrainingModule(nn.Module):
         super().__init__()
         self.network = network
         self.consistency = ConsistencyModules(network) if network.config.consistency else None
-        self.fps, self.options = dataset.fps, options
-        self.scaling = dataset.scaling
-        self.references = dataset.references
+        self.options = options
+        self.space = FeatureSpace.of(dataset)
         self.step_share = _step_share(dataset.types, options)
 
     def to_device(self, device: torch.device) -> TrainingModule:
-        """Weights, scaling and references moved to a device."""
+        """Weights, and what features mean, moved to a device."""
         self.to(device)
-        self.scaling = replace(
-            self.scaling, mean=self.scaling.mean.to(device), std=self.scaling.std.to(device)
-        )
-        self.references = self.references.to(device)
+        self.space = self.space.to(device)
         self.step_share = None if self.step_share is None else self.step_share.to(device)
         return self
 
@@ -82,9 +78,7 @@ class TrainingModule(nn.Module):
             self.consistency,
             prediction,
             batch,
-            self.scaling,
-            self.references,
-            self.fps,
+            self.space,
             self.options,
             self.step_share,
         )
@@ -233,7 +227,7 @@ class _Run:
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
-        self.guides = self.sampler.guide_map.to(self.device)
+        self.guide_matrix = torch.from_numpy(self.sampler.guide_map.matrix).to(self.device)
         self.coming: list[Batch] = []  # batches made beforehand
         self.asked_to_stop = self.stops = False
         self.logs = True  # until log.jsonl cannot be written
@@ -383,7 +377,7 @@ class _Run:
             return batches
         generators = [window_generator(options.seed, s, first + i, 1) for s in range_of_steps for i in fed]
         joined = join_batches([take_windows(batch, fed) for batch in batches])
-        joined = feed_back(self.module.network, joined, options.self_feed, generators, self.guides)
+        joined = feed_back(self.module.network, joined, options.self_feed, generators, self.guide_matrix)
         others = [i for i in range(share) if i not in fed]
         return [
             join_batches(
@@ -450,7 +444,7 @@ class _Run:
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
         guides = self.options.sampler.guide_dropout < 1.0
-        return bundle_model(network.eval(), self.dataset, card, guides)
+        return bundle_model(network.weights(), self.dataset, card, guides)
 
     def _score(self) -> bool:
         """Score roll-outs and write samples of them, if that is asked for and goes well; the run stays as it was."""

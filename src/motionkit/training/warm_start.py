@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -23,13 +24,14 @@ def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -
         ModelError: if the networks differ in size, or the features in their reference rotations.
     """
     # A rotation and its negative quaternion are one.
-    turned = 1.0 - (dataset.references * model.references).sum(-1).abs()
+    turned = 1.0 - np.abs((dataset.references * model.references).sum(-1))
     if float(turned.max()) > 1e-4:
         raise ModelError(
             f"{dataset.folder}: its features are relative to other reference rotations than the model's; "
             "a run can begin only from a model of the same dataset"
         )
-    old, new = model.network.state_dict(), network.state_dict()
+    old = {name: torch.from_numpy(array) for name, array in model.network.arrays.items()}
+    new = network.state_dict()
     with torch.no_grad():
         for name, value in new.items():
             if name not in old:

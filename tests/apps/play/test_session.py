@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from motionkit.apps.play.frames import WorldFrame
 from motionkit.apps.play.limits import Limits
@@ -66,11 +65,9 @@ def test_who_comes_after_another_has_nothing_of_it(session: Session, tiny_model:
     fresh = Session(tiny_model).join(3)
     assert fresh is not None
     assert (two.noise, two.body, two.seq, two.recorder) == (fresh.noise, fresh.body, 0, None)
-    assert two.stream.state.noise == fresh.noise and torch.equal(two.stream.ground, fresh.stream.ground)
+    assert two.stream.state.noise == fresh.noise and np.array_equal(two.stream.ground, fresh.stream.ground)
     shown, other = two.step(0), fresh.step(0)
-    assert torch.allclose(torch.tensor(shown.positions), torch.tensor(other.positions), atol=2.0), (
-        "but for chance"
-    )
+    assert np.allclose(np.array(shown.positions), np.array(other.positions), atol=2.0), "but for chance"
 
 
 def test_a_full_world_takes_watchers_only(tiny_model: MotionModel) -> None:
@@ -151,7 +148,7 @@ def test_a_path_that_begins_elsewhere_is_led_up_to(session: Session) -> None:
     ask(session, 1, "path", points=[[300, 0], [300, 200]])
     path = character.driver.wish.path
     assert path is not None
-    assert torch.allclose(path.points[0], character.stream.ground[0, :2])
+    assert np.allclose(path.points[0], character.stream.ground[0, :2])
     assert path.length == pytest.approx(500.0, abs=4.0)
 
 
@@ -235,10 +232,10 @@ def test_a_recording_holds_the_frames_that_were_sent(session: Session, tmp_path:
     file.write_bytes(bvh_bytes(recorded.motion))
     motion = bvh_to_motion(read_bvh(file))
     assert len(motion) == 40 and motion.fps == 60.0
-    rotations = torch.from_numpy(np.stack([shown.rotations for shown in sent]))
-    roots = torch.from_numpy(np.stack([shown.root for shown in sent]))
+    rotations = np.stack([shown.rotations for shown in sent])
+    roots = np.stack([shown.root for shown in sent])
     assert float(quat_angle(motion.local_rotations, rotations).max()) < 1e-3
-    assert torch.allclose(motion.root_positions, roots, atol=1e-4)
+    assert np.allclose(motion.root_positions, roots, atol=1e-4)
 
 
 def test_a_recording_ends_at_its_limit(tiny_model: MotionModel) -> None:
@@ -273,7 +270,7 @@ def test_hello_tells_bodies_and_types(session: Session, tiny_model: MotionModel)
     assert {body["name"] for body in hello["bodies"]} == set(tiny_model.characters)
     body = hello["bodies"][0]
     offsets = tiny_model.character(body["name"]).offsets
-    assert torch.allclose(torch.tensor(body["offsets"]), offsets, atol=1e-3)
+    assert np.allclose(np.array(body["offsets"]), offsets, atol=1e-3)
 
 
 def random_request(generator: random.Random, types: tuple[str, ...]) -> Request:

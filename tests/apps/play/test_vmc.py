@@ -9,11 +9,11 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
-import torch
 
 from apps.play.conftest import PATIENCE
 from motionkit.apps.play.frames import Shown
 from motionkit.apps.play.vmc import VmcBody, osc_bundles, osc_message, rest_turns
+from motionkit.arrays import Array
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 
@@ -66,12 +66,10 @@ def read_osc(data: bytes) -> Iterator[tuple[str, list]]:
     yield address, arguments
 
 
-def shown(skeleton: Skeleton, rotations: torch.Tensor, root: list[float], heading: float) -> Shown:
+def shown(skeleton: Skeleton, rotations: Array, root: list[float], heading: float) -> Shown:
     nothing = np.zeros((23, 3), np.float32)
     place = np.array(root, np.float32)
-    return Shown(
-        1, 0, 0, False, None, False, np.zeros(4, np.float32), heading, place, rotations.numpy(), nothing
-    )
+    return Shown(1, 0, 0, False, None, False, np.zeros(4, np.float32), heading, place, rotations, nothing)
 
 
 def read_pose(body: VmcBody, frame: Shown) -> dict[str, list[float]]:
@@ -126,7 +124,7 @@ def test_a_t_pose_has_no_rotations() -> None:
     skeleton = canonical_skeleton()
     world = rest_turns(skeleton)
     parents = [max(parent, 0) for parent in skeleton.parents]
-    inverse = world[parents] * torch.tensor([1.0, -1.0, -1.0, -1.0])
+    inverse = world[parents] * np.array([1.0, -1.0, -1.0, -1.0], np.float32)
     local = quat_multiply(inverse, world)
     local[0] = world[0]
     pose = read_pose(VmcBody(skeleton), shown(skeleton, local, [0.0, 95.0, 0.0], 0.0))
@@ -141,19 +139,17 @@ def test_a_t_pose_has_no_rotations() -> None:
 
 def test_places_mirror_the_world() -> None:
     skeleton = canonical_skeleton()
-    rotations = torch.zeros(23, 4)
+    rotations = np.zeros((23, 4), np.float32)
     rotations[:, 0] = 1.0
     turn = 0.7
-    rotations[0] = quat_from_yaw(torch.tensor(turn))
+    rotations[0] = quat_from_yaw(np.array(turn))
     arm = JOINT_NAMES.index("LeftArm")
-    rotations[arm] = torch.tensor([math.cos(0.5), 0.0, 0.0, math.sin(0.5)])  # raises the left arm
+    rotations[arm] = np.array([math.cos(0.5), 0.0, 0.0, math.sin(0.5)], np.float32)  # raises the left arm
     frame = shown(skeleton, rotations, [120.0, 90.0, -40.0], turn)
     pose = read_pose(VmcBody(skeleton), frame)
     from motionkit.motion.kinematics import forward_kinematics
 
-    _, places = forward_kinematics(
-        rotations, torch.from_numpy(frame.root), skeleton.offsets, skeleton.parents
-    )
+    _, places = forward_kinematics(rotations, frame.root, skeleton.offsets, skeleton.parents)
     for bone, joint in (("LeftHand", "LeftHand"), ("Head", "Head"), ("LeftToes", "LeftToeBase")):
         x, y, z = (places[JOINT_NAMES.index(joint)] / 100.0).tolist()
         assert unity_world(pose, bone)[0] == pytest.approx([-x, y, z], abs=1e-4), bone

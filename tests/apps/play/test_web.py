@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
@@ -382,9 +381,9 @@ def test_a_recording_comes_down_as_it_was_sent(serve: Callable, web: Callable, t
     assert min(frames) >= first and len(frames) <= len(motion)
     for number, shown in frames.items():
         at = number - first
-        turned = torch.tensor(shown["rotations"]).reshape(23, 4)
+        turned = np.array(shown["rotations"]).reshape(23, 4)
         assert float(quat_angle(motion.local_rotations[at], turned).max()) < 1e-3
-        assert torch.allclose(motion.root_positions[at], torch.tensor(shown["root"]), atol=1e-4)
+        assert np.allclose(motion.root_positions[at], np.array(shown["root"]), atol=1e-4)
 
 
 def test_a_client_that_reads_nothing_does_not_hold_up_the_others(

@@ -7,7 +7,7 @@ import re
 import socket
 from collections.abc import Collection, Mapping
 
-import torch
+import numpy as np
 
 from motionkit.apps.figure_data import CM, rig_data
 from motionkit.apps.play.recording import Recordings
@@ -30,7 +30,7 @@ def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
 def _standing(skeleton: Skeleton) -> Motion:
     """One frame of a body in cm as a motion in metres."""
     turns = quat_identity((1, len(skeleton)))
-    return Motion(skeleton, turns, torch.zeros(1, 3), 60.0).scaled(CM)
+    return Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0).scaled(CM)
 
 
 def policy(host: str) -> str:

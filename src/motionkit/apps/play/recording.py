@@ -8,7 +8,6 @@ from collections import OrderedDict
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from motionkit.motion.bvh import write_bvh
@@ -46,7 +45,7 @@ class Recorder:
 
     def motion(self) -> Motion:
         """What was recorded."""
-        values = torch.from_numpy(self._values[: self.frames].copy())
+        values = self._values[: self.frames].copy()
         rotations = quat_continuous(values[:, :-3].reshape(-1, JOINT_COUNT, 4))
         return Motion(self.skeleton, rotations, values[:, -3:], self.fps)
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import torch
 
 from motionkit import __version__
 from motionkit.apps.play.frames import Shown, WorldFrame
@@ -79,16 +78,16 @@ class Character:
             points = [(x, z), *points]
         if kind is None:
             kind = steered_type(self.model, (0.0, 100.0 if speed is None else speed), None)
-        path = make_path([PathPart(torch.tensor(points, dtype=torch.float64), kind, speed)])
+        path = make_path([PathPart(np.array(points, np.float64), kind, speed)])
         self.driver.set_wish(Wish(path=path))
 
     def step(self, number: int) -> Shown:
         """The next frame; one that went astray in the network's numbers starts anew."""
         made = self.stream.step(self.driver(number, self.stream.ground))
-        if not bool(torch.isfinite(made.positions).all()):
+        if not bool(np.isfinite(made.positions).all()):
             self.reset()
             made = self.stream.step(self.driver(number, self.stream.ground))
-        rotations, root = made.rotations[0].numpy(), made.root_positions[0].numpy()
+        rotations, root = made.rotations[0], made.root_positions[0]
         recording = self.recorder is not None and not self.recorder.full
         if self.recorder is not None:
             self.recorder.append(rotations, root)
@@ -99,11 +98,11 @@ class Character:
             self.driver.performing is not None,
             self.driver.following,
             recording,
-            made.contacts[0].numpy(),
+            made.contacts[0],
             float(made.ground[0, 2]),
             root,
             rotations,
-            made.positions[0].numpy(),
+            made.positions[0],
         )
 
 

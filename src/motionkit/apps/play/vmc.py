@@ -7,10 +7,9 @@ import struct
 from collections.abc import Sequence
 
 import numpy as np
-import torch
-from torch import Tensor
 
 from motionkit.apps.play.frames import Floats, Shown
+from motionkit.arrays import Array
 from motionkit.motion.rotations import quat_between, quat_inverse
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.synthesis.pose import BodyKinematics, matrix_to_quat, quat_to_matrix
@@ -79,11 +78,11 @@ def osc_bundles(messages: Sequence[bytes], most_bytes: int = BUNDLE_BYTES) -> li
     return out
 
 
-def rest_turns(skeleton: Skeleton) -> Tensor:
+def rest_turns(skeleton: Skeleton) -> Array:
     """World rotations (23, 4) that bring the rest pose into a T-pose with vertical legs."""
-    turns = torch.zeros(len(skeleton), 4)
+    turns = np.zeros((len(skeleton), 4), np.float32)
     turns[:, 0] = 1.0
-    down = torch.tensor([0.0, -1.0, 0.0])
+    down = np.array([0.0, -1.0, 0.0], np.float32)
     for side in ("Left", "Right"):
         for joint, ahead in (("UpLeg", "Leg"), ("Leg", "Foot")):
             bone = skeleton.offsets[skeleton.index(side + ahead)]
@@ -95,8 +94,8 @@ class VmcBody:
     """Turns frames of one skeleton into VMC messages."""
 
     def __init__(self, skeleton: Skeleton) -> None:
-        self._kinematics = BodyKinematics(skeleton.offsets.numpy()[None])
-        self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)).numpy())[_JOINTS]
+        self._kinematics = BodyKinematics(skeleton.offsets[None])
+        self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)))[_JOINTS]
 
     def bones(self, shown: Shown) -> tuple[Floats, Floats]:
         """Places (1 + B, 3) and rotations (1 + B, 4) of the root and then of BONES, each in its parent.
