@@ -21,16 +21,13 @@ import os, sys, time
 from pathlib import Path
 from motionkit.data.workers import worker_processes
 
-def begin():
-    pass
-
 def hang(number):
     Path(f"{number}.pid").write_text(str(os.getpid()))
     Path(f"{number}.pid").rename(f"{number}.ready")
     time.sleep(100)
 
 if __name__ == "__main__":
-    with worker_processes(2, begin) as each:
+    with worker_processes(2) as each:
         list(each(hang, [1, 2]))
 """
 

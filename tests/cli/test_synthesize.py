@@ -1,11 +1,11 @@
 from __future__ import annotations
 
-import copy
 import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from motionkit.models.checkpoint import MotionModel, save_model
