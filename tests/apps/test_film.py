@@ -179,6 +179,7 @@ def test_what_would_fill_the_memory_is_refused_at_once(tmp_path: Path, name: str
 def test_a_place_that_cannot_be_written_is_told_before_the_first_picture(tmp_path: Path, ending: str) -> None:
     pytest.importorskip("imageio_ffmpeg", reason="imageio-ffmpeg is not installed")
     drawn: list[int] = []
+    (tmp_path / "none").touch()
     with pytest.raises(MotionkitError, match="cannot be written"):
         write_film(
             tmp_path / "none" / f"a.{ending}", [Shown("a", make_walk(4))], 160, lambda n, _: drawn.append(n)

@@ -187,11 +187,12 @@ def test_characters(tiny_model: MotionModel) -> None:
         tiny_model.character("Default")
 
 
-def test_saving_into_a_missing_folder_is_told_in_a_line(tiny_model: MotionModel, tmp_path: Path) -> None:
+def test_saving_into_what_is_no_folder_is_told_in_a_line(tiny_model: MotionModel, tmp_path: Path) -> None:
     from motionkit.errors import MotionkitError
 
     with pytest.raises(MotionkitError, match="cannot be written"):
-        save_model(tmp_path / "nowhere" / "m.safetensors", tiny_model)
+        (tmp_path / "a-file").touch()
+        save_model(tmp_path / "a-file" / "m.safetensors", tiny_model)
 
 
 def test_open_model_takes_the_file_given(tiny_model_file: Path) -> None:

@@ -23,7 +23,7 @@ from motionkit.apps.onnx_body import write_body
 from motionkit.apps.onnx_graph import Graph
 from motionkit.apps.onnx_network import present_name, state_shapes, write_network
 from motionkit.arrays import Array
-from motionkit.errors import ModelError, MotionkitError
+from motionkit.errors import ModelError, MotionkitError, OverwriteError
 from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS
 from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS
 from motionkit.features.layout import FEATURE_COUNT, column_names
@@ -191,10 +191,10 @@ class ExportCheck:
 
 
 def metadata_path(path: str | Path) -> Path:
-    """Where the metadata of a graph go; raises MotionkitError if that would be the graph, or a file of another kind."""
+    """Where the metadata of a graph go; raises OverwriteError if that would be the graph, or a file of another kind."""
     path = Path(path)
     if path.suffix.lower() == ".json":
-        raise MotionkitError(
+        raise OverwriteError(
             f"{path}: the metadata go into a file of this name; give the graph another ending, such as .onnx"
         )
     beside = path.with_suffix(".json")
