@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import signal
 import socket
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
+from motionkit.cli.play import _visible_log
 
 COMMAND = [sys.executable, "-m", "motionkit", "play", "--no-open"]
 PATIENCE = 150  # seconds; to start takes many of them on a slow and busy machine
@@ -73,6 +76,9 @@ def test_a_port_in_use_is_one_line(play: Callable, option: str) -> None:
         (["--port", "70000"], 2, "70000"),
         (["--character", "giant", "--port", "0"], 1, "unknown character 'giant'"),
         (["--host", "192.0.2.1", "--port", "0"], 1, "192.0.2.1:0: cannot be listened on"),
+        (["--host", "a" * 300, "--port", "0"], 1, "cannot be listened on"),
+        (["--vmc", "a" * 300 + ":80", "--port", "0"], 1, "cannot be sent to"),
+        (["--host", "\x1b[31mred", "--port", "0"], 1, "\\x1b[31mred:0: cannot be listened on"),
         (["--model", "nowhere.safetensors"], 2, "nowhere.safetensors"),
     ],
 )
@@ -90,3 +96,14 @@ def test_without_websockets_it_says_what_to_install(
 ) -> None:
     monkeypatch.setitem(sys.modules, "websockets", None)
     assert motionkit("play", "--no-open").failed_with("pip install 'motionkit[play]'")
+
+
+def test_what_clients_sent_is_harmless_in_the_log(capsys: pytest.CaptureFixture[str]) -> None:
+    with _visible_log():
+        try:
+            raise ValueError("\x1b]0;owned\x07\x9b31m")
+        except ValueError:
+            logging.getLogger("motionkit.play").error("fault of \x1b[31m%s", "\x1b[2J", exc_info=True)
+    told = capsys.readouterr().err
+    assert "Traceback" in told and "owned" in told
+    assert not any(letter in told for letter in "\x1b\x07\x9b")

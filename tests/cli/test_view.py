@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import sys
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 
 from motionkit.cli.main import main
 from motionkit.cli.showing import open_in_browser
+from motionkit.errors import MotionkitError
 
 from .test_mirror import RIG
 
@@ -119,3 +121,94 @@ def test_without_pillow_one_line_tells_what_to_install(
     assert run(monkeypatch, "view", clip, "-o", tmp_path / "sheet.png") == 1
     err = capsys.readouterr().err.strip()
     assert err.count("\n") == 0 and 'pip install "motionkit[view]"' in err
+
+
+def bvh(names: list[str], frames: int, offset: str = "0 10 0") -> str:
+    """A rig whose other joints all hang from the first one."""
+    joints = "".join(
+        f"JOINT {name}\n{{\nOFFSET {offset}\nCHANNELS 3 Zrotation Xrotation Yrotation\nEnd Site\n"
+        f"{{\nOFFSET {offset}\n}}\n}}\n"
+        for name in names[1:]
+    )
+    channels = "CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"
+    row = " ".join(["0", "90", "0", *["0"] * (3 * len(names))])
+    motion = f"MOTION\nFrames: {frames}\nFrame Time: 0.05\n" + f"{row}\n" * frames
+    return f"HIERARCHY\nROOT {names[0]}\n{{\nOFFSET 0 0 0\n{channels}\n{joints}}}\n{motion}"
+
+
+HOSTILE = [
+    "</script><script>alert(1)</script>",
+    "\"'&<b>",
+    "\U0001f483\u821e",
+    "__proto__",
+    "[/b]",
+    "x" * 200,
+]
+
+
+@pytest.mark.parametrize("ending", [".html", ".png", ".gif"])
+@pytest.mark.parametrize(
+    "text",
+    [
+        bvh(["Hips"], 3),
+        bvh(["Hips", "A", "B"], 1),
+        bvh(["Hips", "A", "B"], 3, "0 0 0"),
+        bvh(["Hips", *HOSTILE], 3),
+    ],
+    ids=["one joint", "one frame", "no bones", "names"],
+)
+def test_odd_clips_are_shown(
+    text: str,
+    ending: str,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    clip, out = tmp_path / "\x1b[31m</title>\U0001f483'.bvh".replace("/", "\u2215"), tmp_path / f"out{ending}"
+    clip.write_text(text, encoding="utf-8")
+    assert run(monkeypatch, "view", clip, "-o", out, "--no-open") == 0
+    told = capsys.readouterr()
+    assert "\x1b" not in told.out + told.err and out.stat().st_size > 1000
+    if ending == ".html":
+        assert "<script>alert" not in out.read_text("utf-8")
+
+
+def test_a_clip_without_frames_is_one_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clip = tmp_path / "empty.bvh"
+    clip.write_text(bvh(["Hips", "A"], 0))
+    assert run(monkeypatch, "view", clip, "-o", tmp_path / "a.gif") == 1
+    told = capsys.readouterr().err
+    assert told.count("\n") == 1 and "empty.bvh" in told and not (tmp_path / "a.gif").exists()
+
+
+def test_clips_of_the_same_name_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clips = [tmp_path / folder / "walk.bvh" for folder in ("truth", "made")]
+    for clip in clips:
+        clip.parent.mkdir()
+        clip.write_text(RIG)
+    assert run(monkeypatch, "view", *clips, "-o", tmp_path / "a.html", "--no-open") == 0
+    page = (tmp_path / "a.html").read_text("utf-8")
+    assert '"name":"truth/walk"' in page and '"name":"made/walk"' in page
+
+
+@pytest.mark.parametrize("error", [ValueError, MotionkitError])
+def test_an_interruption_that_a_library_turns_into_an_error_is_one(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], error: type[Exception]
+) -> None:
+    def interrupted(**_: object) -> None:
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except KeyboardInterrupt:
+            raise error("could not determine the shape") from None
+
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGALRM") if hasattr(signal, name)]
+    before = {getattr(signal, name): signal.getsignal(getattr(signal, name)) for name in names}
+    monkeypatch.setattr("motionkit.cli.main.cli.main", interrupted)
+    try:
+        assert run(monkeypatch, "view") == 130
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert "shape" not in capsys.readouterr().err

@@ -384,10 +384,10 @@ def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
     builder = SurfaceBuilder()
     bones = [(pose.parents[j], pose.places[j], radius[j]) for j in sorted(pose.bones) if pose.parents[j] >= 0]
     bones += [(j, end, 0.7 * radius[j]) for j, end in pose.ends.items()]
+    lengths = [float(np.linalg.norm(end - pose.places[joint])) for joint, end, _ in bones]
+    bones = [bone for bone, length in zip(bones, lengths, strict=True) if length >= 1e-6 * size]
     for joint, end, thick in bones:
         length = float(np.linalg.norm(end - pose.places[joint]))
-        if length < 1e-6 * size:
-            continue
         near, far = (min(r, 0.3 * length) for r in (1.15 * thick, thick))
         _bone(builder, pose.places[joint], end, joint, near, far)
     for joint, name in enumerate(names):

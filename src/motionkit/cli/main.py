@@ -120,12 +120,21 @@ def _show_any_text() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
+def _run() -> None:
+    try:
+        cli.main(standalone_mode=False)
+    except Exception:
+        if _stopped_at >= 0.0:  # a library made an error of its own of it, as safetensors does
+            raise KeyboardInterrupt from None
+        raise
+
+
 def main() -> None:
     """Entry point of the console script."""
     _show_any_text()
     _catch_signals()
     try:
-        cli.main(standalone_mode=False)
+        _run()
     except click.UsageError as error:
         _show(error)
         sys.exit(2)

@@ -137,7 +137,7 @@ class PlayServer:
                 server_header=None,
                 logger=_quiet_logger(),
             )
-        except OSError as error:
+        except (OSError, ValueError) as error:  # a name no address book takes is a ValueError
             raise _serve_error(host, options.port, "--port", error) from None
         open_.push_async_callback(self._close_web, web)
         port = web.sockets[0].getsockname()[1]
@@ -146,7 +146,7 @@ class PlayServer:
             limit = self.live.session.limits.message_bytes
             try:
                 server = await asyncio.start_server(self._tcp_client, host, options.tcp, limit=limit)
-            except OSError as error:
+            except (OSError, ValueError) as error:
                 raise _serve_error(host, options.tcp, "--tcp", error) from None
             open_.push_async_callback(self._close_tcp, server)
             tcp = (reachable_name(host), server.sockets[0].getsockname()[1])
@@ -337,8 +337,8 @@ class PlayServer:
             transport, _ = await loop.create_datagram_endpoint(
                 asyncio.DatagramProtocol, remote_addr=(host, port)
             )
-        except OSError as error:
-            raise ServeError(f"{host}:{port}: cannot be sent to ({error.strerror or error})") from None
+        except (OSError, ValueError) as error:
+            raise ServeError(f"{host}:{port}: cannot be sent to ({_reason(error)})") from None
         kept = session.keep()
         bodies: dict[str, VmcBody] = {}
 
@@ -463,12 +463,17 @@ def reachable_name(host: str) -> str:
         return here
 
 
-def _serve_error(host: str, port: int, option: str, error: OSError) -> ServeError:
-    if error.errno == errno.EADDRINUSE:
+def _serve_error(host: str, port: int, option: str, error: OSError | ValueError) -> ServeError:
+    number = getattr(error, "errno", None)
+    if number == errno.EADDRINUSE:
         return ServeError(f"{host}:{port}: the port is in use; give another with {option}")
-    if error.errno == errno.EACCES:
+    if number == errno.EACCES:
         return ServeError(f"{host}:{port}: this port is not for everybody; give one above 1023 with {option}")
-    return ServeError(f"{host}:{port}: cannot be listened on ({error.strerror or error})")
+    return ServeError(f"{host}:{port}: cannot be listened on ({_reason(error)})")
+
+
+def _reason(error: OSError | ValueError) -> str:
+    return getattr(error, "strerror", None) or str(error)
 
 
 def _quiet_logger() -> logging.Logger:
