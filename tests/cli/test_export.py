@@ -44,13 +44,17 @@ def test_bad_input(motionkit: Callable, tiny_model_file: Path) -> None:
     assert motionkit("export").code == motionkit(*words, "x.onnx", "--weights", "int4").code == 2
 
 
-@pytest.mark.parametrize("name", ["x.json", "x.JSON"])
+@pytest.mark.parametrize("name", ["x.json", "x.JSON", ".json"])
 def test_a_graph_is_not_written_where_its_metadata_go(
     motionkit: Callable, tiny_model_file: Path, tmp_path: Path, name: str
 ) -> None:
     done = motionkit("export", "--model", tiny_model_file, "--onnx", name)
     assert done.failed_with(f"{name}: the metadata go into a file of this name")
     assert not list(tmp_path.glob("*.[jJ]*"))
+
+
+def test_an_empty_name_is_one_line(motionkit: Callable, tiny_model_file: Path) -> None:
+    assert motionkit("export", "--model", tiny_model_file, "--onnx", "").failed_with("found an empty name")
 
 
 def test_files_of_other_kinds_are_not_overwritten(

@@ -193,7 +193,9 @@ class ExportCheck:
 def metadata_path(path: str | Path) -> Path:
     """Where the metadata of a graph go; raises OverwriteError if that would be the graph, or a file of another kind."""
     path = Path(path)
-    if path.suffix.lower() == ".json":
+    if not path.name:
+        raise MotionkitError("expected a file to write the graph to, found an empty name")
+    if path.name.lower().endswith(".json"):
         raise OverwriteError(
             f"{path}: the metadata go into a file of this name; give the graph another ending, such as .onnx"
         )
