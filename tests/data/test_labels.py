@@ -227,6 +227,11 @@ def test_a_file_can_be_given_for_a_folder(tmp_path: Path) -> None:
     assert [s.segments[0].type for s in sources] == ["walk"]
 
 
+def test_a_pipe_that_is_named_is_not_passed_over(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "walk.bvh")
+    assert [s.path.name for s in find_sources([tmp_path / "walk.bvh"])[0]] == ["walk.bvh"]
+
+
 def test_no_bvh_files(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no \.bvh files found"):
         find_sources([tmp_path])

@@ -57,7 +57,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
     """
     found: list[tuple[Path, Path]] = []
     for folder in folders:
-        if folder.is_file():
+        if folder.exists() and not folder.is_dir():  # a pipe too, whose reading says what it is
             found.append((folder, folder.parent))
             continue
         found.extend((path, folder) for path in files_below(folder, ".bvh"))
