@@ -13,6 +13,7 @@
 #define TILE (2 * LANES)
 #define HEADS 8
 #define MOST_PLACES 32 /* in a ring */
+#define MOST (1 << 20) /* of any size in a program */
 #define AHEAD 2048 /* bytes of weights that are asked for before they are needed */
 #define BLOCK 8 /* characters that share one pass over a tile */
 #define PADDED(n) (((n) + TILE - 1) / TILE * TILE)
@@ -31,7 +32,7 @@ typedef int32_t heads_ints __attribute__((vector_size(4 * HEADS)));
 typedef int32_t ints __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
 
 /* Raised with every change of a struct or of the order of the weights; step_kernel.py refuses other libraries. */
-int64_t step_kernel_version(void) { return 2; }
+int64_t step_kernel_version(void) { return 3; }
 
 /* A linear map: tiles of (inputs, TILE), bias and scale padded to whole tiles. */
 typedef struct {
@@ -214,16 +215,29 @@ static void attend(int64_t H, int64_t E, int64_t W, const float *q, const float 
     if (h < H) attend_heads(H - h, H, E, W, q + h, keys + h, values + h, position + h, allowed, mixed + h);
 }
 
-/* Floats of scratch that step() needs for so many rows. */
+/* Whether a program is one that step() can run: the stack holds so many places, vectors whole heads. */
+static int fits(const Program *p) {
+    const int64_t sizes[] = {p->parts, p->layers, p->width, p->hidden, p->heads, p->window, p->kernel, p->part_inputs,
+                             p->controls, p->control_width, p->control_blocks, p->contact_hidden, p->features,
+                             p->contacts};
+    for (int i = 0; i < (int)(sizeof sizes / sizeof *sizes); i++)
+        if (sizes[i] < 1 || sizes[i] > MOST) return 0;
+    return p->window <= MOST_PLACES && p->width % p->heads == 0 && p->control_blocks <= p->layers &&
+           p->contacts <= TILE;
+}
+
+/* Floats of scratch that step() needs for so many rows; -1 for a program that it cannot run. */
 int64_t scratch_size(const Program *p, int64_t rows) {
+    if (!fits(p)) return -1;
     const int64_t D = PADDED(p->width);
     return rows * (p->kernel * p->part_inputs + PADDED(p->control_width) + PADDED(p->control_blocks * p->width) +
                    3 * D + PADDED(3 * p->width) + PADDED(p->hidden) + 2 * p->parts * p->width +
                    PADDED(p->contact_hidden));
 }
 
-/* The next frame of characters first to first + rows. */
-void step(const Program *p, const Frame *f, int64_t first, int64_t rows, float *scratch) {
+/* The next frame of characters first to first + rows. Answers 0, or 1 for a program or slot that does not fit. */
+int64_t step(const Program *p, const Frame *f, int64_t first, int64_t rows, float *scratch) {
+    if (!fits(p) || f->slot < 0 || f->slot >= p->window) return 1;
     const int64_t D = p->width, P = p->parts, L = p->layers, W = p->window, N = p->part_inputs, C = p->control_blocks;
     const int64_t KN = p->kernel * N, PD = P * D, ring = 2 * P * L * W * D, PH = p->contact_hidden;
     const int64_t row_inputs = p->features + p->contacts + 1;
@@ -295,4 +309,5 @@ void step(const Program *p, const Frame *f, int64_t first, int64_t rows, float *
             sigma[n] = sigma[n] > p->log_sigma_max ? p->log_sigma_max : sigma[n];
         }
     }
+    return 0;
 }

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import os
+import struct
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
@@ -16,13 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.arrays import Floats
+from motionkit.errors import ModelError
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.step_weights import NORM_EPS, ModuleWeights, StepWeights
 
 if TYPE_CHECKING:
     from motionkit.models.step import NetworkStep
 
-VERSION = 2  # of step_kernel.c
+VERSION = 3  # of step_kernel.c
 TILE = 32
 LINE = 64  # bytes of a line of the cache
 ROWS = 16  # characters that go through the network together, so that their activations stay near
@@ -69,22 +71,43 @@ def kernel_library() -> ctypes.CDLL | None:
         library.scratch_size.argtypes = [POINTER(_Program), c_int64]
         library.scratch_size.restype = c_int64
         library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
-        library.step.restype = None
+        library.step.restype = c_int64
     return library
 
 
 def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | None:
-    """A library built by setup.py, None where there is none of this version.
+    """A library built by setup.py, None where there is none of this version, or one that is damaged.
 
     There is none without a C compiler or an installer, and another one where the source has changed since.
     """
     for suffix in EXTENSION_SUFFIXES:
         built = path.with_name(path.name + suffix)
         if built.is_file():
-            library = ctypes.CDLL(str(built))
+            try:
+                library = ctypes.CDLL(str(built)) if _is_whole(built) else None
+            except OSError:  # for another machine, or no library at all
+                return None
             found = getattr(library, version_name, None)
             return library if found is not None and found() == version else None
     return None
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether an ELF file goes on to its end: the loader maps one that was cut short, and dies of SIGBUS.
+
+    Its table of sections comes last, and the names of the sections are in one of the type 3. Other formats
+    are left to their loaders.
+    """
+    data = path.read_bytes()
+    if data[:6] != b"\x7fELF\x02\x01":  # 64 bits, little-endian
+        return bool(data)
+    try:
+        (table,) = struct.unpack_from("<Q", data, 40)
+        size, count, names = struct.unpack_from("<3H", data, 58)
+        (kind,) = struct.unpack_from("<I", data, table + names * size + 4)
+    except struct.error:
+        return False
+    return kind == 3 and table + count * size <= len(data)
 
 
 def _cores() -> int:
@@ -139,6 +162,8 @@ class StepKernel:
             self._maps,
             self._keep(weights.columns),
         )
+        if library.scratch_size(byref(self._program), 1) < 0:
+            raise ModelError(f"the compiled step cannot run a network of these sizes: {config}")
 
     def bind(self, state: NetworkStep, controls: Floats) -> Callable[[int], None]:
         """What does a step of NetworkStep at a slot: rings, mean, log_sigma and contact_logits of all characters.
@@ -161,9 +186,11 @@ class StepKernel:
         def step(slot: int) -> None:
             frame.position, frame.slot = places[slot], slot
             if len(calls) == 1:
-                call(*calls[0])
+                refused = call(*calls[0])
             else:  # the library does not hold Python's lock
-                list(_workers(_cores()).map(lambda words: call(*words), calls))
+                refused = any(list(_workers(_cores()).map(lambda words: call(*words), calls)))
+            if refused:
+                raise ModelError("the compiled step does not fit this network")
 
         step.keeps = (shares, controls)  # type: ignore[attr-defined]
         return step
