@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import json
+import math
 import os
 import sys
 from collections.abc import Callable
@@ -10,9 +12,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
-from motionkit.apps.onnx_export import export_onnx
+from motionkit.apps.onnx_export import OnnxStep, export_onnx
 from motionkit.errors import MotionkitError
 from motionkit.models.checkpoint import MotionModel, save_model
 from motionkit.models.network import PartTransformer
@@ -112,3 +116,38 @@ def test_without_onnx(motionkit: Callable, tiny_model_file: Path, monkeypatch: p
     monkeypatch.setitem(sys.modules, "onnx", None)
     done = motionkit("export", "--onnx", "out.onnx", "--model", tiny_model_file)
     assert done.failed_with("pip install", "motionkit[onnx]")
+
+
+def test_a_graph_that_computes_something_else_is_an_error(
+    motionkit: Callable, tiny_model_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("onnxruntime")
+    before = OnnxStep.step
+    (tmp_path / "x.onnx").write_bytes(b"a good graph")
+    for value, said in (
+        (1.0, "differ from motionkit's by 1"),
+        (math.nan, "differ from motionkit's by nan cm"),
+    ):
+
+        def step(self: OnnxStep, value: float = value) -> dict:
+            made = before(self)
+            return made | {"positions": made["positions"] + np.float32([value, 0.0, 0.0])}
+
+        monkeypatch.setattr(OnnxStep, "step", step)
+        done = motionkit("export", "--onnx", "x.onnx", "--model", tiny_model_file)
+        assert done.failed_with("nothing written", said, "expected at most 0.5")
+        assert [p.name for p in tmp_path.iterdir()] == ["x.onnx"]
+        assert (tmp_path / "x.onnx").read_bytes() == b"a good graph"
+
+
+def test_a_model_that_does_not_move_is_an_error(
+    motionkit: Callable, tiny_model: MotionModel, tmp_path: Path
+) -> None:
+    pytest.importorskip("onnxruntime")
+    network = copy.deepcopy(tiny_model.network)
+    with torch.no_grad():
+        network.aggregate.bias.fill_(3e38)
+    save_model(tmp_path / "m.safetensors", replace(tiny_model, network=network))
+    done = motionkit("export", "--onnx", "x.onnx", "--model", "m.safetensors")
+    assert done.failed_with("the model does not move from here")
+    assert [p.name for p in tmp_path.iterdir()] == ["m.safetensors"]

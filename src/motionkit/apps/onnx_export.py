@@ -46,6 +46,9 @@ if TYPE_CHECKING:
 FORMAT_NAME = "motionkit-onnx-"
 FORMAT = f"{FORMAT_NAME}5"
 WEIGHTS = ("float32", "int8")
+# How far joints of graph and motionkit may be apart in ten seconds, each on its own output, in cm. Small differences
+# of 8 bits add up to another way over the ground.
+TOLERANCES = {"float32": 0.5, "int8": 200.0}
 OUTLINE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
 
 
@@ -237,23 +240,36 @@ def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
 def export_onnx(
     model: MotionModel, path: str | Path, character: str = "default", weights: str = "float32"
 ) -> ExportCheck | None:
-    """Write graph and metadata (the same name with .json), then run both; None without onnxruntime.
+    """Write graph and metadata (the same name with .json) after a run side by side; None without onnxruntime.
 
     Raises:
-        ModelError: if the model cannot be exported.
+        ModelError: if the model cannot be exported, does not move, or the graph does not do what motionkit does.
         ControlError: for an unknown character.
-        MotionkitError: if a place cannot be written or holds what is no export; both files are as before then.
+        MotionkitError: if a place cannot be written or holds what is no export. Both files are as before then.
     """
     path = Path(path)
     beside = metadata_path(path)
+    proto = build_graph(model, character, weights).SerializeToString()
+    check = _checked(model, proto, character, TOLERANCES[weights])
     with _both(path, beside) as (graph, text):
-        graph.write(build_graph(model, character, weights).SerializeToString())
+        graph.write(proto)
         json.dump(metadata(model, character, weights), text)
+    return check
+
+
+def _checked(model: MotionModel, graph: bytes, character: str, tolerance: float) -> ExportCheck | None:
+    """check_export, None without onnxruntime; raises ModelError for joints further apart than tolerance (cm)."""
     try:
-        import onnxruntime  # noqa: F401
+        import onnxruntime
     except ImportError:
         return None
-    return check_export(model, path, character)
+    check = check_export(model, graph, character)
+    if not check.positions <= tolerance:  # NaN is not
+        raise ModelError(
+            f"nothing written: in {check.frames} frames of the graph in ONNX Runtime {onnxruntime.__version__} joints "
+            f"differ from motionkit's by {check.positions:.3g} cm, expected at most {tolerance:g}"
+        )
+    return check
 
 
 class OnnxStep:
@@ -263,13 +279,16 @@ class OnnxStep:
     Dictionaries of arrays for and from every run would take longer than some of the network.
     """
 
-    def __init__(self, path: str | Path, threads: int = 1) -> None:
+    def __init__(self, graph: str | Path | bytes, threads: int = 1) -> None:
+        """graph is its file, or what is in it."""
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
         options.intra_op_num_threads = threads
         options.log_severity_level = 3
-        self.session = onnxruntime.InferenceSession(str(path), options, ["CPUExecutionProvider"])
+        self.session = onnxruntime.InferenceSession(
+            graph if isinstance(graph, bytes) else str(graph), options, ["CPUExecutionProvider"]
+        )
         given, made = (
             {value.name: np.zeros(value.shape, np.float32) for value in values}
             for values in (self.session.get_inputs(), self.session.get_outputs())
@@ -301,8 +320,13 @@ class OnnxStep:
         return made
 
 
-def check_export(model: MotionModel, path: str | Path, character: str, frames: int = 600) -> ExportCheck:
-    """Both from the same start with the same controls and noise, each going on from its own frames."""
+def check_export(
+    model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int = 600
+) -> ExportCheck:
+    """Both from the same start with the same controls and noise, each going on from its own frames.
+
+    Raises ModelError for a model that does not move in motionkit either.
+    """
     kind = model_first_type(model)
     start = seed_start(model, kind, 1)
     weights = np.zeros((1, len(model.types)), np.float32)
@@ -310,7 +334,7 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     state = RolloutState(model, 1, Noise("mean"))
     state.network = NetworkStep(pack(model.network), 1)
     state.start(start.features, start.contacts, weights)
-    graph = OnnxStep(path)
+    graph = OnnxStep(graph_file)
     graph.values["type_weights"][:] = weights
     graph.values["progress"][:], graph.values["grip"][:] = -1.0, 1.0
     x = model.scaling.normalize(start.features)
@@ -328,20 +352,21 @@ def check_export(model: MotionModel, path: str | Path, character: str, frames: i
     played = plan_signals(model, [TypePart(kind, frames / model.fps)], near)
     way, given = np.zeros((1, TRAJECTORY_COUNT), np.float32), np.zeros(1, np.float32)
     none = np.full(1, -1.0, np.float32)
-    apart, features = 0.0, 0.0
+    apart, features = np.zeros(frames), np.zeros(frames)
     for frame in range(frames):
         guide, guided = played.guide[frame : frame + 1], played.guided[frame : frame + 1]
         graph.values["guide"][:], graph.values["guided"][:] = guide, guided[:, None]
-        ours, _, ground = state.advance(FrameControls(weights, way, given, none, guide, guided))
+        ours, _, ground = state.step(FrameControls(weights, way, given, none, guide, guided))
         rotations, root = decoder.decode(ours, ground)
         root *= share
         world = body.forward(rotations, root)
         footing.apply(ours, root, world, share)
         made = graph.step()
-        apart = max(apart, float(np.linalg.norm(made["positions"] - world[..., :3, 3], axis=-1).max()))
-        features = max(features, float(np.abs(made["present_pose"] - state.normalised).max()))
+        apart[frame] = np.linalg.norm(made["positions"] - world[..., :3, 3], axis=-1).max()
+        features[frame] = np.abs(made["present_pose"] - state.normalised).max()
     # Timed by itself: side by side each pushes the other's weights out of the cache.
     began = time.perf_counter()
     for _ in range(frames):
         graph.step()
-    return ExportCheck(frames, apart, features, frames / (time.perf_counter() - began))
+    rate = frames / (time.perf_counter() - began)
+    return ExportCheck(frames, float(apart.max()), float(features.max()), rate)  # NaN stays NaN
