@@ -18,7 +18,9 @@ import motionkit
 from motionkit.models import step_kernel
 from motionkit.models.step_kernel import kernel_library
 
-pytestmark = pytest.mark.skipif(kernel_library() is None, reason="motionkit was installed without its C kernel")
+pytestmark = pytest.mark.skipif(
+    kernel_library() is None, reason="motionkit was installed without its C kernel"
+)
 SOURCE = Path(motionkit.__file__).parents[1]
 
 
@@ -46,8 +48,13 @@ print(json.dumps(found))
 def test_a_damaged_library_is_as_good_as_none(tmp_path: Path) -> None:
     built = Path(step_kernel.__file__).parent
     data = next(p for s in EXTENSION_SUFFIXES if (p := built / f"_step_kernel{s}").is_file()).read_bytes()
-    cuts = {f"cut-{share}": data[: int(share * len(data))] for share in (0.0, 0.001, 0.1, 0.3, 0.6, 0.9, 0.999)}
-    zeros = {"zeros": bytes(len(data)), "zero-tail": data[: len(data) // 2] + bytes(len(data) - len(data) // 2)}
+    cuts = {
+        f"cut-{share}": data[: int(share * len(data))] for share in (0.0, 0.001, 0.1, 0.3, 0.6, 0.9, 0.999)
+    }
+    zeros = {
+        "zeros": bytes(len(data)),
+        "zero-tail": data[: len(data) // 2] + bytes(len(data) - len(data) // 2),
+    }
     others = {"text": b"#!/bin/sh\n" * 99, "other-machine": data[:18] + b"\xff\xff" + data[20:]}
     whole = {"version": data, "whole": data}
     for name, content in (cuts | zeros | others | whole).items():
