@@ -10,19 +10,19 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from motionkit.features.control import ControlLayout
 from motionkit.features.layout import LAYOUTS
 from motionkit.models import step_kernel
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import ModelConfig
-from motionkit.models.network import PartTransformer
+from motionkit.models.file_check import weight_shapes
 from motionkit.models.parts import PARTITIONS
 from motionkit.models.presets import preset
 from motionkit.models.step import NetworkStep
 from motionkit.models.step_kernel import StepKernel
 from motionkit.models.step_weights import pack
+from motionkit.models.weights import NetworkWeights
 from motionkit.synthesis import frame_kernel
 from motionkit.synthesis.character import CharacterStream
 from motionkit.synthesis.foot_lock import FootLock
@@ -71,11 +71,19 @@ def odd(rng: np.random.Generator, shape: tuple[int, ...]) -> np.ndarray:
     return out
 
 
+def random_network(rng: np.random.Generator, config: ModelConfig, control_size: int) -> NetworkWeights:
+    """Weights that keep numbers about as large as they are."""
+    arrays = {
+        name: (rng.uniform(-1.0, 1.0, shape) / np.sqrt(shape[-1])).astype(np.float32)
+        for name, shape in weight_shapes(config, control_size).items()
+    }
+    return NetworkWeights(config, control_size, arrays)
+
+
 def try_steps(rng: np.random.Generator) -> None:
     """A random network for some characters: as numpy has it on usual numbers, then on odd ones."""
     size = ControlLayout(tuple("abcdefgh"[: rng.integers(1, 9)])).size
-    torch.manual_seed(int(rng.integers(2**31)))
-    weights = pack(PartTransformer(random_config(rng), size).eval())
+    weights = pack(random_network(rng, random_config(rng), size))
     batch = int(rng.choice([1, 2, 7, 8, 9, 16, 17, 33]))
     steps = [
         NetworkStep(weights, batch, kernel)
@@ -108,14 +116,13 @@ def try_poses(rng: np.random.Generator) -> None:
 def try_characters(rng: np.random.Generator) -> None:
     """Whole characters, drawn, held and locked."""
     model = load_bundled_model()
-    torch.manual_seed(int(rng.integers(2**31)))
-    model = replace(model, network=PartTransformer(preset("tiny"), model.controls.size).eval())
+    model = replace(model, network=random_network(rng, preset("tiny"), model.controls.size))
     noise = Noise(str(rng.choice(["mean", "sample", "correlated"])))
     stream = CharacterStream(model, 3, noise, 3, ik=True)
-    weights = torch.from_numpy(rng.dirichlet(np.ones(len(model.types)), 3).astype(np.float32))
+    weights = rng.dirichlet(np.ones(len(model.types)), 3).astype(np.float32)
     for frame in range(20):
-        way = torch.from_numpy((odd if frame >= 18 else usual)(rng, (3, 24)))
-        stream.step(FrameControls(weights, way, torch.ones(3), torch.full((3,), 0.5)))
+        way = (odd if frame >= 18 else usual)(rng, (3, 24))
+        stream.step(FrameControls(weights, way, np.ones(3, np.float32), np.full(3, 0.5, np.float32)))
 
 
 def main() -> None:
