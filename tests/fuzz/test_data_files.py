@@ -35,6 +35,9 @@ from motionkit.motion.mirror import mirror_file
 from motionkit.synthesis.path import read_path
 from synthetic_motions import make_walk
 
+# numpy's warnings would reach the user's terminal beside the one line.
+pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
+
 # Seeds do not shrink: a smaller one is another case.
 quick = settings(
     derandomize=True,

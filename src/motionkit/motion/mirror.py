@@ -181,7 +181,7 @@ def _common_axis(twins: tuple[int, ...], places: Array, rigid: tuple[bool, ...])
     axis = int(misses[:3].sum(axis=-1).argmin())
     length = np.maximum(np.linalg.norm(own, axis=-1), np.linalg.norm(other, axis=-1))
     against = misses[axis] > misses.min(axis=0) + _SPEAKS_AGAINST * length
-    heard = length > _SHORT_SHARE * length.mean()
+    heard = length > _SHORT_SHARE * length.mean() if length.size else length > 0.0
     return None if int((against & heard).sum()) > _ODD_SHARE * int(heard.sum()) else axis
 
 
