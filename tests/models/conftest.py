@@ -22,7 +22,7 @@ def make_network() -> Callable[..., PartTransformer]:
         network = PartTransformer(config, CONTROL_SIZE).eval()
         with torch.no_grad():
             for name, p in network.named_parameters():
-                if "offset_bias" in name:  # zero at the start
+                if "bias" in name:  # zero at the start
                     p.normal_(std=0.5)
         return network
 

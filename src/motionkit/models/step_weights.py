@@ -112,13 +112,16 @@ def pack(network: NetworkWeights) -> StepWeights:
     embed = (network["shallow.embed.weight"] * embedding_mask(config)).astype(np.float64)
     # Deep inputs are s_p + fusion(others): one map of all parts' features, which come without their sqrt(D).
     fused = np.eye(P * D).reshape(P * D, P, D).swapaxes(0, 1).copy()
-    fusion = network.get("fusion.weight")
+    fusion, fusion_bias = network.get("fusion.weight"), network.get("fusion.bias")
     if fusion is not None:
         for p in range(P):
             others = [q for q in range(P) if q != p]
             rows = np.concatenate([np.arange(q * D, (q + 1) * D) for q in others])
             fused[p, rows] += fusion[p]
-    deep_embed = root * (fused @ network["deep.embed.weight"].astype(np.float64))
+    deep_weight = network["deep.embed.weight"].astype(np.float64)
+    deep_bias = network["deep.embed.bias"].astype(np.float64)
+    if fusion_bias is not None:
+        deep_bias = deep_bias + fusion_bias @ deep_weight
     shown = 2 * FEATURE_COUNT
     hidden, feet = config.contact_hidden, foot_parts(config)
     first = network["contact_mlp.inner.weight"][0].astype(np.float64).reshape(len(feet), 2, D, hidden)
@@ -131,8 +134,8 @@ def pack(network: NetworkWeights) -> StepWeights:
     return StepWeights(
         config,
         columns,
-        _pack_module(network, "shallow", embed),
-        _pack_module(network, "deep", deep_embed),
+        _pack_module(network, "shallow", embed, network["shallow.embed.bias"].astype(np.float64)),
+        _pack_module(network, "deep", root * (fused @ deep_weight), deep_bias),
         _floats(from_shallow.reshape(P * D, hidden)),
         _floats(head),
         _floats(head_bias),
@@ -142,7 +145,7 @@ def pack(network: NetworkWeights) -> StepWeights:
     )
 
 
-def _pack_module(network: NetworkWeights, module: str, embed: Doubles) -> ModuleWeights:
+def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Doubles) -> ModuleWeights:
     config = network.config
     D, Dc, E = config.width, config.control_embedding, config.width // config.heads
     beside_count = config.control_width
@@ -160,7 +163,6 @@ def _pack_module(network: NetworkWeights, module: str, embed: Doubles) -> Module
     if config.layer_controls:
         added = layers("control.weight")
         controls = [beside + added[0], *added[1:]]
-    bias = network[f"{module}.embed.bias"].astype(np.float64)
     wide = _centred(np.pad(np.concatenate([embed, bias], axis=1), ((0, 0), (0, 0), (0, beside_count))))
     query = np.ones(3 * D)
     query[:D] /= math.sqrt(E)
