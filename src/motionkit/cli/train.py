@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, stderr_console, stdout_console
-from motionkit.errors import OverwriteError
+from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs
 
 if TYPE_CHECKING:
@@ -157,6 +157,10 @@ def command(
     if not resume and not force:
         _refuse_to_replace(output, run_folder or output.with_suffix(".run"))
 
+    from importlib.util import find_spec
+
+    if find_spec("torch") is None:
+        raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
     from motionkit.training.presets import train_options
     from motionkit.training.trainer import train
 

@@ -1,0 +1,67 @@
+"""torch is there to train networks: everything else works where it is not installed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+SAMPLE = Path(__file__).resolve().parents[1] / "examples" / "data"
+# A module that is None in sys.modules is one that cannot be imported.
+RUN = """
+import sys
+sys.modules["torch"] = None
+from motionkit.cli.main import main
+sys.argv = ["motionkit", *sys.argv[1:]]
+main()
+"""
+
+
+def run(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
+    """A command in a process that has no torch."""
+    command = [sys.executable, "-c", RUN, *map(str, words)]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
+
+
+@pytest.mark.parametrize(
+    ("words", "made"),
+    [
+        (["synthesize", "--types", "running:0.5,cartwheel:0.5", "-o", "a.bvh"], "a.bvh"),
+        (["synthesize", "--types", "idle:0.5", "--init", SAMPLE / "16_45.bvh", "-o", "a.bvh"], "a.bvh"),
+        (["follow-path", "line", "--size", 1, "-o", "a.bvh"], "a.bvh"),
+        (["metrics", SAMPLE / "16_45.bvh", SAMPLE / "16_46.bvh"], ""),
+        (["mirror", SAMPLE / "16_45.bvh", "a.bvh"], "a.bvh"),
+        (["view", SAMPLE / "16_45.bvh", "-o", "a.html", "--no-open"], "a.html"),
+        (["view", SAMPLE / "16_45.bvh", "-o", "a.png"], "a.png"),
+        (["preprocess", SAMPLE, "-o", "ds", "--jobs", 1], "ds"),
+        (["export", "--onnx", "a.onnx"], "a.onnx"),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else None,
+)
+def test_commands(tmp_path: Path, words: list, made: str) -> None:
+    done = run(tmp_path, *words)
+    assert done.returncode == 0, done.stderr
+    assert not made or (tmp_path / made).exists()
+
+
+def test_evaluate(tmp_path: Path) -> None:
+    assert run(tmp_path, "preprocess", SAMPLE, "-o", "ds", "--jobs", 1).returncode == 0
+    done = run(tmp_path, "evaluate", "bundled", "ds", "--quick", "--seeds", 1, "--only", "paths", "-o", "a.md")
+    assert done.returncode == 0, done.stderr
+    assert "walking" in (tmp_path / "a.md").read_text()
+
+
+def test_training_says_what_to_install(tmp_path: Path) -> None:
+    done = run(tmp_path, "train", tmp_path)
+    assert done.returncode == 1 and done.stdout == ""
+    assert done.stderr == "error: training needs torch: pip install 'motionkit[train]'\n"
+
+
+def test_live_characters_and_the_server_are_imported_without_torch(tmp_path: Path) -> None:
+    look = (
+        "import sys, motionkit.apps.play.server, motionkit.synthesis.drive, motionkit.evaluation.scoreboard, "
+        "motionkit.apps.viewer, motionkit.apps.onnx_export; sys.exit('torch' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", look], timeout=60).returncode == 0
