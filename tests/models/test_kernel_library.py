@@ -9,14 +9,13 @@ import json
 import os
 import subprocess
 import sys
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
 
 import motionkit
 from motionkit.models import step_kernel
-from motionkit.models.step_kernel import kernel_library
+from motionkit.models.step_kernel import LIBRARY_ENDING, kernel_library
 
 pytestmark = pytest.mark.skipif(
     kernel_library() is None, reason="motionkit was installed without its C kernel"
@@ -47,7 +46,7 @@ print(json.dumps(found))
 
 def test_a_damaged_library_is_as_good_as_none(tmp_path: Path) -> None:
     built = Path(step_kernel.__file__).parent
-    data = next(p for s in EXTENSION_SUFFIXES if (p := built / f"_step_kernel{s}").is_file()).read_bytes()
+    data = (built / f"_step_kernel{LIBRARY_ENDING}").read_bytes()
     cuts = {
         f"cut-{share}": data[: int(share * len(data))] for share in (0.0, 0.001, 0.1, 0.3, 0.6, 0.9, 0.999)
     }
@@ -59,7 +58,7 @@ def test_a_damaged_library_is_as_good_as_none(tmp_path: Path) -> None:
     whole = {"version": data, "whole": data}
     for name, content in (cuts | zeros | others | whole).items():
         (tmp_path / name).mkdir()
-        (tmp_path / name / f"lib{EXTENSION_SUFFIXES[0]}").write_bytes(content)
+        (tmp_path / name / f"lib{LIBRARY_ENDING}").write_bytes(content)
     found = run(LOAD, tmp_path)
     assert [name for name, loaded in found.items() if loaded] == ["whole"]
     assert len(found) == 13

@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 
 import pytest
 
 import motionkit
+from motionkit.models.step_kernel import LIBRARY_ENDING
 
 PACKAGE = Path(motionkit.__file__).parent
 SOURCES = {
@@ -55,7 +55,7 @@ def libraries(tmp_path_factory: pytest.TempPathFactory) -> Path:
     if build([probe], folder / "probe.so"):
         pytest.skip("no compiler with sanitizers")
     for name, sources in SOURCES.items():
-        built = folder / f"{name}{EXTENSION_SUFFIXES[0]}"
+        built = folder / f"{name}{LIBRARY_ENDING}"
         assert build([PACKAGE / source for source in sources], built) == ""
     return folder
 

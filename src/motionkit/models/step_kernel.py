@@ -5,11 +5,11 @@ from __future__ import annotations
 import ctypes
 import os
 import struct
+import sys
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
 from functools import cache
-from importlib.machinery import EXTENSION_SUFFIXES
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from motionkit.models.step import NetworkStep
 
 VERSION = 3  # of step_kernel.c
+LIBRARY_ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # as setup.py names them
 TILE = 32
 LINE = 64  # bytes of a line of the cache
 ROWS = 16  # characters that go through the network together, so that their activations stay near
@@ -80,16 +81,15 @@ def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | N
 
     There is none without a C compiler or an installer, and another one where the source has changed since.
     """
-    for suffix in EXTENSION_SUFFIXES:
-        built = path.with_name(path.name + suffix)
-        if built.is_file():
-            try:
-                library = ctypes.CDLL(str(built)) if _is_whole(built) else None
-            except OSError:  # for another machine, or no library at all
-                return None
-            found = getattr(library, version_name, None)
-            return library if found is not None and found() == version else None
-    return None
+    built = path.with_name(path.name + LIBRARY_ENDING)
+    if not built.is_file():
+        return None
+    try:
+        library = ctypes.CDLL(str(built)) if _is_whole(built) else None
+    except OSError:  # for another machine, or no library at all
+        return None
+    found = getattr(library, version_name, None)
+    return library if found is not None and found() == version else None
 
 
 def _is_whole(path: Path) -> bool:
