@@ -87,7 +87,7 @@ def test_inertia_makes_motion_smoother() -> None:
         state, _ = started(model, {"walking": share}, True, Noise("sample", 0.3))
         frames = np.stack([state.step(asked(model, weights))[0] for _ in range(60)])
         jerks.append(float(np.linalg.norm(np.diff(frames / model.scaling.std, n=3, axis=0), axis=-1).mean()))
-    assert jerks[1] < 0.8 * jerks[0]
+    assert jerks[1] < 0.85 * jerks[0]
 
 
 # ---- grip ----
