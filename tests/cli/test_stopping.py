@@ -28,7 +28,7 @@ def hang(number):
 
 if __name__ == "__main__":
     with worker_processes(2) as each:
-        list(each(hang, [1, 2]))
+        list(each(hang, list(range(8))))
 """
 
 

@@ -65,7 +65,7 @@ def cli() -> None:
 
 
 # Seconds until a signal that came during an import is looked at again.
-_IMPORT_WAIT = 0.02
+_IMPORT_WAIT = 0.002
 # Seconds after a signal in which another one changes nothing: what was half written is taken away meanwhile.
 _PATIENCE = 2.0
 _stopped_at = -_PATIENCE

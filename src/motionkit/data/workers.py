@@ -6,10 +6,12 @@ import multiprocessing
 import os
 import signal
 import threading
+from collections import deque
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 
 # Maps a function over items, in order.
 Map = Callable[[Callable, list], Iterator]
@@ -27,17 +29,27 @@ def worker_processes(count: int) -> Iterator[Map]:
     context = multiprocessing.get_context("spawn")
     theirs, ours = context.Pipe(duplex=False)
     with ours, theirs, ProcessPoolExecutor(count, context, _begin_worker, (theirs,)) as pool:
+        started: set[BaseProcess] = set()
 
         def each(function: Callable, items: list) -> Iterator:
+            others = set(multiprocessing.active_children())
             with _ctrl_c_held():
-                return pool.map(function, items, chunksize=1)
+                waiting = deque(pool.submit(function, item) for item in items)
+                started.update(set(multiprocessing.active_children()) - others)
+            return _results(waiting)
 
         try:
             yield each
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
-            ours.close()
+            for process in started:
+                process.kill()  # also those that still import, and hear nothing
             raise
+
+
+def _results(waiting: deque[Future]) -> Iterator:
+    """In order, none kept longer than asked for; pool.map cancels those left over, over which pools that end fall."""
+    while waiting:
+        yield waiting.popleft().result()
 
 
 def _begin_worker(parent: Connection) -> None:
