@@ -58,7 +58,7 @@ def synthesis_options(function: Callable) -> Callable:
             "--character",
             default="default",
             show_default=True,
-            help="The body to move; of a crowd, several names with commas, taken in turn.",
+            help="The body to move; for a crowd (synthesize --count) several names with commas, taken in turn.",
         ),
         click.option(
             "--init",

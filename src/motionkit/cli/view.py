@@ -53,7 +53,7 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
 @click.option(
     "--width",
     type=click.IntRange(160, 8000),
-    help="Width in pixels of a sheet (1800), a GIF (480) or a film (960).",
+    help="Width in pixels of a sheet (1800; at least 600), a GIF (480) or a film (960; both at most 3840).",
 )
 @json_option
 @click.pass_context
