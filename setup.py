@@ -54,12 +54,12 @@ class AnyPythonWheel(bdist_wheel):
 setup(
     cmdclass={"build_ext": BuildLibraries, "bdist_wheel": AnyPythonWheel},
     ext_modules=[
-        kernel("models._step_kernel", ["models/step_kernel.c"], FLAGS, []),
+        kernel("inference._step_kernel", ["inference/step_kernel.c"], FLAGS, []),
         kernel(
-            "synthesis._frame_kernel",
-            ["synthesis/frame_kernel.c", "synthesis/foot_kernel.c"],
+            "inference._frame_kernel",
+            ["inference/frame_kernel.c", "inference/foot_kernel.c"],
             UNFUSED,
-            ["synthesis/frame_kernel.h", "synthesis/kernel_math.h"],
+            ["inference/frame_kernel.h", "inference/kernel_math.h"],
         ),
     ],
 )

@@ -16,26 +16,26 @@ from pathlib import Path
 import numpy as np
 from common import print_table
 
-from motionkit.apps.onnx_export import WEIGHTS, OnnxStep, build_graph
 from motionkit.arrays import Array
+from motionkit.control.reference_player import Signals, last_poses
+from motionkit.control.script import TypePart, plan_signals
+from motionkit.export.onnx_export import WEIGHTS, OnnxStep, build_graph
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.features.layout import FEATURE_COUNT
+from motionkit.inference.rollout import Noise
+from motionkit.inference.start import type_start
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel
-from motionkit.synthesis.outline_player import Signals, last_poses
-from motionkit.synthesis.plan import TypePart, plan_signals
-from motionkit.synthesis.rollout import Noise
-from motionkit.synthesis.start import seed_start
 
 ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead, None: as recorded
 
 
 def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Signals:
     """What is asked for, frame by frame."""
-    seen = seed_start(model, kind, 1).features[0]
+    seen = type_start(model, kind, 1).features[0]
     recorded = plan_signals(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
     if speed is None:
         return recorded
@@ -44,15 +44,15 @@ def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> 
     facing = np.tile(np.float32([0.0, 1.0]), (len(TRAJECTORY_OFFSETS), 1))
     way = np.tile(np.concatenate([ahead, facing]).reshape(1, -1), (frames, 1))
     none = np.zeros(frames, np.float32)
-    return Signals(np.zeros_like(recorded.guide), none, way, none + 1.0, none - 1.0)
+    return Signals(np.zeros_like(recorded.reference), none, way, none + 1.0, none - 1.0)
 
 
 def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
     """Joint positions (T, 23, 3) in cm of the graph on its own output."""
     graph = OnnxStep(path)
-    start = seed_start(model, kind, 1)
+    start = type_start(model, kind, 1)
     graph.values["type_weights"][0, model.type_id(kind)] = 1.0
-    graph.values["progress"][:], graph.values["grip"][:] = -1.0, 1.0
+    graph.values["phase"][:], graph.values["slip_correction"][:] = -1.0, 1.0
     poses, contacts = model.scaling.normalize(start.features)[0], start.contacts[0]
     for t in range(len(poses)):
         graph.values["pose"][:], graph.values["contacts"][:] = poses[t], contacts[t]
@@ -63,7 +63,7 @@ def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
     noise, settings = np.zeros((2, 1, FEATURE_COUNT)), Noise()
     keeps, takes, keeps_too, takes_too = settings.filters
     out = []
-    for frame in range(len(asked.progress)):
+    for frame in range(len(asked.phase)):
         noise[0] = keeps * noise[0] + takes * random.standard_normal(noise[0].shape)
         noise[1] = keeps_too * noise[1] + takes_too * noise[0]
         graph.values["noise"][:] = settings.temperature * model.noise.get(kind, 1.0) * noise[1]

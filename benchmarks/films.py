@@ -16,9 +16,9 @@ from pathlib import Path
 import torch
 from common import SAMPLE_FOLDER, print_table
 
-from motionkit.apps.figure_data import Shown
-from motionkit.apps.film import write_film
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.view.figure_data import Shown
+from motionkit.view.film import write_film
 
 CLIPS = ("49_06", "49_07", "49_08", "16_45", "35_01", "16_05")
 

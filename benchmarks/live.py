@@ -28,8 +28,7 @@ from typing import Any
 import numpy as np
 from common import percentiles, print_table
 
-from motionkit.apps.play.requests import Request
-from motionkit.apps.play.session import Session
+from motionkit.control.drive import Wish
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.response import (
     AFTER_SECONDS,
@@ -40,7 +39,8 @@ from motionkit.evaluation.response import (
 )
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel
-from motionkit.synthesis.drive import Wish
+from motionkit.play.requests import Request
+from motionkit.play.session import Session
 
 PAPER_SECONDS = 0.7
 MOST_DELAY_MS, MOST_RESPONSE_SECONDS = 50.0, 0.5

@@ -24,15 +24,15 @@ from common import percentiles, print_table
 
 from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.inference.character import CharacterStream
+from motionkit.inference.rollout import FrameControls
+from motionkit.inference.step import NetworkStep
+from motionkit.inference.step_kernel import StepKernel, kernel_library
+from motionkit.inference.step_weights import StepWeights, pack
+from motionkit.inference.stepping import TorchStep
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel
-from motionkit.models.step import NetworkStep
-from motionkit.models.step_kernel import StepKernel, kernel_library
-from motionkit.models.step_weights import StepWeights, pack
 from motionkit.models.weights import NetworkWeights
-from motionkit.synthesis.character import CharacterStream
-from motionkit.synthesis.rollout import FrameControls
-from motionkit.synthesis.stepping import TorchStep
 
 Step = Callable[[], object]
 
@@ -100,7 +100,7 @@ def floor(weights: StepWeights, bits: int) -> Step:
 
 def graph(model: MotionModel, folder: Path, weights: str) -> Step:
     """The ONNX graph, forward kinematics included."""
-    from motionkit.apps.onnx_export import OnnxStep, build_graph
+    from motionkit.export.onnx_export import OnnxStep, build_graph
 
     path = folder / f"{weights}.onnx"
     path.write_bytes(build_graph(model, weights=weights).SerializeToString())

@@ -19,7 +19,7 @@ from common import print_table, time_in_turn
 from torch import Tensor, nn
 
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
-from motionkit.features.encode import identity_references
+from motionkit.features.encode import identity_reference_rotations
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.attention import LocalAttention
 from motionkit.models.consistency import ConsistencyModules
@@ -91,9 +91,13 @@ def training_step(network: PartTransformer, batch: Batch, bfloat16: bool) -> Cal
     network.train()
     modules = ConsistencyModules(network)
     optimizer = torch.optim.AdamW([*network.parameters(), *modules.parameters()], lr=1e-4)
-    references = torch.from_numpy(identity_references())
+    reference_rotations = torch.from_numpy(identity_reference_rotations())
     space = FeatureSpace(
-        torch.zeros(FEATURE_COUNT), torch.ones(FEATURE_COUNT), references, network.config.layout, 60.0
+        torch.zeros(FEATURE_COUNT),
+        torch.ones(FEATURE_COUNT),
+        reference_rotations,
+        network.config.layout,
+        60.0,
     )
 
     def step() -> None:

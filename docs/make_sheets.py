@@ -8,14 +8,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from motionkit.apps.contact_sheet import write_contact_sheet
+from motionkit.control.follow import follow_path
+from motionkit.control.script import parse_types
+from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.evaluation.paths import path_trials
 from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
-from motionkit.synthesis.follow import follow_path
-from motionkit.synthesis.plan import parse_types
-from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
+from motionkit.view.contact_sheet import write_contact_sheet
 
 SECONDS = 6.0
 EACH = 6  # motions on a sheet of types
@@ -25,7 +25,9 @@ POSES, WIDTH = 10, 1100
 
 def type_motions(model: MotionModel) -> list[tuple[str, Motion]]:
     """Six seconds of every type; what is performed once, between two walks."""
-    performed = {kind for kind in model.types if any(outline.performed for outline in model.outlines[kind])}
+    performed = {
+        kind for kind in model.types if any(outline.performed for outline in model.reference_clips[kind])
+    }
     out = []
     for kind in model.types:
         once = f"walking:1.5,{kind}:{model.phase_seconds(kind):.2f},walking:1.5"

@@ -8,12 +8,12 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from motionkit.control.script import parse_types
+from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.inference.rollout import Noise
 from motionkit.metrics.report import evaluate_motion
 from motionkit.models.bundled import open_model
 from motionkit.motion.bvh import write_bvh
-from motionkit.synthesis.plan import parse_types
-from motionkit.synthesis.rollout import Noise
-from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 
 
 def main() -> None:

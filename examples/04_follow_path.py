@@ -11,10 +11,10 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array, normalized
+from motionkit.control.follow import follow_path
+from motionkit.control.path import PathPart, make_path
 from motionkit.models.bundled import open_model
 from motionkit.motion.bvh import write_bvh
-from motionkit.synthesis.follow import follow_path
-from motionkit.synthesis.path import PathPart, make_path
 
 
 def spiral(turns: float, radius: float) -> Array:

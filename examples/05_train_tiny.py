@@ -10,11 +10,11 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from motionkit.control.script import TypePart
+from motionkit.control.synthesize import synthesize
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.models.checkpoint import load_model
 from motionkit.motion.bvh import write_bvh
-from motionkit.synthesis.plan import TypePart
-from motionkit.synthesis.synthesize import synthesize
 from motionkit.training.presets import train_options
 from motionkit.training.trainer import TrainEvent, train
 

@@ -20,7 +20,7 @@ from motionkit.motion.rotations import expmap_to_quat
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.training.options import TrainOptions
 from motionkit.training.sampler import SamplerOptions
-from motionkit.training.self_feeding import SelfFeedOptions
+from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 from motionkit.training.trainer import train
 from synthetic_motions import write_clips
 
@@ -127,7 +127,7 @@ def tiny_options() -> Callable[..., TrainOptions]:
             "score_seconds": 0.0,
             "sampler": SamplerOptions(window=32, splices=splices),
             # Windows made for one step at a time, so that a run may stop after any.
-            "self_feed": SelfFeedOptions(period=1),
+            "scheduled_sampling": ScheduledSamplingOptions(period=1),
         }
         return TrainOptions(**(values | changes))
 

@@ -12,20 +12,20 @@ def evaluate(motionkit, tiny_model_file: Path, dataset_folder: Path):
 
 
 def test_obedience_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
-    said = evaluate("--only", "obedience", "--seeds", 1, "--json", "-o", "out.md", "-o", "out.json")
+    said = evaluate("--only", "accuracy", "--seeds", 1, "--json", "-o", "out.md", "-o", "out.json")
     assert said.code == 0 and said.err == ""
     value = json.loads(said.out)
     assert value == json.loads((tmp_path / "out.json").read_text("utf-8"))
-    assert value["seeds"] == 1 and [section["name"] for section in value["sections"]] == ["obedience"]
+    assert value["seeds"] == 1 and [section["name"] for section in value["sections"]] == ["accuracy"]
     rows = value["sections"][0]["tables"][0]["rows"]
     assert {row["type"] for row in rows} >= {"walking", "running", "idle"}
     text = (tmp_path / "out.md").read_text("utf-8")
-    assert "| obedience | walking shown |" in text and "## Obedience" in text
+    assert "| accuracy | walking shown |" in text and "## Action accuracy" in text
 
 
 @pytest.mark.parametrize(
     ("words", "complaint"),
-    [(["--only", "obediance"], "unknown section 'obediance'; did you mean 'obedience'")],
+    [(["--only", "acuracy"], "unknown section 'acuracy'; did you mean 'accuracy'")],
 )
 def test_faults_leave_no_report(evaluate, tmp_path: Path, words: list[str], complaint: str) -> None:
     assert evaluate(*words, "-o", "out.md").failed_with(complaint)

@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.apps.onnx_export import OnnxStep, export_onnx
 from motionkit.errors import MotionkitError
+from motionkit.export.onnx_export import OnnxStep, export_onnx
 from motionkit.models.checkpoint import MotionModel, save_model
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
@@ -91,7 +91,7 @@ def test_graph_and_metadata_appear_together(
         return real(*words)
 
     if fails_at == "write":
-        monkeypatch.setattr("motionkit.apps.onnx_export.json.dump", partial(full, real=json.dump))
+        monkeypatch.setattr("motionkit.export.onnx_export.json.dump", partial(full, real=json.dump))
     else:
         name = fails_at.split()[0]
         monkeypatch.setattr(os, name, partial(full, real=getattr(os, name)))

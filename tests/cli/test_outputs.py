@@ -217,7 +217,7 @@ def test_long_work_says_so_before_it_begins(motionkit, home: Path, monkeypatch: 
     def refuse(*_: object) -> None:
         raise OverwriteError("the work")
 
-    monkeypatch.setattr("motionkit.synthesis.follow.follow_path", refuse)
+    monkeypatch.setattr("motionkit.control.follow.follow_path", refuse)
     said = motionkit("follow-path", "far.json", "--model", "m.safetensors")
     assert said.err.splitlines() == [
         "1.4 hours of motion are to be made, which can take minutes; Ctrl-C stops", "error: the work",

@@ -40,14 +40,14 @@ if __name__ == "__main__":
             ["train", "DATASET", "-o", "m2.safetensors", "--preset", "tiny"],
             "training.trainer.PartTransformer",
         ),
-        (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "synthesis.synthesize.run"),
+        (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "control.synthesize.run"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "motion.bvh._hierarchy_lines"),
-        (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "synthesis.follow.finish_motion"),
+        (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "control.follow.finish_motion"),
         (["metrics", "a.bvh"], "metrics.report.load_canonical"),
         (["evaluate", "MODEL", "DATASET", "-o", "x.md"], "evaluation.scoreboard.RealMotion"),
         (["mirror", "clips", "out"], "motion.mirror.mirror_bvh"),
-        (["view", "a.bvh", "-o", "a.gif"], "apps.film.Scenery"),
-        (["export", "--onnx", "x.onnx", "--model", "MODEL"], "apps.onnx_export.build_graph"),
+        (["view", "a.bvh", "-o", "a.gif"], "view.film.Scenery"),
+        (["export", "--onnx", "x.onnx", "--model", "MODEL"], "export.onnx_export.build_graph"),
     ],
 )
 def test_ctrl_c_in_every_command(

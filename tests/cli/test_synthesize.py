@@ -135,8 +135,8 @@ def test_a_model_that_goes_astray_leaves_what_is_there(
     compiled: bool,
 ) -> None:
     if not compiled:
-        monkeypatch.setattr("motionkit.synthesis.stepping.kernel_library", lambda: None)
-        monkeypatch.setattr("motionkit.synthesis.rollout.frame_library", lambda: None)
+        monkeypatch.setattr("motionkit.inference.stepping.kernel_library", lambda: None)
+        monkeypatch.setattr("motionkit.inference.rollout.frame_library", lambda: None)
     arrays = tiny_model.network.arrays
     arrays = arrays | {"aggregate.bias": np.full_like(arrays["aggregate.bias"], value)}
     network = replace(tiny_model.network, arrays=arrays)

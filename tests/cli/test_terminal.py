@@ -122,7 +122,7 @@ def clip(tmp_path: Path) -> Path:
         (["synthesize", "--model", "MODEL", "--types", "idle:0.5"], "synthesizing"),
         (["synthesize", "--model", "MODEL", "--types", "idle:0.1", "--count", 3], "writing"),
         (["follow-path", "line", "--model", "MODEL", "--size", 0.2], "following"),
-        (["evaluate", "MODEL", "DATASET", "--quick", "--only", "likeness"], "likeness"),
+        (["evaluate", "MODEL", "DATASET", "--quick", "--only", "reconstruction"], "reconstruction"),
         (["metrics", "CLIPS"], "measuring"),
     ],
 )

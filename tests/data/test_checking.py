@@ -209,7 +209,7 @@ def test_a_dataset_whose_only_training_clips_are_mirrored_can_be_read(copy: Path
     manifest["clips"] = [clip for clip in manifest["clips"] if clip["mirrored"] or clip["split"] == "test"]
     path.write_text(json.dumps(manifest))
     dataset = Dataset(copy)
-    assert np.isfinite(dataset.read(dataset.clips[0]).guide).all()
+    assert np.isfinite(dataset.read(dataset.clips[0]).reference).all()
     manifest["clips"] = [clip for clip in manifest["clips"] if clip["split"] == "test"]
     path.write_text(json.dumps(manifest))
     assert "no training clips" in refusal(copy)

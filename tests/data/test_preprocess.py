@@ -109,7 +109,7 @@ def test_from_bvh_to_features_and_back(
         dataset.skeleton(clip),
         60.0,
         data.ground[0],
-        dataset.references,
+        dataset.reference_rotations,
         dataset.layout.version,
     )
     truth = resample(retarget_file(clips_folder / name)[0], 60.0)

@@ -26,7 +26,7 @@ def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str) 
     """At the join joints move no faster, nor change speed more, than in the two clips by themselves."""
     data = splice(dataset, first, second)
     motion = decode_motion(
-        data.features, dataset.skeleton(dataset.clips[0]), 60.0, data.ground[0], dataset.references
+        data.features, dataset.skeleton(dataset.clips[0]), 60.0, data.ground[0], dataset.reference_rotations
     )
     positions = motion_kinematics(motion)[1]
     honest = []
@@ -35,7 +35,9 @@ def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str) 
         own = dataset.read(clip)
         honest.append(
             motion_kinematics(
-                decode_motion(own.features, dataset.skeleton(clip), 60.0, own.ground[0], dataset.references)
+                decode_motion(
+                    own.features, dataset.skeleton(clip), 60.0, own.ground[0], dataset.reference_rotations
+                )
             )[1]
         )
     for order, slack in ((1, 1.6), (2, 2.5)):

@@ -12,11 +12,11 @@ import click
 import pytest
 
 from motionkit.cli.main import COMMANDS
+from motionkit.control.path import read_path
 from motionkit.features.control import ControlLayout
 from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import PRESETS, preset
-from motionkit.synthesis.path import read_path
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

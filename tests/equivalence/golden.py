@@ -10,18 +10,18 @@ from pathlib import Path
 
 import numpy as np
 
+from motionkit.control.drive import Driver, Wish, together
+from motionkit.control.follow import follow_path
+from motionkit.control.path import shape_path
+from motionkit.control.script import parse_types
+from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.inference.character import CharacterStream
+from motionkit.inference.rollout import Noise
 from motionkit.models.bundled import load_bundled_model
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.synthesis.character import CharacterStream
-from motionkit.synthesis.drive import Driver, Wish, together
-from motionkit.synthesis.follow import follow_path
-from motionkit.synthesis.path import shape_path
-from motionkit.synthesis.plan import parse_types
-from motionkit.synthesis.rollout import Noise
-from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 
 FILE = Path(__file__).with_name("golden.npz")
 SAMPLE = Path(__file__).resolve().parents[2] / "examples" / "data"

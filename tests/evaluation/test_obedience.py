@@ -2,17 +2,17 @@ from __future__ import annotations
 
 import numpy as np
 
+from motionkit.control.script import TypePart
+from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.evaluation.accuracy import Judge, measure_accuracy
 from motionkit.evaluation.body import body_of
-from motionkit.evaluation.obedience import Judge, measure_obedience
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.rolling import Plan, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.inference.rollout import Noise
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.synthesis.plan import TypePart
-from motionkit.synthesis.rollout import Noise
-from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 from synthetic_motions import make_idle, make_walk
 
 
@@ -51,7 +51,7 @@ def test_lasting_types_have_to_last_and_others_to_come_once(real: RealMotion) ->
 
 def test_every_type_is_asked_for_with_every_seed(tiny_model: MotionModel, real: RealMotion) -> None:
     settings = EvaluationSettings(seeds=2, seconds=1.5)
-    found = measure_obedience(tiny_model, Judge(real), settings, ("walking", "cartwheel"))
+    found = measure_accuracy(tiny_model, Judge(real), settings, ("walking", "cartwheel"))
     assert [each.type for each in found] == ["walking", "cartwheel"]
     assert all(each.rollouts == 2 and 0 <= each.shown <= 2 for each in found)
     assert found[0].training_clips == 2 and found[1].training_clips == 1

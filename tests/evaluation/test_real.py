@@ -5,8 +5,8 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
+from motionkit.evaluation.accuracy import Judge, calibrate
 from motionkit.evaluation.body import body_of
-from motionkit.evaluation.obedience import Judge, calibrate
 from motionkit.evaluation.real import RealMotion
 from motionkit.features.decode import decode_motion
 from synthetic_motions import make_walk, placed
@@ -27,7 +27,7 @@ def test_a_training_pose_is_at_distance_zero_but_without_its_own_clip(
         dataset.skeleton(mirror),
         dataset.fps,
         data.ground[0],
-        dataset.references,
+        dataset.reference_rotations,
         dataset.layout.version,
     )
     assert real.pose_distances(body_of(twin))[0, kind] == pytest.approx(0.0, abs=0.1)
@@ -41,14 +41,14 @@ def test_distances_do_not_depend_on_place_or_heading(real: RealMotion) -> None:
 
 def test_recordings_are_done_in_their_own_manner(real: RealMotion) -> None:
     stretch = real.of_type("walking", "train")[0]
-    manner = real.manner("walking")
-    assert manner is not None and manner.speeds[0] < manner.joint_speed < manner.speeds[1]
+    profile = real.profile("walking")
+    assert profile is not None and profile.speeds[0] < profile.joint_speed < profile.speeds[1]
     distances = real.pose_distances(stretch.body).mean(axis=0)
-    assert manner.shows(stretch.body, distances)
-    assert not manner.shows(stretch.body, distances + 100.0)
+    assert profile.shows(stretch.body, distances)
+    assert not profile.shows(stretch.body, distances + 100.0)
     frozen = body_of(make_walk(60, speed=0.0, swing=0.0))
-    assert not manner.shows(frozen, distances)
-    assert real.manner("unheard-of") is None
+    assert not profile.shows(frozen, distances)
+    assert real.profile("unheard-of") is None
 
 
 def test_every_stretch_counts_once_for_its_own_type(real: RealMotion) -> None:

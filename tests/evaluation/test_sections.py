@@ -10,24 +10,24 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation.body import body_of
-from motionkit.evaluation.endurance import (
-    endurance_section,
+from motionkit.evaluation.paths import path_trials, paths_section
+from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.reconstruction import held_out_clips, reconstruction_section
+from motionkit.evaluation.response import commands, response_seconds
+from motionkit.evaluation.settings import QUICK
+from motionkit.evaluation.smoothness import fastest_turn, recorded_limit
+from motionkit.evaluation.stability import (
     foot_height,
     frozen_seconds,
     height_drift,
     random_plan,
+    stability_section,
 )
-from motionkit.evaluation.likeness import held_out_clips, likeness_section
-from motionkit.evaluation.paths import path_trials, paths_section
-from motionkit.evaluation.real import RealMotion
-from motionkit.evaluation.response import commands, response_seconds
-from motionkit.evaluation.settings import QUICK
-from motionkit.evaluation.smoothness import fastest_turn, recorded_limit
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from synthetic_motions import make_idle, make_walk
 
-TINY = replace(QUICK, seeds=1, endurance=0.5, mixed=0.5, likeness=0.6)
+TINY = replace(QUICK, seeds=1, stability=0.5, mixed=0.5, reconstruction=0.6)
 
 
 def quiet(share: float) -> None:
@@ -103,7 +103,7 @@ def test_random_plans_fill_the_time_and_repeat(tiny_model: MotionModel) -> None:
 
 
 def test_endurance_measures_every_type_and_the_changes(tiny_model: MotionModel, real: RealMotion) -> None:
-    section = endurance_section(tiny_model, real, TINY, quiet)
+    section = stability_section(tiny_model, real, TINY, quiet)
     rows, columns = section.tables[0].rows, section.tables[0].columns
     heights = [row[columns.index("feet over recorded, cm")] for row in rows]
     assert None not in heights[:-1]
@@ -114,7 +114,7 @@ def test_endurance_measures_every_type_and_the_changes(tiny_model: MotionModel, 
 def test_likeness_has_the_truth_at_one_and_floors_beside_the_model(
     tiny_model: MotionModel, dataset: Dataset, real: RealMotion
 ) -> None:
-    section = likeness_section(tiny_model, dataset, real, TINY, quiet)
+    section = reconstruction_section(tiny_model, dataset, real, TINY, quiet)
     rows = {(row[0], row[1]): row[2:] for row in section.tables[0].rows}
     truth, still = rows["all", "ground truth"], rows["all", "last frame"]
     # Alike to itself, no joint off, and on its own way.
@@ -131,7 +131,7 @@ def test_without_held_out_clips_likeness_says_so(
     tiny_model: MotionModel, dataset: Dataset, real: RealMotion, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(dataset, "clips", tuple(c for c in dataset.clips if c.split == "train"))
-    section = likeness_section(tiny_model, dataset, real, TINY, quiet)
+    section = reconstruction_section(tiny_model, dataset, real, TINY, quiet)
     assert not section.tables and not section.goals and "no held-out clips" in section.notes[0]
 
 

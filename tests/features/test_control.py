@@ -16,8 +16,8 @@ from motionkit.features.control import (
     phase_signal,
     trajectory_mirror,
 )
-from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.normalize import Scaling
+from motionkit.features.reference import REFERENCE_COUNT
 
 
 def circle(frames: int, radius: float = 200.0, rate: float = 0.8) -> Array:
@@ -34,9 +34,9 @@ def test_control_vector_parts_stand_side_by_side() -> None:
     assert layout.trajectory == slice(72, 96)
     assert layout.flag == 96
     assert layout.phase == slice(97, 99)
-    assert layout.guide == slice(99, 99 + GUIDE_COUNT)
-    assert layout.guided == 99 + GUIDE_COUNT
-    assert layout.size == 100 + GUIDE_COUNT
+    assert layout.reference == slice(99, 99 + REFERENCE_COUNT)
+    assert layout.reference_gain == 99 + REFERENCE_COUNT
+    assert layout.size == 100 + REFERENCE_COUNT
 
 
 def test_phase_is_a_turn_and_silent_without_one() -> None:
@@ -54,17 +54,28 @@ def test_control_vector_hides_a_trajectory_or_guide_that_is_not_given() -> None:
         np.full((2, TRAJECTORY_COUNT), 6.0, np.float32),
     )
     given, progress = np.array([0.0, 1.0], np.float32), np.array([-1.0, 0.25], np.float32)
-    guide, guided = np.full((2, GUIDE_COUNT), 3.0, np.float32), np.array([1.0, 0.0], np.float32)
+    reference, reference_gain = (
+        np.full((2, REFERENCE_COUNT), 3.0, np.float32),
+        np.array([1.0, 0.0], np.float32),
+    )
     vectors = control_vector(
-        layout, np.zeros(69, np.float32), weights, trajectory, given, progress, guide, guided, scaling
+        layout,
+        np.zeros(69, np.float32),
+        weights,
+        trajectory,
+        given,
+        progress,
+        reference,
+        reference_gain,
+        scaling,
     )
     assert vectors[:, layout.flag].tolist() == [0.0, 1.0]
     assert np.array_equal(vectors[0, layout.trajectory], np.zeros(TRAJECTORY_COUNT, np.float32))
     assert np.allclose(vectors[1, layout.trajectory], np.full((TRAJECTORY_COUNT,), 3.0, np.float32))
     assert np.allclose(vectors[1, layout.phase], np.array([1.0, 0.0], np.float32), atol=1e-6)
-    assert vectors[:, layout.guided].tolist() == [1.0, 0.0]
-    assert np.array_equal(vectors[0, layout.guide], np.full((GUIDE_COUNT,), 3.0, np.float32))
-    assert not vectors[1, layout.guide].any()
+    assert vectors[:, layout.reference_gain].tolist() == [1.0, 0.0]
+    assert np.array_equal(vectors[0, layout.reference], np.full((REFERENCE_COUNT,), 3.0, np.float32))
+    assert not vectors[1, layout.reference].any()
 
 
 def test_straight_ahead() -> None:

@@ -10,8 +10,8 @@ from motionkit.data.dataset import ClipData, mirror_clip
 from motionkit.errors import SkeletonError
 from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.features.encode import EncodedMotion, encode_motion, relative_expmaps
-from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.layout import LAYOUTS, feature_layout
+from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import mirror_motion
 from motionkit.motion.motion import Motion
@@ -29,7 +29,7 @@ MOTIONS = {
 }
 
 
-def mirrored_references(motion: Motion) -> Array:
+def mirrored_reference_rotations(motion: Motion) -> Array:
     """Mean rotations of a motion and its mirror image, as preprocess makes them."""
     quats = motion.local_rotations.astype(np.float64)
     moment = np.einsum("tja,tjb->jab", quats, quats)
@@ -37,9 +37,11 @@ def mirrored_references(motion: Motion) -> Array:
     return mean_rotation(moment + flip @ moment[list(MIRROR_JOINTS)] @ flip).astype(np.float32)
 
 
-def there_and_back(motion: Motion, references: Array | None, layout: str) -> Motion:
-    encoded = encode_motion(motion, references, layout)
-    return decode_motion(encoded.features, motion.skeleton, motion.fps, encoded.ground[0], references, layout)
+def there_and_back(motion: Motion, reference_rotations: Array | None, layout: str) -> Motion:
+    encoded = encode_motion(motion, reference_rotations, layout)
+    return decode_motion(
+        encoded.features, motion.skeleton, motion.fps, encoded.ground[0], reference_rotations, layout
+    )
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
@@ -47,8 +49,8 @@ def there_and_back(motion: Motion, references: Array | None, layout: str) -> Mot
 @pytest.mark.parametrize("name", MOTIONS)
 def test_round_trip(name: str, with_references: bool, layout: str) -> None:
     motion = MOTIONS[name]()
-    references = mirrored_references(motion) if with_references else None
-    back = there_and_back(motion, references, layout)
+    reference_rotations = mirrored_reference_rotations(motion) if with_references else None
+    back = there_and_back(motion, reference_rotations, layout)
     degrees = np.rad2deg(
         quat_angle(motion.local_rotations.astype(np.float64), back.local_rotations.astype(np.float64))
     )
@@ -83,11 +85,11 @@ def test_features_do_not_tell_place_or_heading(name: str, layout: str) -> None:
 @pytest.mark.parametrize("name", MOTIONS)
 def test_mirror_in_features_is_the_mirror_of_the_motion(name: str, layout: str) -> None:
     motion = MOTIONS[name]()
-    references = mirrored_references(motion)
-    encoded = encode_motion(motion, references, layout)
+    reference_rotations = mirrored_reference_rotations(motion)
+    encoded = encode_motion(motion, reference_rotations, layout)
     data = as_clip(encoded)
     mirrored = mirror_clip(data, feature_layout(layout), np.array([0]), np.array([False]))
-    truth = encode_motion(mirror_motion(motion), references, layout)
+    truth = encode_motion(mirror_motion(motion), reference_rotations, layout)
     assert np.abs(mirrored.features - truth.features).max() < 5e-3
     assert np.array_equal(mirrored.contacts, truth.contacts)
     assert np.abs(mirrored.ground[:, :2] - truth.ground[:, :2]).max() < 1e-3
@@ -104,7 +106,7 @@ def as_clip(encoded: EncodedMotion) -> ClipData:
         encoded.ground,
         types,
         none,
-        np.zeros((len(types), GUIDE_COUNT), np.float32),
+        np.zeros((len(types), REFERENCE_COUNT), np.float32),
     )
 
 

@@ -25,6 +25,7 @@ from fuzz.mutation import (
     refuses_or_works,
     refuses_or_works_apart,
 )
+from motionkit.control.path import read_path
 from motionkit.data.dataset import Dataset
 from motionkit.data.labels import find_sources
 from motionkit.data.preprocess import PreprocessOptions, preprocess
@@ -32,7 +33,6 @@ from motionkit.errors import MotionkitError
 from motionkit.metrics.report import evaluate_files
 from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.mirror import mirror_file
-from motionkit.synthesis.path import read_path
 from synthetic_motions import make_walk
 
 # numpy's warnings would reach the user's terminal beside the one line.
@@ -262,7 +262,7 @@ def read_whole(folder: Path) -> None:
     parts = [
         dataset.scaling,
         dataset.trajectory_scaling,
-        dataset.references,
+        dataset.reference_rotations,
         dataset.bodies,
         dataset.characters,
     ]
@@ -270,7 +270,7 @@ def read_whole(folder: Path) -> None:
     for clip in (*dataset.clips[:3], *dataset.clips[-2:]):
         data = dataset.read(clip)
         assert len(data.features) == clip.frames
-        for values in (data.features, data.ground, data.guide):
+        for values in (data.features, data.ground, data.reference):
             assert torch.isfinite(torch.as_tensor(values)).all()
         dataset.skeleton(clip)
         dataset.clip_types(clip)

@@ -22,11 +22,11 @@ from fuzz.mutation import (
     mutated_json,
     refuses_or_works_apart,
 )
+from motionkit.control.script import TypePart
+from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import MotionkitError
 from motionkit.models.checkpoint import load_model
 from motionkit.motion.bvh import read_bvh, write_bvh
-from motionkit.synthesis.plan import TypePart
-from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
 from motionkit.training.trainer import train
 
 quick = settings(derandomize=True, deadline=None, suppress_health_check=list(HealthCheck), database=None)

@@ -10,10 +10,10 @@ from safetensors.numpy import save_file
 
 from motionkit.arrays import Array
 from motionkit.errors import ControlError, ModelError
+from motionkit.inference.step import NetworkStep
+from motionkit.inference.step_weights import pack
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import MotionModel, load_model, model_arrays, read_header, save_model
-from motionkit.models.step import NetworkStep
-from motionkit.models.step_weights import pack
 
 
 def predict(model: MotionModel) -> Array:
@@ -42,15 +42,15 @@ def test_what_is_saved_is_what_is_loaded(tiny_model: MotionModel, tmp_path: Path
     assert copy.types == tiny_model.types and copy.fps == tiny_model.fps
     assert copy.config == tiny_model.config and copy.card == tiny_model.card
     assert copy.gaits == tiny_model.gaits and list(copy.characters) == list(tiny_model.characters)
-    for kind, seeds in tiny_model.seeds.items():
-        for a, b in zip(seeds, copy.seeds[kind], strict=True):
+    for kind, seeds in tiny_model.start_poses.items():
+        for a, b in zip(seeds, copy.start_poses[kind], strict=True):
             assert np.array_equal(a.features, b.features) and np.array_equal(a.contacts, b.contacts)
             assert np.array_equal(a.ground, b.ground)
     for name in ("scaling", "trajectory_scaling"):
         assert np.array_equal(getattr(copy, name).mean, getattr(tiny_model, name).mean)
         assert np.array_equal(getattr(copy, name).std, getattr(tiny_model, name).std)
-    assert np.array_equal(copy.references, tiny_model.references)
-    for name in ("guidance", "noise", "inertia", "grip"):
+    assert np.array_equal(copy.reference_rotations, tiny_model.reference_rotations)
+    for name in ("reference_gain", "noise", "velocity_blend", "slip_correction"):
         assert getattr(copy, name) == getattr(tiny_model, name) and set(getattr(copy, name)) == set(
             copy.types
         )
@@ -69,8 +69,8 @@ def test_half_precision_is_half_the_size_and_close(tiny_model: MotionModel, tmp_
     half = load_model(tmp_path / "half")
     assert np.abs(predict(half) - predict(tiny_model)).max() < 0.02
     assert half.network["aggregate.weight"].dtype == np.float32
-    for kind, seeds in tiny_model.seeds.items():
-        assert np.allclose(half.seeds[kind][0].features, seeds[0].features, rtol=1e-3, atol=1e-2)
+    for kind, seeds in tiny_model.start_poses.items():
+        assert np.allclose(half.start_poses[kind][0].features, seeds[0].features, rtol=1e-3, atol=1e-2)
 
 
 def test_consistency_modules_are_not_in_the_file(tiny_model: MotionModel) -> None:
@@ -82,8 +82,8 @@ def test_consistency_modules_are_not_in_the_file(tiny_model: MotionModel) -> Non
 
 
 def test_every_type_has_seed_frames_of_its_own(tiny_model: MotionModel) -> None:
-    assert set(tiny_model.seeds) == set(tiny_model.types)
-    for seeds in tiny_model.seeds.values():
+    assert set(tiny_model.start_poses) == set(tiny_model.types)
+    for seeds in tiny_model.start_poses.values():
         assert 1 <= len(seeds) <= 3
         for seed in seeds:
             assert seed.features.shape[1] == 276 and len(seed.features) == len(seed.contacts) >= 2

@@ -70,11 +70,11 @@ def test_the_same_as_numpy(name: str, dtype: torch.dtype) -> None:
 @pytest.mark.parametrize("layout", ["sixd-root-1", "expmap-root-1"])
 def test_decoded_rotations_are_the_same(layout: str) -> None:
     draw = torch.Generator().manual_seed(1)
-    features, references = torch.randn(7, 3, 276, generator=draw), torch.randn(23, 4, generator=draw)
-    references = torch.nn.functional.normalize(references, dim=-1)
-    expected = decode.decode_rotations(features.numpy(), references.numpy(), layout)
+    features, reference_rotations = torch.randn(7, 3, 276, generator=draw), torch.randn(23, 4, generator=draw)
+    reference_rotations = torch.nn.functional.normalize(reference_rotations, dim=-1)
+    expected = decode.decode_rotations(features.numpy(), reference_rotations.numpy(), layout)
     np.testing.assert_allclose(
-        ours.decode_rotations(features, references, layout).numpy(), expected, atol=1e-5
+        ours.decode_rotations(features, reference_rotations, layout).numpy(), expected, atol=1e-5
     )
 
 

@@ -10,23 +10,23 @@ from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.features.control import ControlLayout
-from motionkit.features.guide import GUIDE_OFFSETS, OUTLINE_COUNT
-from motionkit.models.checkpoint import MOVEMENT_FRAMES, Outline
+from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
+from motionkit.models.checkpoint import MOVEMENT_FRAMES, ReferenceClip
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
 from motionkit.training.bundle import (
-    LONGEST_OUTLINE,
-    OUTLINE_SECONDS,
-    SEED_FRAMES,
-    SEEDS_PER_TYPE,
+    LONGEST_REFERENCE,
+    REFERENCE_SECONDS,
+    START_FRAMES,
+    STARTS_PER_TYPE,
     before_rest,
     bundle_model,
-    manners_of,
     measure_gaits,
-    recorded_outlines,
-    seed_frames,
+    recorded_references,
+    sampling_presets,
+    start_poses_of,
     typical_first,
 )
 from synthetic_motions import make_walk
@@ -34,10 +34,10 @@ from synthetic_motions import make_walk
 
 def test_seeds_are_beginnings_of_training_stretches_of_the_type(dataset: Dataset) -> None:
     for kind in dataset.types:
-        seeds = seed_frames(dataset, kind)
-        assert 1 <= len(seeds) <= SEEDS_PER_TYPE
+        seeds = start_poses_of(dataset, kind)
+        assert 1 <= len(seeds) <= STARTS_PER_TYPE
         for seed in seeds:
-            assert len(seed.features) == SEED_FRAMES
+            assert len(seed.features) == START_FRAMES
             assert any(begins(dataset, clip, kind, seed.features) for clip in dataset.select("train"))
 
 
@@ -59,7 +59,7 @@ def test_a_seed_ends_where_its_type_does(tmp_path: Path) -> None:
         "a.bvh,0,10,walking,train\na.bvh,10,60,idle,train\na.bvh,60,-1,walking,train\n"
     )
     preprocess([folder], tmp_path / "ds", PreprocessOptions(jobs=1, mirror=False))
-    (seed,) = seed_frames(Dataset(tmp_path / "ds"), "walking")
+    (seed,) = start_poses_of(Dataset(tmp_path / "ds"), "walking")
     assert len(seed.features) == 10
 
 
@@ -68,8 +68,8 @@ def test_a_type_without_training_clips_starts_from_any(
 ) -> None:
     kept = tuple(c for c in dataset.clips if "wheel" not in c.name)
     monkeypatch.setattr(dataset, "clips", kept)
-    (seed,) = seed_frames(dataset, "cartwheel")
-    assert len(seed.features) == SEED_FRAMES
+    (seed,) = start_poses_of(dataset, "cartwheel")
+    assert len(seed.features) == START_FRAMES
 
 
 def test_gaits_are_measured(dataset: Dataset) -> None:
@@ -96,14 +96,14 @@ def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
     model = bundle_model(network, dataset, {"note": "for a test"})
     assert model.types == dataset.types and model.fps == 60.0
     assert "default" in model.characters
-    assert set(model.seeds) == set(model.gaits) == set(dataset.types)
+    assert set(model.start_poses) == set(model.gaits) == set(dataset.types)
     assert model.card == {"note": "for a test"}
-    assert np.array_equal(model.references, dataset.references)
+    assert np.array_equal(model.reference_rotations, dataset.reference_rotations)
 
 
 def test_who_stands_takes_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
     def noise() -> dict[str, float]:
-        return {kind: manner.noise for kind, manner in manners_of(dataset).items()}
+        return {kind: preset.noise for kind, preset in sampling_presets(dataset).items()}
 
     shares = noise()
     assert set(shares) == set(dataset.types)
@@ -115,46 +115,51 @@ def test_who_stands_takes_more_noise(dataset: Dataset, monkeypatch: pytest.Monke
 
 
 def test_outlines_end_where_bodies_come_to_rest() -> None:
-    outline = moving(1.0, 300)
-    outline.poses[:, 0] = np.minimum(outline.poses[:, 0], 100.0)
-    ended = before_rest(outline, 0.5)
-    assert outline.movement[len(ended) - 1] >= 0.5 > outline.movement[len(ended)] and 0 < len(ended) < 100
-    assert len(ended.poses) == len(ended) + GUIDE_OFFSETS[-1]
+    reference_clip = moving(1.0, 300)
+    reference_clip.poses[:, 0] = np.minimum(reference_clip.poses[:, 0], 100.0)
+    ended = before_rest(reference_clip, 0.5)
+    assert (
+        reference_clip.movement[len(ended) - 1] >= 0.5 > reference_clip.movement[len(ended)]
+        and 0 < len(ended) < 100
+    )
+    assert len(ended.poses) == len(ended) + REFERENCE_OFFSETS[-1]
     assert len(ended.ground) == len(ended.phases) == len(ended)
-    assert len(before_rest(outline, 2.0)) == 300
+    assert len(before_rest(reference_clip, 2.0)) == 300
 
 
 def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
-    (first, *_) = recorded_outlines(dataset, "cartwheel")
+    (first, *_) = recorded_references(dataset, "cartwheel")
     assert first.performed and float(first.phases[0]) == 0.0
-    assert len(first.poses) == len(first) + GUIDE_OFFSETS[-1]
+    assert len(first.poses) == len(first) + REFERENCE_OFFSETS[-1]
     clip = next(c for c in dataset.select("train") if "wheel" in c.name)
-    poses = dataset.outline.of(dataset.read(clip).features)
+    poses = dataset.pose_embedding.of(dataset.read(clip).features)
     assert float(distances_between(first.poses[:1], poses).min()) < 1e-3
-    walks = recorded_outlines(dataset, "walking")
+    walks = recorded_references(dataset, "walking")
     assert not any(walk.performed for walk in walks)
-    assert sum(map(len, walks)) <= (OUTLINE_SECONDS + LONGEST_OUTLINE) * dataset.fps
+    assert sum(map(len, walks)) <= (REFERENCE_SECONDS + LONGEST_REFERENCE) * dataset.fps
 
 
-def moving(speed: float, frames: int = 60) -> Outline:
-    """An outline that changes by so much a frame."""
-    poses = np.zeros((frames + GUIDE_OFFSETS[-1], OUTLINE_COUNT), np.float32)
+def moving(speed: float, frames: int = 60) -> ReferenceClip:
+    """An reference_clip that changes by so much a frame."""
+    poses = np.zeros((frames + REFERENCE_OFFSETS[-1], EMBEDDING_COUNT), np.float32)
     poses[:, 0] = speed * np.arange(len(poses))
-    return Outline(poses, np.zeros((frames, 3), np.float32), np.full((frames,), -1.0, np.float32))
+    return ReferenceClip(poses, np.zeros((frames, 3), np.float32), np.full((frames,), -1.0, np.float32))
 
 
 def test_parts_that_move_as_the_type_does_come_first_and_from_all_recordings() -> None:
     found = [("a", moving(s)) for s in (0.1, 4.0, 5.0)] + [("b", moving(s)) for s in (0.1, 9.0)]
     ordered = typical_first(found)
-    assert [float(outline.movement[0]) for outline in ordered] == pytest.approx([4.0, 9.0, 5.0, 0.1, 0.1])
+    assert [float(reference_clip.movement[0]) for reference_clip in ordered] == pytest.approx(
+        [4.0, 9.0, 5.0, 0.1, 0.1]
+    )
 
 
 def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
-    outline = moving(1.0, 300)
-    outline.poses[:, 0] = np.minimum(outline.poses[:, 0], 100.0)
-    assert outline.movement[0] == pytest.approx(100 / MOVEMENT_FRAMES)
-    assert outline.movement[40] == pytest.approx(60 / MOVEMENT_FRAMES)
-    assert outline.movement[-1] == 0.0 and len(outline.movement) == 300
+    reference_clip = moving(1.0, 300)
+    reference_clip.poses[:, 0] = np.minimum(reference_clip.poses[:, 0], 100.0)
+    assert reference_clip.movement[0] == pytest.approx(100 / MOVEMENT_FRAMES)
+    assert reference_clip.movement[40] == pytest.approx(60 / MOVEMENT_FRAMES)
+    assert reference_clip.movement[-1] == 0.0 and len(reference_clip.movement) == 300
 
 
 def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
@@ -166,11 +171,32 @@ def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
     monkeypatch.setattr("motionkit.training.bundle.STEERED_TYPES", ("idle",))
     monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
     kinds = ("idle", "running", "walking", "cartwheel")
-    steered, jumping, kicking, cartwheel = (manners_of(dataset)[kind] for kind in kinds)
+    steered, jumping, kicking, cartwheel = (sampling_presets(dataset)[kind] for kind in kinds)
     monkeypatch.setattr(Dataset, "phase_events", {})
-    dance = manners_of(dataset)["cartwheel"]
+    dance = sampling_presets(dataset)["cartwheel"]
     assert (
-        1.0 == steered.guidance < kicking.guidance == cartwheel.guidance < dance.guidance < jumping.guidance
+        1.0
+        == steered.reference_gain
+        < kicking.reference_gain
+        == cartwheel.reference_gain
+        < dance.reference_gain
+        < jumping.reference_gain
     )
-    assert 0.0 < steered.inertia < jumping.inertia < kicking.inertia < dance.inertia < cartwheel.inertia < 1.0
-    assert 0.0 < steered.grip < jumping.grip == cartwheel.grip < kicking.grip < dance.grip < 1.0
+    assert (
+        0.0
+        < steered.velocity_blend
+        < jumping.velocity_blend
+        < kicking.velocity_blend
+        < dance.velocity_blend
+        < cartwheel.velocity_blend
+        < 1.0
+    )
+    assert (
+        0.0
+        < steered.slip_correction
+        < jumping.slip_correction
+        == cartwheel.slip_correction
+        < kicking.slip_correction
+        < dance.slip_correction
+        < 1.0
+    )

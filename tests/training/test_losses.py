@@ -22,9 +22,9 @@ from motionkit.training.sampler import SamplerOptions, WindowSampler
 
 ONES = torch.ones(1, 4)
 OFFSETS = torch.from_numpy(canonical_skeleton().offsets)
-REFERENCES = torch.zeros(23, 4)
-REFERENCES[:, 0] = 1.0
-PLAIN = FeatureSpace(torch.zeros(276), torch.ones(276), REFERENCES, "sixd-root-1", 60.0)
+REFERENCE_ROTATIONS = torch.zeros(23, 4)
+REFERENCE_ROTATIONS[:, 0] = 1.0
+PLAIN = FeatureSpace(torch.zeros(276), torch.ones(276), REFERENCE_ROTATIONS, "sixd-root-1", 60.0)
 
 
 def prediction(mean: Tensor, logits: Tensor | None = None) -> Prediction:
@@ -89,9 +89,9 @@ def test_evenness_lets_hard_numbers_count() -> None:
     target = torch.zeros(1, 1, 2)
     log_sigma = torch.log(torch.tensor([[[0.1, 0.5]]]))
     steep = []
-    for evenness in (0.0, 0.5, 1.0):
+    for beta_nll in (0.0, 0.5, 1.0):
         mean = torch.full((1, 1, 2), 0.2, requires_grad=True)
-        losses.gaussian_loss(mean, log_sigma, target, torch.ones(1, 1), evenness=evenness).backward()
+        losses.gaussian_loss(mean, log_sigma, target, torch.ones(1, 1), beta_nll=beta_nll).backward()
         assert mean.grad is not None
         steep.append(mean.grad[0, 0] / mean.grad[0, 0, 0])
     assert [float(s[1]) for s in steep] == pytest.approx([0.04, 0.2, 1.0], rel=1e-4)
@@ -266,7 +266,7 @@ def test_fk_loss_counts_feet_that_sink_with_the_root() -> None:
 def test_foot_positions_are_those_of_forward_kinematics(dataset: Dataset) -> None:
     clip = dataset.clips[0]
     data = dataset.read(clip, 0, 20)
-    rotations = decode_rotations(data.features, dataset.references)
+    rotations = decode_rotations(data.features, dataset.reference_rotations)
     offsets = dataset.skeleton(clip).offsets
     _, positions = forward_kinematics(rotations, np.zeros((20, 3), np.float32), offsets, PARENTS)
     shown = (torch.from_numpy(values[None]) for values in (data.features, offsets))

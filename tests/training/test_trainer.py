@@ -20,7 +20,7 @@ from motionkit.models.checkpoint import load_model
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
 from motionkit.training.sampler import SamplerOptions
-from motionkit.training.self_feeding import SelfFeedOptions
+from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 from motionkit.training.trainer import TrainEvent, resolve_device, train
 
 TERMS = ("gauss", "smooth", "contact", "fk", "consistency", "trajectory", "total", "gradient")
@@ -88,7 +88,7 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
     }  # fmt: skip
     sampler = SamplerOptions(
         window=32, balance=0.75, phase_weight=1.0, splices=0, splice_share=0.0, trajectory_dropout=0.5,
-        guide_dropout=0.35, lead_share=0.5, lead_frames=30, noise=0.05,
+        reference_dropout=0.35, lead_share=0.5, lead_frames=30, noise=0.05,
     )  # fmt: skip
     weights = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
     options = tiny_options(
@@ -98,10 +98,10 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
         weights=weights,
         rate=1e-3,
         outlier=1e9,
-        evenness=0.0,
+        beta_nll=0.0,
         slip_weight=10.0,
         step_weight=0.0,
-        self_feed=SelfFeedOptions(share=0.0),
+        scheduled_sampling=ScheduledSamplingOptions(share=0.0),
     )
     train(dataset_folder, path, options, device="cpu")
     totals = {line["step"]: line["total"] for line in log_of(path)}
@@ -187,7 +187,7 @@ def test_a_resumed_run_equals_an_unbroken_one(dataset_folder: Path, tmp_path: Pa
 def test_a_run_stops_where_its_next_windows_are_made(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:
-    options = tiny_options(steps=9, self_feed=SelfFeedOptions(period=3))
+    options = tiny_options(steps=9, scheduled_sampling=ScheduledSamplingOptions(period=3))
     whole, broken = tmp_path / "whole.safetensors", tmp_path / "broken.safetensors"
     train(dataset_folder, whole, options, device="cpu")
     result = train(dataset_folder, broken, options, device="cpu", on_event=stop_after(4))
@@ -211,20 +211,20 @@ def test_types_may_be_spared_the_loss_of_steps(dataset_folder: Path, tmp_path: P
     kinds = Dataset(dataset_folder).types
     path = tmp_path / "m.safetensors"
 
-    def footing(**options) -> float:
+    def height_correction(**options) -> float:
         train(dataset_folder, path, tiny_options(steps=1, **options), device="cpu")
         return losses_of(path)[-1]["fk"]
 
     plain, all_types, none = (
-        footing(),
-        footing(step_weight=50.0),
-        footing(step_weight=50.0, step_except=tuple(kinds)),
+        height_correction(),
+        height_correction(step_weight=50.0),
+        height_correction(step_weight=50.0, step_except=tuple(kinds)),
     )
     assert none == pytest.approx(plain, rel=1e-6) and all_types > 1.01 * plain
-    one_less = footing(step_weight=50.0, step_except=(kinds[-1],))
+    one_less = height_correction(step_weight=50.0, step_except=(kinds[-1],))
     assert plain < one_less < all_types
     with pytest.raises(DatasetError, match="no type 'flying' to spare the loss of steps"):
-        footing(step_weight=1.0, step_except=("flying",))
+        height_correction(step_weight=1.0, step_except=("flying",))
 
 
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
@@ -400,7 +400,7 @@ import sys, torch
 from pathlib import Path
 from motionkit.training.options import TrainOptions
 from motionkit.training.sampler import SamplerOptions
-from motionkit.training.self_feeding import SelfFeedOptions
+from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 from motionkit.training.trainer import train
 import os, signal
 
@@ -410,7 +410,7 @@ config = {} if dropout == "on" else {"input_dropout": 0.0, "deep_dropout": 0.0, 
 options = TrainOptions(
     preset="tiny", steps=int(steps), batch=4, warmup=2, precision="float32", log_every=1,
     score_seconds=0.0, sampler=SamplerOptions(window=32, splices=4), config=config,
-    self_feed=SelfFeedOptions(period=1),
+    scheduled_sampling=ScheduledSamplingOptions(period=1),
 )
 def on_event(event):
     if event.kind == "log" and event.step == int(stop):

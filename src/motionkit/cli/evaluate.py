@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 @click.argument("model")
 @click.argument("dataset", type=click.Path(path_type=Path))
 @click.option(
-    "--only", help="Sections to measure, such as obedience,paths; all by default (see docs/evaluation.md)."
+    "--only", help="Sections to measure, such as accuracy,paths; all by default (see docs/evaluation.md)."
 )
 @click.option("--seeds", type=click.IntRange(1, 1000), help="Roll-outs of each type; 20 by default.")
 @click.option("--quick", is_flag=True, help="A small version: 3 seeds, shorter roll-outs.")

@@ -39,7 +39,7 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
     onnxruntime installed, graph and motionkit first run 600 frames side by side, and the largest
     difference is printed; joints more than 0.5 cm apart (int8: 200 cm) are an error, and nothing is written.
     """
-    from motionkit.apps.onnx_export import export_onnx, metadata_path
+    from motionkit.export.onnx_export import export_onnx, metadata_path
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
 

@@ -58,11 +58,11 @@ def command(
     named shape: line, circle, figure-eight, square, pentagram, u-turn. Prints how far the root's track
     is from the path.
     """
+    from motionkit.control.follow import expected_seconds, follow_path
+    from motionkit.control.path import read_path, shape_path
+    from motionkit.control.synthesize import SynthesisOptions
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
-    from motionkit.synthesis.follow import expected_seconds, follow_path
-    from motionkit.synthesis.path import read_path, shape_path
-    from motionkit.synthesis.synthesize import SynthesisOptions
 
     is_file = Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file()
     kinds = [word.strip() for word in types.split(",") if word.strip()]
@@ -90,7 +90,7 @@ def command(
     ]
     page = None
     if view:
-        from motionkit.apps.figure_data import Shown
+        from motionkit.view.figure_data import Shown
 
         times = [frames / model.fps for frames in result.part_frames]
         bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]

@@ -258,8 +258,8 @@ def _view(
     ground_truth: Path, generated: Path | None, fps: tuple[float | None, float | None], quiet: bool
 ) -> Path:
     """Write a page of the files as they are to the current folder."""
-    from motionkit.apps.figure_data import Shown
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.view.figure_data import Shown
 
     files = [file for file in (ground_truth, generated) if file is not None]
     words = ("ground truth", "generated") if generated is not None else ("",)

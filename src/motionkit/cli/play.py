@@ -95,10 +95,10 @@ def command(
         raise MotionkitError("play needs the package websockets: pip install 'motionkit[play]'") from None
     import asyncio
 
-    from motionkit.apps.play.server import Addresses, PlayServer, ServerOptions
-    from motionkit.apps.play.session import Session
     from motionkit.cli.showing import open_in_browser
     from motionkit.models.bundled import open_model
+    from motionkit.play.server import Addresses, PlayServer, ServerOptions
+    from motionkit.play.session import Session
 
     def ready(addresses: Addresses) -> None:
         if as_json:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import click
 
 if TYPE_CHECKING:
-    from motionkit.apps.figure_data import Shown
+    from motionkit.view.figure_data import Shown
 
 view_option = click.option(
     "--view", is_flag=True, help="Write a page that plays the motion beside the output, and open it."
@@ -21,7 +21,7 @@ view_option = click.option(
 
 def write_and_open(path: Path, shown: Sequence[Shown], quiet: bool) -> Path:
     """Write a viewer file, open it unless quiet, and return its path."""
-    from motionkit.apps.viewer import write_viewer
+    from motionkit.view.viewer import write_viewer
 
     write_viewer(path, shown)
     if not quiet:

@@ -16,9 +16,9 @@ from motionkit.cli.showing import view_option
 
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
+    from motionkit.control.synthesize import SynthesisOptions
+    from motionkit.inference.rollout import Noise
     from motionkit.motion.motion import Motion
-    from motionkit.synthesis.rollout import Noise
-    from motionkit.synthesis.synthesize import SynthesisOptions
 
 SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
 
@@ -123,7 +123,7 @@ def shown_name(path: str | Path) -> str:
 
 def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
     """Say before long work how much it is; raises ControlError for more than can be made."""
-    from motionkit.synthesis.synthesize import check_size
+    from motionkit.control.synthesize import check_size
 
     check_size(seconds, model_fps, options)
     if seconds * options.count < LONG_SECONDS:
@@ -140,7 +140,7 @@ def words_console(output: Path | None) -> PlainConsole:
 
 def make_noise(kind: str, temperature: float | None) -> Noise:
     """The noise a user asks for."""
-    from motionkit.synthesis.rollout import Noise
+    from motionkit.inference.rollout import Noise
 
     usual = 1.0 if kind == "sample" else 0.05
     return Noise(kind, usual if temperature is None else temperature)

@@ -24,7 +24,7 @@ from motionkit.cli.synthesis_options import (
 )
 
 if TYPE_CHECKING:
-    from motionkit.synthesis.synthesize import SynthesisResult
+    from motionkit.control.synthesize import SynthesisResult
 
 
 @click.command("synthesize")
@@ -82,12 +82,12 @@ def command(
             "give --types, such as --types running,cartwheel; --list-types shows the known ones"
         )
     if view:
-        from motionkit.apps.viewer import MAX_MOTIONS
+        from motionkit.view.viewer import MAX_MOTIONS
 
         if count > MAX_MOTIONS:
             raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
-    from motionkit.synthesis.plan import parse_types
-    from motionkit.synthesis.synthesize import SynthesisOptions, synthesize
+    from motionkit.control.script import parse_types
+    from motionkit.control.synthesize import SynthesisOptions, synthesize
 
     count = max(count, len(types))
     check_stdout(output, {"--view": view, "--json": as_json, f"--count {count}": count > 1})
@@ -142,7 +142,7 @@ def _numbered(base: Path, number: int, count: int) -> Path:
 
 def _view(base: Path, made: list[dict[str, Any]], result: SynthesisResult, quiet: bool) -> Path:
     """Write the page of all motions beside them."""
-    from motionkit.apps.figure_data import Shown
+    from motionkit.view.figure_data import Shown
 
     shown = [
         Shown(Path(entry["file"]).stem, one.motion, [(part.type, part.seconds) for part in one.types])

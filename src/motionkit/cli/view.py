@@ -13,7 +13,7 @@ from motionkit.cli.showing import open_in_browser
 from motionkit.names import visible
 
 if TYPE_CHECKING:
-    from motionkit.apps.figure_data import Shown
+    from motionkit.view.figure_data import Shown
 
 ENDINGS = (".html", ".png", ".gif", ".mp4")
 
@@ -73,16 +73,16 @@ def command(
     Without -o a page named after the first clip is written to the current folder and opened in the
     browser: one HTML file with everything in it, to keep or to send.
     """
-    from motionkit.apps.figure_data import Shown
     from motionkit.files import check_outputs
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.view.figure_data import Shown
 
     target = output or default_output(clips[0].stem, ".html")
     _check_options(context, target)
     check_outputs([target], [*clips, path_file])
     path = None
     if path_file is not None:
-        from motionkit.synthesis.path import read_path
+        from motionkit.control.path import read_path
 
         path = read_path(path_file).points
     shown = [
@@ -132,15 +132,15 @@ def _check_options(context: click.Context, target: Path) -> None:
 def _write(target: Path, shown: Sequence[Shown], poses: int, every: int | None, width: int | None) -> None:
     kind = target.suffix.lower()
     if kind == ".html":
-        from motionkit.apps.viewer import write_viewer
+        from motionkit.view.viewer import write_viewer
 
         write_viewer(target, shown)
     elif kind == ".png":
-        from motionkit.apps.contact_sheet import write_contact_sheet
+        from motionkit.view.contact_sheet import write_contact_sheet
 
         write_contact_sheet(target, [(s.name, s.motion) for s in shown], poses, width or 1800, every)
     else:
-        from motionkit.apps.film import write_film
+        from motionkit.view.film import write_film
 
         with progress_bar() as bar:
             task = bar.add_task("drawing", total=None)

@@ -64,9 +64,9 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     check(
         "characters", _mapping(characters) and all(_table(b, body) for b in characters.values()), _said(body)
     )
-    references: Any = manifest.get("references")
-    unit = _table(references, (JOINT_COUNT, 4)) and bool(
-        (abs(np.linalg.norm(np.array(references), axis=1) - 1.0) < 0.01).all()
+    reference_rotations: Any = manifest.get("references")
+    unit = _table(reference_rotations, (JOINT_COUNT, 4)) and bool(
+        (abs(np.linalg.norm(np.array(reference_rotations), axis=1) - 1.0) < 0.01).all()
     )
     check("references", unit, f"{JOINT_COUNT} unit quaternions")
     for key, count in (("feature_scaling", FEATURE_COUNT), ("trajectory_scaling", TRAJECTORY_COUNT)):

@@ -1,6 +1,6 @@
 """The dataset folder: memory-mapped arrays beside a JSON manifest.
 
-manifest.json   clips, types, splits, skeleton, scaling, references, what was done to each file
+manifest.json   clips, types, splits, skeleton, scaling, reference_rotations, what was done to each file
 features.npy    (N, 276) float32, unnormalised
 contacts.npy    (N, 4) uint8
 ground.npy      (N, 3) float32: root x, z (cm), heading (radians)
@@ -24,15 +24,21 @@ from motionkit.data.folder import ARRAYS, MANIFEST, set_aside
 from motionkit.data.labels import mirrored_type
 from motionkit.data.phases import mirror_phases
 from motionkit.errors import DatasetError
-from motionkit.features.guide import GUIDE_COUNT, GUIDE_OFFSETS, PoseOutline, fit_outline, guide_signal
 from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
 from motionkit.features.normalize import Scaling
+from motionkit.features.reference import (
+    REFERENCE_COUNT,
+    REFERENCE_OFFSETS,
+    PoseEmbedding,
+    fit_pose_embedding,
+    reference_signal,
+)
 from motionkit.files import read_json
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
 # Outlines are fitted to about so many frames; 0 counts all alike, 1 all types alike.
-OUTLINE_FRAMES, OUTLINE_BALANCE = 200_000, 0.75
+EMBEDDING_FRAMES, EMBEDDING_BALANCE = 200_000, 0.75
 
 
 @dataclass(frozen=True)
@@ -53,14 +59,14 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class ClipData:
-    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), guide (T, 72)."""
+    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), reference (T, 72)."""
 
     features: Array
     contacts: Array
     ground: Array
     types: Array
     phases: Array
-    guide: Array
+    reference: Array
 
     def cut(self, start: int, end: int) -> ClipData:
         """Frames start to end (exclusive)."""
@@ -126,24 +132,24 @@ class Dataset:
         return _scaling(self.manifest["trajectory_scaling"])
 
     @cached_property
-    def references(self) -> Array:
+    def reference_rotations(self) -> Array:
         """(23, 4) rotations the exponential maps are relative to."""
         return np.array(self.manifest["references"], np.float32)
 
     @cached_property
-    def outline(self) -> PoseOutline:
-        """What outlines of poses are made with: the directions in which training poses differ, rare types' more."""
+    def pose_embedding(self) -> PoseEmbedding:
+        """What reference_clips of poses are made with: the directions in which training poses differ, rare types' more."""
         train = self.select("train")
         if not train:
             raise DatasetError(f"{self.folder}: no training clips")
         clips = [clip for clip in train if not clip.mirrored] or train
         rows = np.concatenate([np.arange(clip.start, clip.start + clip.frames) for clip in clips])
-        rows = rows[:: 1 + len(rows) // OUTLINE_FRAMES]
+        rows = rows[:: 1 + len(rows) // EMBEDDING_FRAMES]
         types = self._arrays["types"][rows].astype(np.int64)
-        weights = np.bincount(types).astype(np.float64)[types] ** -OUTLINE_BALANCE
+        weights = np.bincount(types).astype(np.float64)[types] ** -EMBEDDING_BALANCE
         features = self._arrays["features"][rows]
         check_range(self._path("features"), "features", features)
-        return fit_outline(features, weights, self.layout)
+        return fit_pose_embedding(features, weights, self.layout)
 
     @cached_property
     def bodies(self) -> tuple[Array, ...]:
@@ -197,29 +203,29 @@ class Dataset:
         stop = clip.frames if end is None else min(end, clip.frames)
         rows = slice(clip.start + start, clip.start + stop)
         # Guides look ahead of the last frame.
-        beyond = clip.start + min(stop + GUIDE_OFFSETS[-1], clip.frames)
+        beyond = clip.start + min(stop + REFERENCE_OFFSETS[-1], clip.frames)
         poses = self._features(rows.start, beyond)
         features = poses[: rows.stop - rows.start]
         contacts = self._arrays["contacts"][rows].astype(np.float32)
         ground = np.array(self._arrays["ground"][rows])
         types = self._arrays["types"][rows].astype(np.int64)
         phases = np.array(self._arrays["phases"][rows])
-        none = np.zeros((len(features), GUIDE_COUNT), np.float32)
+        none = np.zeros((len(features), REFERENCE_COUNT), np.float32)
         data = ClipData(features, contacts, ground, types, phases, none)
         if clip.mirrored:
             data = mirror_clip(data, self.layout, self.mirrored_type_ids, self.sided_types)
             columns, signs = self.layout.mirror_map()
             poses = poses[:, columns] * signs
-        guide = guide_signal(self.outline.of(poses), np.arange(len(features)))
-        return replace(data, guide=guide)
+        reference = reference_signal(self.pose_embedding.of(poses), np.arange(len(features)))
+        return replace(data, reference=reference)
 
 
 def mirror_clip(
     data: ClipData, layout: FeatureLayout, mirrored_type_ids: Array, sided_types: Array
 ) -> ClipData:
-    """The mirror image, but for the guide.
+    """The mirror image, but for the reference.
 
-    In features it is a permutation with signs, since references are symmetric.
+    In features it is a permutation with signs, since reference_rotations are symmetric.
     """
     columns, signs = layout.mirror_map()
     ground = data.ground * np.array([-1.0, 1.0, -1.0], np.float32)
@@ -229,7 +235,7 @@ def mirror_clip(
         ground,
         mirrored_type_ids[data.types],
         mirror_phases(data.phases, sided_types[data.types]),
-        data.guide,
+        data.reference,
     )
 
 

@@ -33,9 +33,9 @@ from motionkit.data.workers import Map, worker_processes
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion
-from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
 from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
+from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.files import MAX_TEXT_BYTES, read_bytes
 from motionkit.motion.bvh_text import MAX_BYTES
 from motionkit.motion.kinematics import motion_kinematics
@@ -324,7 +324,7 @@ def _pass_two(
     each: Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], PreprocessReport]:
-    references = _references(prepared)
+    reference_rotations = _references(prepared)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     splits = _decide_splits(prepared, options.mirror)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)
@@ -335,7 +335,7 @@ def _pass_two(
     clips: list[Clip] = []
     bodies: list[list[list[float]]] = []
     row = 0
-    items = [(p, references, options.layout, options.smooth) for p in prepared if p.runs]
+    items = [(p, reference_rotations, options.layout, options.smooth) for p in prepared if p.runs]
     indices = [i for i, p in enumerate(prepared) if p.runs]
     with _array_writers(staging, total) as writers:
         for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
@@ -375,7 +375,7 @@ def _pass_two(
         "phase_events": {types[kind]: rule.event for kind, rule in sorted(rules.items())},
         "bodies": bodies,
         "characters": _characters(prepared),
-        "references": references.tolist(),
+        "references": reference_rotations.tolist(),
         "feature_scaling": _plain(feature_scaling(moments, layout)),
         "trajectory_scaling": _plain(trajectory_scaling(trajectory_moments)),
         "clips": [asdict(clip) for clip in clips],
@@ -419,13 +419,13 @@ def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
 
 
 def _references(prepared: list[_Prepared]) -> Array:
-    """Mean rotation of each joint over the data and its mirror image, so that twins share references."""
+    """Mean rotation of each joint over the data and its mirror image, so that twins share reference_rotations."""
     moment = np.sum([p.moment for p in prepared if p.moment is not None], axis=0)
     flip = np.diag([1.0, 1.0, -1.0, -1.0])
     moment = moment + flip @ moment[list(MIRROR_JOINTS)] @ flip
-    references = mean_rotation(moment).astype(np.float32)
-    assert references.shape == (JOINT_COUNT, 4)
-    return references
+    reference_rotations = mean_rotation(moment).astype(np.float32)
+    assert reference_rotations.shape == (JOINT_COUNT, 4)
+    return reference_rotations
 
 
 @contextmanager
@@ -452,7 +452,7 @@ def _encode_file(
     item: tuple[_Prepared, Array, str, bool],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Features, contacts and ground of each run, encoded within the whole recording: ends have real neighbours."""
-    prepared, references, layout, smoothed = item
+    prepared, reference_rotations, layout, smoothed = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = arrays["rotations"], arrays["root"]
     for start, end, *_ in prepared.runs if smoothed else ():
@@ -460,7 +460,7 @@ def _encode_file(
         rotations[start:end] = smooth_rotations(rotations[start:end])
         root[start:end] = smooth(root[start:end])
     skeleton = canonical_skeleton(np.array(prepared.body, np.float32))
-    encoded = encode_motion(Motion(skeleton, rotations, root, FPS), references, layout)
+    encoded = encode_motion(Motion(skeleton, rotations, root, FPS), reference_rotations, layout)
     return [
         (
             encoded.features[start:end],
@@ -504,7 +504,7 @@ def _add_moments(
         ground,
         kinds.astype(np.int64),
         np.zeros(len(kinds), np.float32),
-        np.zeros((len(kinds), GUIDE_COUNT), np.float32),
+        np.zeros((len(kinds), REFERENCE_COUNT), np.float32),
     )
     for clip in clips:
         if clip.split != "train":

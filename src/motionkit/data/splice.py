@@ -42,7 +42,7 @@ class _Piece:
     velocities: Array
     types: Array
     phases: Array
-    guide: Array
+    reference: Array
 
 
 def splice_clips(
@@ -74,12 +74,12 @@ def splice_clips(
         np.concatenate([a.motion.root_positions[a_start : i + 1], joined[1][: b_end - j - 1]]),
         dataset.fps,
     )
-    encoded = encode_motion(motion, dataset.references, dataset.layout.version)
+    encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
     types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
     phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
-    # The guide is not blended: it is to be the one that is asked for, not the one that can be obeyed at once.
-    guide = np.concatenate([a.guide[a_start : i + 1], b.guide[j + 1 : b_end]])
-    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, guide)
+    # The reference is not blended: it is to be the one that is asked for, not the one that can be obeyed at once.
+    reference = np.concatenate([a.reference[a_start : i + 1], b.reference[j + 1 : b_end]])
+    return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
 
 
 def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
@@ -89,7 +89,7 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
         dataset.skeleton(clip),
         dataset.fps,
         data.ground[0],
-        dataset.references,
+        dataset.reference_rotations,
         dataset.layout.version,
     )
     _, positions = motion_kinematics(motion)
@@ -104,7 +104,7 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
         quat_rotate(turn, velocities),
         data.types,
         data.phases,
-        data.guide,
+        data.reference,
     )
 
 

@@ -1,1 +1,1 @@
-"""A model and a dataset in, the scoreboard out: obedience, endurance, likeness, paths, response, smoothness."""
+"""A model and a dataset in, the scoreboard out: accuracy, stability, reconstruction, paths, response, smoothness."""

@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.follow import PathFollower
+from motionkit.control.path import METRE, SHAPES, SPACING, Path2D, PathPart, make_path, shape_path
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.inference.rollout import FrameControls
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.checkpoint import MotionModel
-from motionkit.synthesis.follow import PathFollower
-from motionkit.synthesis.path import METRE, SHAPES, SPACING, Path2D, PathPart, make_path, shape_path
-from motionkit.synthesis.rollout import FrameControls
 
 PATIENCE = 1.6  # times the expected duration, after which the end is given up
 

@@ -1,4 +1,4 @@
-"""Recorded motion as a measure: stretches of each type, the poses of the training set, and its manner."""
+"""Recorded motion as a measure: stretches of each type, the poses of the training set, and its profile."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError
 from motionkit.evaluation.body import Body, body_of
-from motionkit.evaluation.signs import sign_windows
+from motionkit.evaluation.detectors import sign_windows
 from motionkit.features.decode import decode_motion
 from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS
 
 SHORTEST = 24  # frames; stretches under 0.4 s show nothing
 BANK_EVERY = 8  # frames between the poses that are kept of a training clip
 POSE_EVERY = 6  # frames between the poses that are looked for
-MANNER_SECONDS = 7.0
-# Manner: the limits lie at these quantiles of the recordings' windows, wider by these factors. Where a type
+PROFILE_SECONDS = 7.0
+# MotionProfile: the limits lie at these quantiles of the recordings' windows, wider by these factors. Where a type
 # has few recordings the detour to its own poses may be DETOUR at least.
 LOWEST, HIGHEST = 0.02, 0.98
 SLOWER, FASTER, FARTHER, DETOUR = 0.7, 1.4, 1.25, 1.3
@@ -39,8 +39,8 @@ class Stretch:
 
 
 @dataclass(frozen=True)
-class Manner:
-    """How a type is done that has no kinematic sign of its own, measured on its recordings.
+class MotionProfile:
+    """How a type is done that has no kinematic detector of its own, measured on its recordings.
 
     Attributes:
         kind: index of the type.
@@ -58,7 +58,7 @@ class Manner:
     detour: float
 
     def shows(self, body: Body, distances: Array) -> bool:
-        """Whether a motion with these distances (N,) to the poses of each type is done in this manner."""
+        """Whether a motion with these distances (N,) to the poses of each type is done in this profile."""
         if not self.speeds[0] <= body.joint_speed() <= self.speeds[1]:
             return False
         if not self.movements[0] <= body.body_movement() <= self.movements[1]:
@@ -67,7 +67,7 @@ class Manner:
         return mine <= self.distance and mine <= self.detour * max(float(distances.min()), TIE)
 
     def says(self) -> str:
-        """The sign in words."""
+        """The detector in words."""
         return (
             f"joint speed {self.speeds[0]:.2f} to {self.speeds[1]:.2f} rad/s, body movement "
             f"{self.movements[0]:.0f} to {self.movements[1]:.0f} degrees a frame, nearest recorded pose of the "
@@ -90,7 +90,7 @@ class RealMotion:
             skeleton, layout = dataset.skeleton(clip), dataset.layout.version
             body = body_of(
                 decode_motion(
-                    data.features, skeleton, dataset.fps, data.ground[0], dataset.references, layout
+                    data.features, skeleton, dataset.fps, data.ground[0], dataset.reference_rotations, layout
                 )
             )
             for start, end, kind in type_stretches(data.types):
@@ -109,7 +109,7 @@ class RealMotion:
         self._poses, self._clips = np.concatenate(poses)[order], np.concatenate(clips)[order]
         counts = np.bincount(np.concatenate(kinds), minlength=len(self.types))
         self._edges = [0, *np.cumsum(counts, 0).tolist()]
-        self._manners: dict[str, Manner | None] = {}
+        self._profiles: dict[str, MotionProfile | None] = {}
 
     def of_type(self, kind: str, split: str | None = None) -> list[Stretch]:
         """The stretches of a type, of one split or of both."""
@@ -131,18 +131,18 @@ class RealMotion:
                 out[:, kind] = distances[:, start:end].min(axis=1)
         return out
 
-    def manner(self, kind: str) -> Manner | None:
+    def profile(self, kind: str) -> MotionProfile | None:
         """How a type is done, None for a type without training stretches."""
-        if kind not in self._manners:
+        if kind not in self._profiles:
             found = self.of_type(kind, "train")
-            self._manners[kind] = self._measure_manner(kind, found) if found else None
-        return self._manners[kind]
+            self._profiles[kind] = self._measure_profile(kind, found) if found else None
+        return self._profiles[kind]
 
-    def _measure_manner(self, kind: str, found: list[Stretch]) -> Manner:
+    def _measure_profile(self, kind: str, found: list[Stretch]) -> MotionProfile:
         speeds, movements, distances, detours = [], [], [], []
         index = self.types.index(kind)
         for stretch in found:
-            for window in sign_windows(stretch.body, MANNER_SECONDS):
+            for window in sign_windows(stretch.body, PROFILE_SECONDS):
                 speeds.append(window.joint_speed())
                 movements.append(window.body_movement())
                 means = self.pose_distances(window, without=stretch.clip).mean(axis=0)
@@ -150,7 +150,7 @@ class RealMotion:
                 detours.append(float(means[index] / np.maximum(means.min(), 1e-6)))
         frames = np.array([float(len(s.body)) for s in found])
         rates = np.array([s.body.joint_speed() for s in found])
-        return Manner(
+        return MotionProfile(
             index,
             float((frames * rates).sum() / frames.sum()),
             (SLOWER * _quantile(speeds, LOWEST), FASTER * _quantile(speeds, HIGHEST)),

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array
+from motionkit.control.drive import Driver, Wish
 from motionkit.evaluation.body import SPEED_SPAN, Body, spans
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.inference.rollout import FrameControls
 from motionkit.models.checkpoint import MotionModel
-from motionkit.synthesis.drive import Driver, Wish
-from motionkit.synthesis.rollout import FrameControls
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
 HELD_SECONDS = 0.25

@@ -12,24 +12,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.drive import together
+from motionkit.control.reference_player import Signals, last_poses
+from motionkit.control.script import TypePart, plan_signals, plan_weights
 from motionkit.evaluation.body import Body, bodies
 from motionkit.features.decode import decode_rotations, root_height
-from motionkit.models.checkpoint import MotionModel
-from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
-from motionkit.synthesis.drive import together
-from motionkit.synthesis.footing import raised
-from motionkit.synthesis.outline_player import Signals, last_poses
-from motionkit.synthesis.plan import TypePart, plan_signals, plan_weights
-from motionkit.synthesis.rollout import (
+from motionkit.inference.height_correction import raised
+from motionkit.inference.rollout import (
     Controller,
     FrameControls,
     Noise,
     Rollout,
     RolloutState,
     run,
-    seed_batch,
+    start_batch,
 )
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 
 BATCH = 128  # characters a network step takes; more gain nothing and cost memory
 NEUTRAL = ("idle", "walking")  # what characters do before they are asked for a type
@@ -95,8 +95,8 @@ def _roll_batch(
 ) -> list[Performance]:
     weights = np.stack([plan_weights(model, plan.parts) for plan in plans], axis=1)
     frames = len(weights)
-    starts = [model.seeds[plan.parts[0].type] for plan in plans]
-    features, contacts = seed_batch(
+    starts = [model.start_poses[plan.parts[0].type] for plan in plans]
+    features, contacts = start_batch(
         [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
     )
     # Who starts with a performance has its first frames behind, as in synthesize.
@@ -134,8 +134,8 @@ def roll_controlled(
         ground: (B, 3) where they start; the origin facing +Z if not given.
         done: asked after every frame whether all may stop.
     """
-    seeds = [model.seeds[kind] for kind in kinds]
-    features, contacts = seed_batch([some[i % len(some)] for i, some in enumerate(seeds)])
+    seeds = [model.start_poses[kind] for kind in kinds]
+    features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(seeds)])
     weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(kind) for kind in kinds]]
     made: list[tuple[Array, Array, Array]] = []
     state = RolloutState(model, len(kinds), noise, seed)
@@ -161,7 +161,7 @@ def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:
 def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Array, Array]:
     """Local rotations (B, T, 23, 4) and root positions (B, T, 3) in the world of a roll-out."""
     layout = model.config.layout
-    rotations = decode_rotations(rollout.features, model.references, layout)
+    rotations = decode_rotations(rollout.features, model.reference_rotations, layout)
     root = quat_multiply(quat_from_yaw(rollout.ground[..., 2]), rotations[..., 0, :])
     rotations = np.concatenate([root[..., None, :], rotations[..., 1:, :]], axis=-2)
     rotations = np.stack([quat_continuous(each) for each in rotations])

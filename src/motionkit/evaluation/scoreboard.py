@@ -11,15 +11,15 @@ from dataclasses import dataclass, replace
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import ControlError, DatasetError
-from motionkit.evaluation.endurance import endurance_section
-from motionkit.evaluation.likeness import likeness_section
-from motionkit.evaluation.obedience import Judge, obedience_section
+from motionkit.evaluation.accuracy import Judge, accuracy_section
 from motionkit.evaluation.paths import paths_section
 from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.reconstruction import reconstruction_section
 from motionkit.evaluation.report import Scoreboard, Section
 from motionkit.evaluation.response import response_section
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.smoothness import smoothness_section
+from motionkit.evaluation.stability import stability_section
 from motionkit.models.checkpoint import MotionModel, unknown_name
 
 # Called with the name of a section and the share of it that is done.
@@ -39,9 +39,11 @@ class Trial:
 Measure = Callable[[Trial, Callable[[float], None]], Section]
 
 SECTIONS: dict[str, Measure] = {
-    "obedience": lambda t, progress: obedience_section(t.model, t.judge, t.settings, progress),
-    "endurance": lambda t, progress: endurance_section(t.model, t.judge.real, t.settings, progress),
-    "likeness": lambda t, progress: likeness_section(t.model, t.dataset, t.judge.real, t.settings, progress),
+    "accuracy": lambda t, progress: accuracy_section(t.model, t.judge, t.settings, progress),
+    "stability": lambda t, progress: stability_section(t.model, t.judge.real, t.settings, progress),
+    "reconstruction": lambda t, progress: reconstruction_section(
+        t.model, t.dataset, t.judge.real, t.settings, progress
+    ),
     "paths": lambda t, progress: paths_section(t.model, t.settings, progress),
     "response": lambda t, progress: response_section(t.model, t.settings, progress),
     "smoothness": lambda t, progress: smoothness_section(t.model, t.judge.real, t.settings, progress),

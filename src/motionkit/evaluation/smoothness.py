@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
@@ -16,7 +17,6 @@ from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.metrics.body_movement import geodesic_movement
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES
-from motionkit.synthesis.plan import TypePart
 
 REAL_SHARE = 0.999  # of the recorded frames have no faster joint than the limit
 LASTING_SECONDS = 3.0  # of a type without a length of its own

@@ -2,7 +2,7 @@
 
 Paper section 3, "Control Signal Representation". Beside the paper's four there are a flag that says
 whether a trajectory is given, so that one model serves both with and without a path, and the phase of
-types that turn the body over, which says when to begin, and the guide (features/guide.py), which says what
+types that turn the body over, which says when to begin, and the reference (features/reference.py), which says what
 the body is to do next.
 """
 
@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.features.guide import GUIDE_COUNT
 from motionkit.features.normalize import Scaling
+from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, canonical_skeleton
 
@@ -28,7 +28,7 @@ SKELETON_UNIT = 10.0
 
 @dataclass(frozen=True)
 class ControlLayout:
-    """Where each signal stands in the control vector: skeleton, type, trajectory, flag, phase, guide, flag."""
+    """Where each signal stands in the control vector: skeleton, type, trajectory, flag, phase, reference, flag."""
 
     types: tuple[str, ...]
 
@@ -58,19 +58,19 @@ class ControlLayout:
         return slice(self.flag + 1, self.flag + 3)
 
     @property
-    def guide(self) -> slice:
-        """The 72 numbers of the guide, zero where none is given."""
-        return slice(self.phase.stop, self.phase.stop + GUIDE_COUNT)
+    def reference(self) -> slice:
+        """The 72 numbers of the reference, zero where none is given."""
+        return slice(self.phase.stop, self.phase.stop + REFERENCE_COUNT)
 
     @property
-    def guided(self) -> int:
-        """The column that is 1 where a guide is given."""
-        return self.guide.stop
+    def reference_gain(self) -> int:
+        """The column that is 1 where a reference is given."""
+        return self.reference.stop
 
     @property
     def size(self) -> int:
         """Numbers in a control vector."""
-        return self.guided + 1
+        return self.reference_gain + 1
 
 
 def future_trajectory(ground: Array, frames: Array) -> Array:
@@ -120,10 +120,10 @@ def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> 
     return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).astype(np.float32)
 
 
-def phase_signal(progress: Array) -> Array:
+def phase_signal(phase: Array) -> Array:
     """Sine and cosine (..., 2) of a turn for progress (...) in [0, 1); zeros where it is negative: no phase."""
-    angle = 2.0 * np.pi * progress
-    return np.stack([np.sin(angle), np.cos(angle)], axis=-1) * (progress >= 0)[..., None]
+    angle = 2.0 * np.pi * phase
+    return np.stack([np.sin(angle), np.cos(angle)], axis=-1) * (phase >= 0)[..., None]
 
 
 def control_vector(
@@ -131,19 +131,19 @@ def control_vector(
     skeleton_B69: Array,
     type_weights: Array,
     trajectory: Array,
-    given: Array,
-    progress: Array,
-    guide: Array,
-    guided: Array,
+    trajectory_mask: Array,
+    phase: Array,
+    reference: Array,
+    reference_gain: Array,
     trajectory_scaling: Scaling,
 ) -> Array:
-    """Control vectors (..., C): trajectory normalised; it and the guide zero where they are not given.
+    """Control vectors (..., C): trajectory normalised; it and the reference zero where they are not given.
 
-    progress (...) is that of phase_signal, negative for types without a phase; guide (..., 72) is as GuideMap shows it.
+    progress (...) is that of phase_signal, negative for types without a phase; reference (..., 72) is as ReferenceMap shows it.
     """
-    shown = trajectory_scaling.normalize(trajectory) * given[..., None]
-    parts = [skeleton_B69, type_weights, shown, given[..., None], phase_signal(progress)]
-    parts += [guide * guided[..., None], guided[..., None]]
+    shown = trajectory_scaling.normalize(trajectory) * trajectory_mask[..., None]
+    parts = [skeleton_B69, type_weights, shown, trajectory_mask[..., None], phase_signal(phase)]
+    parts += [reference * reference_gain[..., None], reference_gain[..., None]]
     out = np.concatenate(
         [np.broadcast_to(p, (*type_weights.shape[:-1], p.shape[-1])) for p in parts], axis=-1
     )

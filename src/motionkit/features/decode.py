@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.features.encode import identity_references
+from motionkit.features.encode import identity_reference_rotations
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout, root_height_column
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -19,15 +19,19 @@ from motionkit.motion.rotations import (
 from motionkit.motion.skeleton import Skeleton
 
 
-def decode_rotations(features: Array, references: Array | None = None, layout: str = DEFAULT_LAYOUT) -> Array:
+def decode_rotations(
+    features: Array, reference_rotations: Array | None = None, layout: str = DEFAULT_LAYOUT
+) -> Array:
     """Local rotations (..., 23, 4) of features (..., 276), the root's relative to its heading."""
-    references = identity_references() if references is None else references
+    reference_rotations = (
+        identity_reference_rotations() if reference_rotations is None else reference_rotations
+    )
     blocks = feature_layout(layout).blocks
     root = features[..., blocks["root_rotation"]]
     root = sixd_to_quat(root) if layout.startswith("sixd") else expmap_to_quat(root)
     expmaps = features[..., blocks["joint_rotations"]]
     joints = expmap_to_quat(expmaps.reshape(*expmaps.shape[:-1], -1, 3))
-    joints = quat_multiply(references[1:].astype(joints.dtype), joints)
+    joints = quat_multiply(reference_rotations[1:].astype(joints.dtype), joints)
     return np.concatenate([root[..., None, :], joints], axis=-2)
 
 
@@ -62,18 +66,18 @@ def decode_motion(
     skeleton: Skeleton,
     fps: float,
     start: Array | None = None,
-    references: Array | None = None,
+    reference_rotations: Array | None = None,
     layout: str = DEFAULT_LAYOUT,
 ) -> Motion:
     """The motion that features (T, 276) describe, on a skeleton with the canonical joints.
 
     Args:
         start: (3,) root x, z and heading of the first frame; the origin facing +Z if not given.
-        references: (23, 4) as given to encode_motion.
+        reference_rotations: (23, 4) as given to encode_motion.
     """
     start = np.zeros(3, np.float32) if start is None else start
     ground = integrate_ground(features, start, fps, layout)
-    rotations = decode_rotations(features, references, layout).astype(np.float64)
+    rotations = decode_rotations(features, reference_rotations, layout).astype(np.float64)
     root = quat_multiply(quat_from_yaw(ground[:, 2]), rotations[:, 0])
     rotations = np.concatenate([root[:, None], rotations[:, 1:]], axis=1)
     positions = np.stack(

@@ -45,13 +45,13 @@ class EncodedMotion:
     ground: Array
 
 
-def identity_references() -> Array:
+def identity_reference_rotations() -> Array:
     """Reference rotations (23, 4) that leave the exponential maps as the paper has them."""
     return quat_identity((JOINT_COUNT,))
 
 
 def encode_motion(
-    motion: Motion, references: Array | None = None, layout: str = DEFAULT_LAYOUT
+    motion: Motion, reference_rotations: Array | None = None, layout: str = DEFAULT_LAYOUT
 ) -> EncodedMotion:
     """Features, contacts and ground track of a motion on the canonical joints.
 
@@ -60,7 +60,7 @@ def encode_motion(
 
     Args:
         motion: T >= 2 frames on the 23 canonical joints, cm.
-        references: (23, 4) rotation each joint's exponential map is relative to; identity if not given.
+        reference_rotations: (23, 4) rotation each joint's exponential map is relative to; identity if not given.
         layout: the version of the columns.
 
     Raises:
@@ -72,7 +72,9 @@ def encode_motion(
         )
     if len(motion) < 2:
         raise SkeletonError(f"expected at least 2 frames for velocities, found {len(motion)}")
-    references = identity_references() if references is None else references
+    reference_rotations = (
+        identity_reference_rotations() if reference_rotations is None else reference_rotations
+    )
     _, positions = motion_kinematics(motion)
     yaw = heading_angles(positions, motion.fps)
     to_heading = quat_from_yaw(-yaw)
@@ -94,7 +96,7 @@ def encode_motion(
         "root_yaw_velocity": _backward(yaw[:, None], motion.fps),
         "root_xz_velocity": rotate_ground(-yaw, velocities[:, 0, [0, 2]]),
         "root_rotation": quat_to_sixd(root_rotation) if continuous else quat_to_expmap(root_rotation),
-        "joint_rotations": relative_expmaps(motion.local_rotations[:, 1:], references[1:]).reshape(
+        "joint_rotations": relative_expmaps(motion.local_rotations[:, 1:], reference_rotations[1:]).reshape(
             frames, -1
         ),
         "joint_angular_velocities": angular[:, 1:].reshape(frames, -1),
@@ -116,9 +118,9 @@ def _backward(values: Array, fps: float) -> Array:
     return np.concatenate([steps[:1], steps])
 
 
-def relative_expmaps(rotations: Array, references: Array) -> Array:
-    """Exponential maps (T, J, 3) of rotations (T, J, 4) relative to references (J, 4), followed through pi."""
-    relative = quat_multiply(quat_inverse(references), rotations)
+def relative_expmaps(rotations: Array, reference_rotations: Array) -> Array:
+    """Exponential maps (T, J, 3) of rotations (T, J, 4) relative to reference_rotations (J, 4), followed through pi."""
+    relative = quat_multiply(quat_inverse(reference_rotations), rotations)
     quats = relative.copy()
     fold = np.cos(0.5 * FOLD_ANGLE)
     quats[0] *= np.where(quats[0, :, :1] < 0, -1.0, 1.0)

@@ -1,6 +1,6 @@
 """A trained model as one safetensors file that needs nothing else to run. No pickle anywhere.
 
-Tensors: the network's weights under "network.", scaling, references, bodies, seed frames and outlines. The
+Tensors: the network's weights under "network.", scaling, reference_rotations, bodies, seed frames and reference_clips. The
 header's metadata holds one JSON document with config, types, rate, characters and the data card.
 """
 
@@ -22,8 +22,8 @@ from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import ControlLayout
-from motionkit.features.guide import GuideMap, PoseOutline, guide_map
 from motionkit.features.normalize import Scaling
+from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
 from motionkit.files import atomic_write
 from motionkit.models.config import ModelConfig
 from motionkit.models.file_check import check_header, check_tensors, check_values
@@ -37,7 +37,7 @@ MOVEMENT_FRAMES = 120
 
 
 @dataclass(frozen=True, eq=False)
-class Seed:
+class StartPose:
     """Real frames to start from: features (T, 276) unnormalised, contacts (T, 4), ground (T, 3)."""
 
     features: Array
@@ -56,11 +56,11 @@ class Gait:
 
 
 @dataclass(frozen=True, eq=False)
-class Outline:
-    """Recorded motion of one type in outline, from which guides are played (features/guide.py).
+class ReferenceClip:
+    """Recorded motion of one type in reference_clip, from which references are played (features/reference.py).
 
     Attributes:
-        poses: (L + 30, 24) outlines of its frames and of those that follow, which guides look ahead at.
+        poses: (L + 30, 24) reference_clips of its frames and of those that follow, which references look ahead at.
         ground: (L, 3) root x, z (cm) and heading (radians).
         phases: (L,) progress through a performance, negative outside.
     """
@@ -94,14 +94,14 @@ class MotionModel:
     Attributes:
         seeds: for each type name a few starts, real frames of the training data.
         characters: name to rest-pose offsets (23, 3) in cm; "default" is always there.
-        outline: what makes outlines of poses.
-        outlines: for each type name recordings in outline, the longest first where they are performances.
+        outline: what makes reference_clips of poses.
+        reference_clips: for each type name recordings in reference_clip, the longest first where they are performances.
         gaits: how each type moves over the ground, for paths that do not say how fast.
-        guides: whether the network was trained with guides.
-        guidance: for type names how many times larger than it is a guide is shown, 1 by default (docs/synthesis.md).
+        uses_references: whether the network was trained with reference poses.
+        reference_gain: for type names how many times larger than it is a reference is shown, 1 by default (docs/synthesis.md).
         noise: for type names the share they take of the temperature, 1 by default.
-        inertia: for type names how much of the last frame's movement goes on whatever is drawn, 0 by default.
-        grip: for type names how much of the sliding of standing feet is taken out of the root's way, 0 by default.
+        velocity_blend: for type names how much of the last frame's movement goes on whatever is drawn, 0 by default.
+        slip_correction: for type names how much of the sliding of standing feet is taken out of the root's way, 0 by default.
         card: where it comes from: data, settings, time, scores; shown, never needed.
     """
 
@@ -110,17 +110,17 @@ class MotionModel:
     fps: float
     scaling: Scaling
     trajectory_scaling: Scaling
-    references: Array
-    outline: PoseOutline
+    reference_rotations: Array
+    pose_embedding: PoseEmbedding
     characters: dict[str, Array]
-    seeds: dict[str, list[Seed]]
+    start_poses: dict[str, list[StartPose]]
     gaits: dict[str, Gait] = field(default_factory=dict)
-    outlines: dict[str, list[Outline]] = field(default_factory=dict)
-    guides: bool = False
-    guidance: dict[str, float] = field(default_factory=dict)
+    reference_clips: dict[str, list[ReferenceClip]] = field(default_factory=dict)
+    uses_references: bool = False
+    reference_gain: dict[str, float] = field(default_factory=dict)
     noise: dict[str, float] = field(default_factory=dict)
-    inertia: dict[str, float] = field(default_factory=dict)
-    grip: dict[str, float] = field(default_factory=dict)
+    velocity_blend: dict[str, float] = field(default_factory=dict)
+    slip_correction: dict[str, float] = field(default_factory=dict)
     card: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -134,9 +134,9 @@ class MotionModel:
         return ControlLayout(self.types)
 
     @property
-    def guide_map(self) -> GuideMap:
-        """What turns guides into what the network is shown of them."""
-        return guide_map(self.outline, self.scaling)
+    def reference_map(self) -> ReferenceMap:
+        """What turns references into what the network is shown of them."""
+        return reference_map(self.pose_embedding, self.scaling)
 
     def type_id(self, name: str) -> int:
         """The index of a motion type; raises ControlError that lists the known ones and the nearest."""
@@ -147,14 +147,14 @@ class MotionModel:
     def phase_seconds(self, kind: str) -> float:
         """How long a performance of a type takes, the first recorded one if there is one; zero without a phase."""
         if self.performed(kind):
-            return len(self.outlines[kind][0]) / self.fps
+            return len(self.reference_clips[kind][0]) / self.fps
         gait = self.gaits.get(kind)
         return 0.0 if gait is None else gait.seconds
 
     def performed(self, kind: str) -> bool:
         """Whether a type is one performance from beginning to end, as a cartwheel is."""
-        outlines = self.outlines.get(kind, [])
-        return any(outline.performed for outline in outlines[:1])
+        reference_clips = self.reference_clips.get(kind, [])
+        return any(reference_clip.performed for reference_clip in reference_clips[:1])
 
     def character(self, name: str) -> Skeleton:
         """A character's skeleton; raises ControlError for an unknown name."""
@@ -181,18 +181,21 @@ def model_arrays(model: MotionModel, half: bool) -> dict[str, Array]:
         model.trajectory_scaling.mean,
         model.trajectory_scaling.std,
     )
-    tensors["references"] = model.references
+    tensors["references"] = model.reference_rotations
     for name, offsets in model.characters.items():
         tensors[f"character.{name}"] = offsets
-    for kind, seeds in model.seeds.items():
+    for kind, seeds in model.start_poses.items():
         for i, seed in enumerate(seeds):
             key = f"seed.{i}.{kind}"
             tensors[f"{key}:features"] = seed.features.astype(weight)
             tensors[f"{key}:contacts"] = seed.contacts.astype(np.uint8)
             tensors[f"{key}:ground"] = seed.ground
-    tensors["outline.matrix"], tensors["outline.offset"] = model.outline.matrix, model.outline.offset
-    for kind, outlines in model.outlines.items():
-        for i, each in enumerate(outlines):
+    tensors["outline.matrix"], tensors["outline.offset"] = (
+        model.pose_embedding.matrix,
+        model.pose_embedding.offset,
+    )
+    for kind, reference_clips in model.reference_clips.items():
+        for i, each in enumerate(reference_clips):
             key = f"outline.{i}.{kind}"
             tensors[f"{key}:poses"] = each.poses.astype(
                 np.float16
@@ -210,14 +213,14 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "types": list(model.types),
         "fps": model.fps,
         "characters": list(model.characters),
-        "seeds": {kind: len(seeds) for kind, seeds in model.seeds.items()},
+        "seeds": {kind: len(seeds) for kind, seeds in model.start_poses.items()},
         "gaits": {kind: [gait.speed, gait.facing, gait.seconds] for kind, gait in model.gaits.items()},
-        "guides": model.guides,
-        "guidance": model.guidance,
+        "guides": model.uses_references,
+        "guidance": model.reference_gain,
         "noise": model.noise,
-        "inertia": model.inertia,
-        "grip": model.grip,
-        "outlines": {kind: len(outlines) for kind, outlines in model.outlines.items()},
+        "inertia": model.velocity_blend,
+        "grip": model.slip_correction,
+        "outlines": {kind: len(reference_clips) for kind, reference_clips in model.reference_clips.items()},
         "card": _plain(model.card),
     }
     data = save(model_arrays(model, half), metadata={"motionkit": json.dumps(header)})
@@ -280,22 +283,22 @@ def load_model(path: str | Path) -> MotionModel:
         Scaling(arrays["scaling.mean"], arrays["scaling.std"]),
         Scaling(arrays["trajectory.mean"], arrays["trajectory.std"]),
         arrays["references"],
-        PoseOutline(arrays["outline.matrix"], arrays["outline.offset"]),
+        PoseEmbedding(arrays["outline.matrix"], arrays["outline.offset"]),
         {name: arrays[f"character.{name}"] for name in header["characters"]},
         {
-            kind: [_read_seed(arrays, f"seed.{i}.{kind}") for i in range(count)]
+            kind: [_read_start_pose(arrays, f"seed.{i}.{kind}") for i in range(count)]
             for kind, count in header["seeds"].items()
         },
         {kind: Gait(*values) for kind, values in header.get("gaits", {}).items()},
         {
-            kind: [_read_outline(arrays, f"outline.{i}.{kind}") for i in range(count)]
+            kind: [_read_reference(arrays, f"outline.{i}.{kind}") for i in range(count)]
             for kind, count in header["outlines"].items()
         },
         header["guides"],
-        guidance=_numbers(header, "guidance"),
+        reference_gain=_numbers(header, "guidance"),
         noise=_numbers(header, "noise"),
-        inertia=_numbers(header, "inertia"),
-        grip=_numbers(header, "grip"),
+        velocity_blend=_numbers(header, "inertia"),
+        slip_correction=_numbers(header, "grip"),
         card=header.get("card", {}),
     )
 
@@ -304,13 +307,13 @@ def _numbers(header: dict[str, Any], key: str) -> dict[str, float]:
     return {kind: float(value) for kind, value in header.get(key, {}).items()}
 
 
-def _read_seed(arrays: dict[str, Array], key: str) -> Seed:
-    return Seed(
+def _read_start_pose(arrays: dict[str, Array], key: str) -> StartPose:
+    return StartPose(
         arrays[f"{key}:features"],
         arrays[f"{key}:contacts"].astype(np.float32),
         arrays[f"{key}:ground"],
     )
 
 
-def _read_outline(arrays: dict[str, Array], key: str) -> Outline:
-    return Outline(*(arrays[f"{key}:{name}"] for name in ("poses", "ground", "phases")))
+def _read_reference(arrays: dict[str, Array], key: str) -> ReferenceClip:
+    return ReferenceClip(*(arrays[f"{key}:{name}"] for name in ("poses", "ground", "phases")))

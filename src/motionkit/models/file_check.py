@@ -15,19 +15,19 @@ import numpy as np
 
 from motionkit.errors import ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
-from motionkit.features.guide import GUIDE_OFFSETS, OUTLINE_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
 from motionkit.models.config import ModelConfig
 from motionkit.models.parts import partition
 from motionkit.models.weights import part_columns
 from motionkit.motion.skeleton import JOINT_COUNT
 
 MOST_TYPES, MOST_CHARACTERS, LONGEST_NAME = 1000, 10_000, 200
-MOST_RECORDINGS = 10_000  # seeds or outlines of a type
+MOST_RECORDINGS = 10_000  # seeds or reference_clips of a type
 MOST_FRAMES = 1_000_000  # of a recording
 FASTEST, LONGEST_PHASE = 1e4, 3600.0  # cm/s and seconds of a gait
 RATES = (1.0, 480.0)  # frames per second
-GUIDANCE = (0.0, 100.0)  # how many times larger a guide is shown; a share is at most 1
+REFERENCE_GAINS = (0.0, 100.0)  # how many times larger a reference is shown; a share is at most 1
 LONGEST_BONE = 1e4  # cm
 FLOATS = ("F32", "F16")
 
@@ -62,8 +62,8 @@ def check_header(header: dict[str, Any]) -> None:
                     f"{key} of {kind!r} are {_shown(count)}, expected a number up to {MOST_RECORDINGS}"
                 )
     for key, low, high in (
-        ("guidance", *GUIDANCE),
-        ("noise", *GUIDANCE),
+        ("guidance", *REFERENCE_GAINS),
+        ("noise", *REFERENCE_GAINS),
         ("inertia", 0.0, 1.0),
         ("grip", 0.0, 1.0),
     ):
@@ -171,8 +171,8 @@ def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[st
         "trajectory.mean": (TRAJECTORY_COUNT,),
         "trajectory.std": (TRAJECTORY_COUNT,),
         "references": (JOINT_COUNT, 4),
-        "outline.matrix": (FEATURE_COUNT, OUTLINE_COUNT),
-        "outline.offset": (OUTLINE_COUNT,),
+        "outline.matrix": (FEATURE_COUNT, EMBEDDING_COUNT),
+        "outline.offset": (EMBEDDING_COUNT,),
     }
     expected |= {f"character.{name}": (JOINT_COUNT, 3) for name in header["characters"]}
     size = ControlLayout(tuple(header["types"])).size
@@ -186,7 +186,7 @@ def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[st
     for kind, count in header["outlines"].items():
         for i in range(count):
             frames = _frames(found, f"outline.{i}.{kind}:phases")
-            expected[f"outline.{i}.{kind}:poses"] = (frames + GUIDE_OFFSETS[-1], OUTLINE_COUNT)
+            expected[f"outline.{i}.{kind}:poses"] = (frames + REFERENCE_OFFSETS[-1], EMBEDDING_COUNT)
             expected[f"outline.{i}.{kind}:ground"] = (frames, 3)
             expected[f"outline.{i}.{kind}:phases"] = (frames,)
     check_shapes(found, expected)

@@ -80,12 +80,12 @@ def sixd_to_quat(sixd: Tensor) -> Tensor:
     return matrix_to_quat(torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1))
 
 
-def decode_rotations(features: Tensor, references: Tensor, layout: str) -> Tensor:
+def decode_rotations(features: Tensor, reference_rotations: Tensor, layout: str) -> Tensor:
     """Local rotations (..., 23, 4) of features (..., 276), unnormalised, the root's relative to its heading."""
     blocks = feature_layout(layout).blocks
     root = features[..., blocks["root_rotation"]]
     root = sixd_to_quat(root) if layout.startswith("sixd") else expmap_to_quat(root)
     expmaps = features[..., blocks["joint_rotations"]]
     joints = expmap_to_quat(expmaps.reshape(*expmaps.shape[:-1], -1, 3))
-    joints = quat_multiply(references[1:].to(joints), joints)
+    joints = quat_multiply(reference_rotations[1:].to(joints), joints)
     return torch.cat([root[..., None, :], joints], dim=-2)

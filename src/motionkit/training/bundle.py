@@ -9,77 +9,81 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.control.steering import STEERED_TYPES
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.phases import type_stretches
-from motionkit.features.guide import GUIDE_OFFSETS
-from motionkit.models.checkpoint import Gait, MotionModel, Outline, Seed
+from motionkit.features.reference import REFERENCE_OFFSETS
+from motionkit.models.checkpoint import Gait, MotionModel, ReferenceClip, StartPose
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import canonical_skeleton
-from motionkit.synthesis.steering import STEERED_TYPES
 
-SEED_FRAMES = 30  # the paper's number of initial frames for synthesis
-SEEDS_PER_TYPE = 3
+START_FRAMES = 30  # the paper's number of initial frames for synthesis
+STARTS_PER_TYPE = 3
 QUIET = 0.3  # rad/s that the joints of a quiet type turn slower than in the mean
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
-OUTLINE_SECONDS, LONGEST_OUTLINE, SHORTEST_OUTLINE = 80.0, 10.0, 1.0
-# Who comes to rest in a recording is guided to stay there: it ends where less than this share of the usual follows.
+REFERENCE_SECONDS, LONGEST_REFERENCE, SHORTEST_REFERENCE = 80.0, 10.0, 1.0
+# Who comes to rest in a recording is reference_gain to stay there: it ends where less than this share of the usual follows.
 REST = 0.35
 
 
 @dataclass(frozen=True)
-class Manner:
+class SamplingPreset:
     """How the types of a kind are drawn; docs/results-log.md has the figures behind the numbers.
 
     Attributes:
-        guidance: how many times larger than it is a guide is shown. A network keeps on the safe side of what it is
+        reference_gain: how many times larger than it is a reference is shown. A network keeps on the safe side of what it is
             asked for, less so in what is sharp: strikes and flips. Who jumps has to leave the ground; gaits would fly.
-        inertia: share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and
+        velocity_blend: share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and
             moves less.
-        grip: share of what standing feet slide that is taken out of the root's way. Who is guided by a recording
+        slip_correction: share of what standing feet slide that is taken out of the root's way. Who is reference_gain by a recording
             made on another way slides most; with much of it gaits are slow to take the speed that is asked for.
-        noise: share of the temperature. Noise shakes a body that a guide keeps moving; who stands sways by it alone.
+        noise: share of the temperature. Noise shakes a body that a reference keeps moving; who stands sways by it alone.
     """
 
-    guidance: float
-    inertia: float
-    grip: float
+    reference_gain: float
+    velocity_blend: float
+    slip_correction: float
     noise: float
 
 
-GAIT, PERFORMANCE = Manner(1.0, 0.2, 0.15, 0.2), Manner(1.6, 0.6, 0.2, 0.2)
-STRIKE, JUMP, OTHER = Manner(1.6, 0.45, 0.3, 0.2), Manner(2.0, 0.4, 0.2, 0.2), Manner(1.75, 0.47, 0.45, 0.2)
+GAIT, PERFORMANCE = SamplingPreset(1.0, 0.2, 0.15, 0.2), SamplingPreset(1.6, 0.6, 0.2, 0.2)
+STRIKE, JUMP, OTHER = (
+    SamplingPreset(1.6, 0.45, 0.3, 0.2),
+    SamplingPreset(2.0, 0.4, 0.2, 0.2),
+    SamplingPreset(1.75, 0.47, 0.45, 0.2),
+)
 STANDING = replace(GAIT, noise=0.7)
 
 
 def bundle_model(
-    network: NetworkWeights, dataset: Dataset, card: dict[str, Any], guides: bool = True
+    network: NetworkWeights, dataset: Dataset, card: dict[str, Any], references: bool = True
 ) -> MotionModel:
-    """The model file's content for a network trained on a dataset, with guides or without."""
+    """The model file's content for a network trained on a dataset, with references or without."""
     characters = {"default": canonical_skeleton().offsets}
     characters |= dataset.characters
-    manners = manners_of(dataset)
+    presets = sampling_presets(dataset)
     return MotionModel(
         network,
         dataset.types,
         dataset.fps,
         dataset.scaling,
         dataset.trajectory_scaling,
-        dataset.references,
-        dataset.outline,
+        dataset.reference_rotations,
+        dataset.pose_embedding,
         characters,
-        {kind: seed_frames(dataset, kind) for kind in dataset.types},
+        {kind: start_poses_of(dataset, kind) for kind in dataset.types},
         measure_gaits(dataset),
-        {kind: recorded_outlines(dataset, kind) for kind in dataset.types},
-        guides,
-        {kind: manner.guidance for kind, manner in manners.items()},
-        {kind: manner.noise for kind, manner in manners.items()},
-        {kind: manner.inertia for kind, manner in manners.items()},
-        {kind: manner.grip for kind, manner in manners.items()},
+        {kind: recorded_references(dataset, kind) for kind in dataset.types},
+        references,
+        {kind: preset.reference_gain for kind, preset in presets.items()},
+        {kind: preset.noise for kind, preset in presets.items()},
+        {kind: preset.velocity_blend for kind, preset in presets.items()},
+        {kind: preset.slip_correction for kind, preset in presets.items()},
         card,
     )
 
 
-def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
+def start_poses_of(dataset: Dataset, kind: str) -> list[StartPose]:
     """A few starts of a type: the first frames of training stretches, nearest to its usual pose.
 
     The beginnings of stretches, because a cartwheel has to be started from its start; the nearest ones,
@@ -104,82 +108,88 @@ def seed_frames(dataset: Dataset, kind: str) -> list[Seed]:
                 # Only up to where the clip first goes over to another type.
                 mine = mine[mine >= begins[0]]
                 unbroken = int((mine == mine[0] + np.arange(len(mine))).sum())
-                stretches.append((clip, int(mine[0]), min(unbroken, SEED_FRAMES)))
+                stretches.append((clip, int(mine[0]), min(unbroken, START_FRAMES)))
     if not stretches:
         clip = dataset.select("train")[0]
-        stretches, count = [(clip, 0, min(clip.frames, SEED_FRAMES))], 1
+        stretches, count = [(clip, 0, min(clip.frames, START_FRAMES))], 1
     longest = max(frames for _, _, frames in stretches)
     ranked = []
     for clip, first, frames in stretches:
         if frames == longest:
             data = dataset.read(clip, first, first + frames)
             far = float(np.linalg.norm(data.features[:, columns].mean(axis=0) - total / count))
-            ranked.append((far, clip.name, Seed(data.features, data.contacts, data.ground)))
+            ranked.append((far, clip.name, StartPose(data.features, data.contacts, data.ground)))
     ranked.sort(key=lambda entry: entry[:2])
-    return [seed for _, _, seed in ranked[:SEEDS_PER_TYPE]]
+    return [seed for _, _, seed in ranked[:STARTS_PER_TYPE]]
 
 
-def recorded_outlines(dataset: Dataset, kind: str) -> list[Outline]:
+def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
     """Training stretches of a type in outline: performances the longest first, others from many recordings.
 
     Of types made of strikes or jumps those parts come first that show most of them, of others those that move
     about as much as the type does in the mean: recordings begin and end with standing.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
-    longest = round(LONGEST_OUTLINE * fps)
+    longest = round(LONGEST_REFERENCE * fps)
     performed = dataset.phase_events.get(kind) == ""
-    found: list[tuple[str, Outline]] = []
+    found: list[tuple[str, ReferenceClip]] = []
     for clip in dataset.select("train"):
         for start, end, type_id in type_stretches(dataset.clip_types(clip)):
             if type_id != wanted:
                 continue
-            whole = dataset.read(clip, start, end + GUIDE_OFFSETS[-1])
-            poses = dataset.outline.of(whole.features)
-            beyond = end - start + GUIDE_OFFSETS[-1] - len(poses)
+            whole = dataset.read(clip, start, end + REFERENCE_OFFSETS[-1])
+            poses = dataset.pose_embedding.of(whole.features)
+            beyond = end - start + REFERENCE_OFFSETS[-1] - len(poses)
             poses = np.pad(poses, ((0, beyond), (0, 0)), mode="edge")
             step = end - start if performed else longest
             for first in range(0, end - start, step):
                 last = min(first + step, end - start)
-                outline = Outline(
-                    poses[first : last + GUIDE_OFFSETS[-1]],
+                reference_clip = ReferenceClip(
+                    poses[first : last + REFERENCE_OFFSETS[-1]],
                     whole.ground[first:last],
                     whole.phases[first:last],
                 )
-                found.append((clip.name, outline))
+                found.append((clip.name, reference_clip))
     found = _not_too_short(found, fps)
     if kind in dataset.phase_events:
         # Of a performance all frames are in its phase: the longest shows most.
         found.sort(key=lambda entry: (-int((entry[1].phases >= 0.0).sum()), entry[0]))
-        ordered = [outline for _, outline in found]
+        ordered = [reference_clip for _, reference_clip in found]
     else:
-        usual = sum(float(outline.movement.sum()) for _, outline in found) / sum(len(o) for _, o in found)
-        found = [(name, before_rest(outline, REST * usual)) for name, outline in found]
+        usual = sum(float(reference_clip.movement.sum()) for _, reference_clip in found) / sum(
+            len(o) for _, o in found
+        )
+        found = [(name, before_rest(reference_clip, REST * usual)) for name, reference_clip in found]
         ordered = typical_first(_not_too_short(found, fps))
-    out: list[Outline] = []
+    out: list[ReferenceClip] = []
     frames = 0.0
-    for outline in ordered:
-        if frames < OUTLINE_SECONDS * fps:
-            out.append(outline)
-            frames += len(outline)
+    for reference_clip in ordered:
+        if frames < REFERENCE_SECONDS * fps:
+            out.append(reference_clip)
+            frames += len(reference_clip)
     return out
 
 
-def _not_too_short(found: list[tuple[str, Outline]], fps: float) -> list[tuple[str, Outline]]:
-    """The outlines of at least SHORTEST_OUTLINE seconds, or all if none has them."""
-    return [entry for entry in found if len(entry[1]) >= SHORTEST_OUTLINE * fps] or found
+def _not_too_short(found: list[tuple[str, ReferenceClip]], fps: float) -> list[tuple[str, ReferenceClip]]:
+    """The reference_clips of at least SHORTEST_REFERENCE seconds, or all if none has them."""
+    return [entry for entry in found if len(entry[1]) >= SHORTEST_REFERENCE * fps] or found
 
 
-def before_rest(outline: Outline, least: float) -> Outline:
-    """An outline up to where less than so much movement follows to its end; whole, if it never moves more."""
-    moving = np.flatnonzero(outline.movement >= least)
-    end = int(moving[-1]) + 1 if len(moving) else len(outline)
-    return Outline(outline.poses[: end + GUIDE_OFFSETS[-1]], outline.ground[:end], outline.phases[:end])
+def before_rest(reference_clip: ReferenceClip, least: float) -> ReferenceClip:
+    """An reference_clip up to where less than so much movement follows to its end; whole, if it never moves more."""
+    moving = np.flatnonzero(reference_clip.movement >= least)
+    end = int(moving[-1]) + 1 if len(moving) else len(reference_clip)
+    return ReferenceClip(
+        reference_clip.poses[: end + REFERENCE_OFFSETS[-1]],
+        reference_clip.ground[:end],
+        reference_clip.phases[:end],
+    )
 
 
-def typical_first(found: list[tuple[str, Outline]]) -> list[Outline]:
+def typical_first(found: list[tuple[str, ReferenceClip]]) -> list[ReferenceClip]:
     """Outlines by names of recordings, reordered: the most typical part of each recording, then the second of each."""
-    movements = [float(outline.movement.mean()) for _, outline in found]
-    frames = [len(outline) for _, outline in found]
+    movements = [float(reference_clip.movement.mean()) for _, reference_clip in found]
+    frames = [len(reference_clip) for _, reference_clip in found]
     mean = sum(m * n for m, n in zip(movements, frames, strict=True)) / max(1, sum(frames))
     far = [abs(math.log((movement + 1e-6) / (mean + 1e-6))) for movement in movements]
     ranked: list[tuple[int, float, str, int]] = []
@@ -191,7 +201,7 @@ def typical_first(found: list[tuple[str, Outline]]) -> list[Outline]:
     return [found[i][1] for *_, i in sorted(ranked)]
 
 
-def manners_of(dataset: Dataset) -> dict[str, Manner]:
+def sampling_presets(dataset: Dataset) -> dict[str, SamplingPreset]:
     """How each type is drawn."""
     quiet = _quiet_types(dataset)
     strikes = {"": PERFORMANCE, "jump": JUMP}

@@ -32,12 +32,12 @@ WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency
 class LossOptions:
     """How the terms are measured, by default as in the paper.
 
-    outlier and evenness are those of gaussian_loss, both weights those of fk_loss; step_except names the types in
+    outlier and beta_nll are those of gaussian_loss, both weights those of fk_loss; step_except names the types in
     whose frames step_weight does not count.
     """
 
     outlier: float = math.inf
-    evenness: float = 0.0
+    beta_nll: float = 0.0
     slip_weight: float = 1.0
     step_weight: float = 0.0
     step_except: tuple[str, ...] = ()
@@ -71,27 +71,29 @@ class Batch:
 
 @dataclass(frozen=True, eq=False)
 class FeatureSpace:
-    """What normalised features mean: mean and std (276,), references (23, 4), the layout's version, the rate."""
+    """What normalised features mean: mean and std (276,), reference_rotations (23, 4), the layout's version, the rate."""
 
     mean: Tensor
     std: Tensor
-    references: Tensor
+    reference_rotations: Tensor
     layout: str
     fps: float
 
     @classmethod
     def of(cls, dataset: Dataset) -> FeatureSpace:
         """That of a dataset, on the CPU."""
-        mean, std, references = (
+        mean, std, reference_rotations = (
             torch.from_numpy(array)
-            for array in (dataset.scaling.mean, dataset.scaling.std, dataset.references)
+            for array in (dataset.scaling.mean, dataset.scaling.std, dataset.reference_rotations)
         )
-        return cls(mean, std, references, dataset.layout.version, dataset.fps)
+        return cls(mean, std, reference_rotations, dataset.layout.version, dataset.fps)
 
     def to(self, device: torch.device) -> FeatureSpace:
         """The same on another device."""
-        mean, std, references = (t.to(device) for t in (self.mean, self.std, self.references))
-        return FeatureSpace(mean, std, references, self.layout, self.fps)
+        mean, std, reference_rotations = (
+            t.to(device) for t in (self.mean, self.std, self.reference_rotations)
+        )
+        return FeatureSpace(mean, std, reference_rotations, self.layout, self.fps)
 
     def denormalize(self, values: Tensor) -> Tensor:
         """Features (..., 276) in cm, radians and their rates."""
@@ -112,13 +114,13 @@ def gaussian_loss(
     target: Tensor,
     mask: Tensor,
     outlier: float = math.inf,
-    evenness: float = 0.0,
+    beta_nll: float = 0.0,
 ) -> Tensor:
     """Negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory).
 
     What is hard to predict gets a large sigma, and the likelihood's gradient on the mean then fades with its
     square: easy frames are learned ever better, hard ones never. Each term counts by (sigma / TYPICAL_SIGMA) to the
-    power 2 x evenness, which is not differentiated (Seitzer et al. 2022, "On the Pitfalls of Heteroscedastic
+    power 2 x beta_nll, which is not differentiated (Seitzer et al. 2022, "On the Pitfalls of Heteroscedastic
     Uncertainty Estimation"); 0 is the plain likelihood, 1 weighs all errors alike.
 
     Beyond outlier deviations the square goes on as a straight line (Huber 1964). Exponential maps jump where
@@ -128,8 +130,8 @@ def gaussian_loss(
     inner = scaled.clamp(max=outlier)
     penalty = inner * (scaled - 0.5 * inner)
     terms = penalty + log_sigma + 0.9189385
-    if evenness:
-        terms = terms * torch.exp(2.0 * evenness * (log_sigma.detach() - math.log(TYPICAL_SIGMA)))
+    if beta_nll:
+        terms = terms * torch.exp(2.0 * beta_nll * (log_sigma.detach() - math.log(TYPICAL_SIGMA)))
     return _mean(terms.sum(-1), mask)
 
 
@@ -147,7 +149,7 @@ def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
 
 def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
     """Feet (B, T, 4, 3) in cm relative to the root, in the heading frame, from unnormalised features."""
-    rotations = decode_rotations(features, space.references, space.layout)
+    rotations = decode_rotations(features, space.reference_rotations, space.layout)
     feet = []
     for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
         chain = [ankle]
@@ -254,7 +256,7 @@ def training_losses(
         step_share: (C,) what each control counts in how much of step_weight a frame gets; all of it by default.
     """
     options = options or LossOptions()
-    rules = (options.outlier, options.evenness)
+    rules = (options.outlier, options.beta_nll)
     step_weight = (
         options.step_weight if step_share is None else options.step_weight * (batch.controls @ step_share)
     )

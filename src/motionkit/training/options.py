@@ -8,7 +8,7 @@ from typing import Any
 from motionkit.errors import MotionkitError
 from motionkit.training.losses import WEIGHTS, LossOptions
 from motionkit.training.sampler import SamplerOptions
-from motionkit.training.self_feeding import SelfFeedOptions
+from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 
 # The paper's weights but for smoothness: ten times its share damps every movement (docs/training.md).
 SHIPPED_WEIGHTS = WEIGHTS | {"smooth": 1.0}
@@ -31,7 +31,7 @@ class TrainOptions:
     clip_norm: float = 1.0
     ema: float = 0.998
     outlier: float = 3.0  # deviations beyond which the Gaussian loss is linear (paper: never)
-    evenness: float = 0.5  # of the Gaussian loss between what is easy and what is hard to predict (paper: 0)
+    beta_nll: float = 0.5  # of the Gaussian loss between what is easy and what is hard to predict (paper: 0)
     slip_weight: float = 10.0  # of the slip of touching feet in the FK loss (paper: 1)
     step_weight: float = 0.0  # there, of how low feet move from the frame given; docs/results-log.md tries 50
     step_except: tuple[str, ...] = ()  # types in whose frames it does not count
@@ -44,7 +44,7 @@ class TrainOptions:
     half: bool = False  # write the model in 16 bits
     weights: dict[str, float] = field(default_factory=lambda: dict(SHIPPED_WEIGHTS))
     sampler: SamplerOptions = field(default_factory=SamplerOptions)
-    self_feed: SelfFeedOptions = field(default_factory=SelfFeedOptions)
+    scheduled_sampling: ScheduledSamplingOptions = field(default_factory=ScheduledSamplingOptions)
     config: dict[str, Any] = field(default_factory=dict)  # fields that differ from the preset
 
     def __post_init__(self) -> None:
@@ -54,7 +54,7 @@ class TrainOptions:
     @property
     def losses(self) -> LossOptions:
         """Those of how the losses are measured."""
-        return LossOptions(self.outlier, self.evenness, self.slip_weight, self.step_weight, self.step_except)
+        return LossOptions(self.outlier, self.beta_nll, self.slip_weight, self.step_weight, self.step_except)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for logs and model cards."""

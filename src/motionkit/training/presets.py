@@ -9,7 +9,7 @@ from motionkit.models.presets import preset
 from motionkit.training.losses import WEIGHTS
 from motionkit.training.options import TrainOptions
 from motionkit.training.sampler import SamplerOptions
-from motionkit.training.self_feeding import SelfFeedOptions
+from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 
 
 def train_options(
@@ -35,14 +35,18 @@ def train_options(
             balance=1.0,
             splices=0,
             trajectory_dropout=0.0,
-            guide_dropout=1.0,
+            reference_dropout=1.0,
             lead_share=0.0,
             phase_weight=1.0,
             noise=0.05,
         )
         options = replace(options, batch=56, rate=1e-4, sampler=paper, weights=dict(WEIGHTS))
         options = replace(
-            options, outlier=1e9, evenness=0.0, slip_weight=1.0, self_feed=SelfFeedOptions(share=0.0)
+            options,
+            outlier=1e9,
+            beta_nll=0.0,
+            slip_weight=1.0,
+            scheduled_sampling=ScheduledSamplingOptions(share=0.0),
         )
     sampler = options.sampler
     if window is not None:

@@ -24,8 +24,8 @@ from motionkit.features.control import (
     future_trajectory,
     skeleton_signal,
 )
-from motionkit.features.guide import guide_map
 from motionkit.features.layout import FEATURE_COUNT
+from motionkit.features.reference import reference_map
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
 
@@ -43,8 +43,8 @@ class SamplerOptions:
     splices: int = 2000  # spliced transitions made before training; 0 for none
     splice_share: float = 0.4  # of windows
     trajectory_dropout: float = 0.5  # windows without a trajectory
-    guide_dropout: float = (
-        0.35  # windows without a guide; where the type changes each side has its own chance
+    reference_dropout: float = (
+        0.35  # windows without a reference; where the type changes each side has its own chance
     )
     lead_share: float = 0.5  # windows whose type is announced ahead of the motion
     lead_frames: int = 30  # by at most this many frames
@@ -75,7 +75,7 @@ class WindowSampler:
         if not self.clips:
             raise DatasetError(f"{dataset.folder}: no training clips")
         self.controls = ControlLayout(dataset.types)
-        self.guide_map = guide_map(dataset.outline, dataset.scaling)
+        self.reference_map = reference_map(dataset.pose_embedding, dataset.scaling)
         self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]
         self.spans = self._index([dataset.clip_types(clip) for clip in self.clips])
         self.splices: list[ClipData] = []
@@ -185,10 +185,10 @@ class WindowSampler:
             types = np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
         weights = blend_types(types, len(self.dataset.types))[:frames]
         given = np.full(frames, float(u >= options.trajectory_dropout), np.float32)
-        guided = self._guided(data.types[:frames], generator)
+        reference_gain = self._with_reference(data.types[:frames], generator)
         noise = torch.randn(frames, FEATURE_COUNT, generator=generator).numpy()
         inputs = x[:frames] + noise * options.noise
-        guide = self.guide_map.shown(data.guide[:frames], inputs)
+        reference = self.reference_map.shown(data.reference[:frames], inputs)
         controls = control_vector(
             self.controls,
             self.skeletons[body],
@@ -196,8 +196,8 @@ class WindowSampler:
             trajectory[:frames],
             given,
             data.phases[:frames],
-            guide,
-            guided,
+            reference,
+            reference_gain,
             self.dataset.trajectory_scaling,
         )
         # A short window counts as much as a full one.
@@ -215,9 +215,11 @@ class WindowSampler:
         padded["offsets"] = self.dataset.bodies[body]
         return padded
 
-    def _guided(self, types: Array, generator: torch.Generator) -> Array:
-        """Where a guide is given (T,): before the first change of type, and after it."""
-        before, after = (torch.rand(2, generator=generator) >= self.options.guide_dropout).float().tolist()
+    def _with_reference(self, types: Array, generator: torch.Generator) -> Array:
+        """Where a reference is given (T,): before the first change of type, and after it."""
+        before, after = (
+            (torch.rand(2, generator=generator) >= self.options.reference_dropout).float().tolist()
+        )
         unchanged = np.logical_and.accumulate(types == types[0])
         return np.where(unchanged, np.float32(before), np.float32(after))
 

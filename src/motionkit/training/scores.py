@@ -1,6 +1,6 @@
 """Roll-out scores: what a model does when left to itself, per type. Losses alone do not tell.
 
-Each type runs closed-loop from its own start, guided as in synthesis; what it does is held against the
+Each type runs closed-loop from its own start, reference_gain as in synthesis; what it does is held against the
 real motion of that type.
 """
 
@@ -13,17 +13,17 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array, distances_between
+from motionkit.control.reference_player import last_poses
+from motionkit.control.script import TypePart, crowd_controller
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FeatureLayout
 from motionkit.files import safe_name
+from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run, start_batch
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS
-from motionkit.synthesis.outline_player import last_poses
-from motionkit.synthesis.plan import TypePart, crowd_controller
-from motionkit.synthesis.rollout import Noise, Rollout, RolloutState, rollout_motion, run, seed_batch
 
 LOW_TOE = 5.0  # cm; the standing toe joint is at 4.1
 MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
@@ -84,7 +84,7 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     count = len(model.types)
     state = RolloutState(model, count, noise or Noise(), seed)
     weights = np.eye(count, dtype=np.float32)
-    features, contacts = seed_batch([model.seeds[kind][0] for kind in model.types])
+    features, contacts = start_batch([model.start_poses[kind][0] for kind in model.types])
     state.start(features, contacts, weights)
     plans = [[TypePart(kind, frames / model.fps)] for kind in model.types]
     near = [last_poses(model, seen) for seen in features]
@@ -141,6 +141,6 @@ def _write_samples(model: MotionModel, dataset: Dataset, rollout: Rollout, folde
             data = dataset.read(clip)
             real = data.features[dataset.clip_types(clip) == i]
             motion = decode_motion(
-                real, skeleton, dataset.fps, None, dataset.references, dataset.layout.version
+                real, skeleton, dataset.fps, None, dataset.reference_rotations, dataset.layout.version
             )
             write_bvh(folder / f"{name}-true.bvh", motion)

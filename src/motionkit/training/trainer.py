@@ -32,8 +32,13 @@ from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_lo
 from motionkit.training.options import TrainOptions
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler, window_generator
+from motionkit.training.scheduled_sampling import (
+    join_batches,
+    run_on_predictions,
+    sampled_windows,
+    take_windows,
+)
 from motionkit.training.scores import TypeScore, score_rollouts
-from motionkit.training.self_feeding import fed_windows, feed_back, join_batches, take_windows
 from motionkit.training.warm_start import warm_start
 
 # The paper's sum counts 276 columns; per column the gradient norm does not depend on their number.
@@ -227,7 +232,7 @@ class _Run:
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
-        self.guide_matrix = torch.from_numpy(self.sampler.guide_map.matrix).to(self.device)
+        self.reference_matrix = torch.from_numpy(self.sampler.reference_map.matrix).to(self.device)
         self.coming: list[Batch] = []  # batches made beforehand
         self.asked_to_stop = self.stops = False
         self.logs = True  # until log.jsonl cannot be written
@@ -372,12 +377,14 @@ class _Run:
         batches = [
             self.sampler.batch(step, options.batch, first, share).to(self.device) for step in range_of_steps
         ]
-        fed = fed_windows(first, share, options.self_feed.share)
+        fed = sampled_windows(first, share, options.scheduled_sampling.share)
         if not fed:
             return batches
         generators = [window_generator(options.seed, s, first + i, 1) for s in range_of_steps for i in fed]
         joined = join_batches([take_windows(batch, fed) for batch in batches])
-        joined = feed_back(self.module.network, joined, options.self_feed, generators, self.guide_matrix)
+        joined = run_on_predictions(
+            self.module.network, joined, options.scheduled_sampling, generators, self.reference_matrix
+        )
         others = [i for i in range(share) if i not in fed]
         return [
             join_batches(
@@ -388,7 +395,7 @@ class _Run:
 
     def _block_end(self) -> int:
         """The step at which the next batches are made; only there can a run be interrupted and go on the same."""
-        period = self.options.self_feed.period if self.options.self_feed.share else 1
+        period = self.options.scheduled_sampling.period if self.options.scheduled_sampling.share else 1
         end = (self.step // period + 1) * period
         return min(end, self.options.steps) if self.options.steps else end
 
@@ -443,8 +450,8 @@ class _Run:
             "losses": {n: round(v, 5) for n, v in self.losses.items()},
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
-        guides = self.options.sampler.guide_dropout < 1.0
-        return bundle_model(network.weights(), self.dataset, card, guides)
+        references = self.options.sampler.reference_dropout < 1.0
+        return bundle_model(network.weights(), self.dataset, card, references)
 
     def _score(self) -> bool:
         """Score roll-outs and write samples of them, if that is asked for and goes well; the run stays as it was."""

@@ -18,13 +18,13 @@ CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight"
 def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -> None:
     """Copy a model's weights into a network; types are matched by name, what is new stays as it was.
 
-    The dataset takes over the model's scaling and outline, which its weights are used to.
+    The dataset takes over the model's scaling and reference_clip, which its weights are used to.
 
     Raises:
         ModelError: if the networks differ in size, or the features in their reference rotations.
     """
     # A rotation and its negative quaternion are one.
-    turned = 1.0 - np.abs((dataset.references * model.references).sum(-1))
+    turned = 1.0 - np.abs((dataset.reference_rotations * model.reference_rotations).sum(-1))
     if float(turned.max()) > 1e-4:
         raise ModelError(
             f"{dataset.folder}: its features are relative to other reference rotations than the model's; "
@@ -46,12 +46,12 @@ def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -
                     "expected the preset the model was trained with"
                 )
     dataset.scaling, dataset.trajectory_scaling = model.scaling, model.trajectory_scaling
-    dataset.outline = model.outline
+    dataset.pose_embedding = model.pose_embedding
 
 
 def _copy_controls(new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout) -> None:
     """Rows of control embeddings (P, C, D), signal by signal."""
-    for name in ("skeleton", "trajectory", "flag", "phase", "guide", "guided"):
+    for name in ("skeleton", "trajectory", "flag", "phase", "reference", "reference_gain"):
         new[:, getattr(layout, name)] = old[:, getattr(before, name)]
     for i, kind in enumerate(layout.types):
         if kind in before.types:

@@ -1,1 +1,0 @@
-"""Motion in, something to look at out (optional extras)."""

@@ -1,0 +1,279 @@
+"""A user's wishes, which change at any moment, as the controls of every frame: what live control needs."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.follow import PathFollower
+from motionkit.control.path import SPACING, Path2D
+from motionkit.control.reference_player import ReferencePlayer, Signals
+from motionkit.control.steering import (
+    STANDS_BELOW,
+    STEERED_TYPES,
+    Steering,
+    SteeringOptions,
+    steered_type,
+)
+from motionkit.features.control import TRAJECTORY_COUNT
+from motionkit.features.reference import REFERENCE_COUNT
+from motionkit.inference.rollout import FrameControls
+from motionkit.models.checkpoint import MotionModel
+
+DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
+AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
+
+
+@dataclass(frozen=True)
+class Wish:
+    """What a user wants of one character from now on.
+
+    Attributes:
+        velocity: over the ground, x and z in cm/s; (0, 0) is to stand, None leaves the way to the type.
+        facing: heading in radians; None faces as the type does on its way, or stays as it is.
+        type: a motion type; None chooses by velocity and facing (steered_type).
+        path: ground to follow instead; its parts name the types. At its end the character stands.
+    """
+
+    velocity: tuple[float, float] | None = (0.0, 0.0)
+    facing: float | None = None
+    type: str | None = None
+    path: Path2D | None = None
+
+
+@dataclass(frozen=True)
+class DriveOptions:
+    """How wishes turn into controls; blend_frames is what a change of type takes.
+
+    The paper's 40 frames suit changes that are known beforehand. Here the blend begins with the wish, so
+    its length is delay: with 8 and with 20 frames as many flips were turned as with 40.
+    """
+
+    steering: SteeringOptions = field(default_factory=SteeringOptions)
+    blend_frames: int = 12
+
+
+@dataclass(frozen=True)
+class _Performance:
+    """A type shown once; its first frame is due at frame begins."""
+
+    type: str
+    begins: int
+    signals: Signals
+
+    @property
+    def frames(self) -> int:
+        """How long it takes."""
+        return len(self.signals.phase)
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """Controls on their way: a kind, or for a path its type weights; trajectory (1, 24) if one is given.
+
+    progress (1,); reference (1, 72) and reference_gain (1,) if one is given; slip_correction (1,), the share of it that counts, None for all.
+    """
+
+    kind: str
+    trajectory: Array | None = None
+    phase: Array = field(default_factory=lambda: np.full(1, -1.0, np.float32))
+    weights: Array | None = None
+    reference: Array | None = None
+    reference_gain: Array | None = None
+    slip_correction: Array | None = None
+
+
+class Driver:
+    """The wishes of one character as its controls, frame by frame: a Controller for a batch of one.
+
+    set_wish and perform may be called between any two frames. The same calls at the same frames give the
+    same controls to the same body.
+    """
+
+    def __init__(
+        self, model: MotionModel, kind: str | None = None, options: DriveOptions | None = None
+    ) -> None:
+        """kind is the type of the frames the character starts from; by default that of one who stands."""
+        self.model, self.options = model, options or DriveOptions()
+        self.wish = Wish()
+        self.type = kind or steered_type(model, (0.0, 0.0), None)
+        self.steering = Steering(model.fps, self.options.steering)
+        self._player, self._played = ReferencePlayer(model), ""
+        self._follower: PathFollower | None = None
+        self._performance: _Performance | None = None
+        self._waiting: tuple[str, float, int] | None = None
+        self._weights = self._one(self.type)
+        self._from, self._target, self._blended = self._weights, self.type, self.options.blend_frames
+
+    def set_wish(self, wish: Wish) -> None:
+        """Obey another wish from the next frame on; raises ControlError for an unknown type."""
+        if wish.type is not None:
+            self.model.type_id(wish.type)
+        if wish.path is not self.wish.path:
+            self._follower = None if wish.path is None else PathFollower(self.model, wish.path)
+        self.wish = wish
+
+    def perform(self, kind: str, seconds: float = DEFAULT_SECONDS, choice: int = 0) -> None:
+        """Show a type once, then go back to the wish. One performance waits until the present one is over.
+
+        Args:
+            seconds: for types that are no strike, jump or flip; those take their own time.
+            choice: picks among the recordings of the type.
+
+        Raises:
+            ControlError: for an unknown type.
+        """
+        self.model.type_id(kind)
+        self._waiting = (kind, seconds, choice)
+
+    @property
+    def performing(self) -> str | None:
+        """The type that is being shown once, if any."""
+        return None if self._performance is None else self._performance.type
+
+    @property
+    def following(self) -> float | None:
+        """The share of the path that lies behind, None where none is followed."""
+        if self._follower is None:
+            return None
+        return min(1.0, self._follower.arc / max(self._follower.path.length - SPACING, SPACING))
+
+    def __call__(self, frame: int, ground: Array) -> FrameControls:
+        """Controls of a frame; frame counts up by one at each call, ground (1, 3) is where the body is."""
+        self._take_turns(frame)
+        shown = self._performance
+        free = self.wish.velocity is None or self._follower is not None or shown is not None
+        x, z, heading = ground[0].tolist()
+        self.steering.observe(x, z, heading, free)
+        asked = self._steer() if self._follower is None else self._follow(self._follower, frame, ground)
+        if shown is not None:
+            asked = self._show(shown, frame, asked)
+        weights = self._blend(asked.kind, asked.weights)
+        given = np.array([0.0 if asked.trajectory is None else 1.0], np.float32)
+        trajectory = (
+            np.zeros((1, TRAJECTORY_COUNT), np.float32) if asked.trajectory is None else asked.trajectory
+        )
+        signals = (asked.phase, asked.reference, asked.reference_gain, asked.slip_correction)
+        return FrameControls(weights[None], trajectory, given, *signals)
+
+    def _take_turns(self, frame: int) -> None:
+        """End a performance that is over, begin the one that waits, and repeat one the wish holds on to."""
+        over = self._performance
+        if over is not None and frame < over.begins + over.frames:
+            return
+        self._performance = None
+        held = self.wish.type
+        if self._waiting is None and self._follower is None and held and self.model.phase_seconds(held):
+            self._waiting = (held, DEFAULT_SECONDS, 0)
+        if self._waiting is None:
+            return
+        kind, seconds, choice = self._waiting
+        self._waiting = None
+        length = round(self.model.phase_seconds(kind) * self.model.fps)
+        player = ReferencePlayer(self.model, choice)
+        player.begin(kind)
+        if not self.model.performed(kind):
+            event = player.event_frames()
+            length = event + AFTER_EVENT if event else 0
+        # Weights cross the middle of their blend as the first frame is due, as they do in training.
+        begins = frame if over is not None and over.type == kind else frame + self.options.blend_frames // 2
+        signals = player.play(max(1, length or round(seconds * self.model.fps)))
+        self._performance = _Performance(kind, begins, signals)
+
+    def _steer(self) -> _Asked:
+        wish = self.wish
+        if wish.velocity is None:
+            return self._with_reference(wish.type or steered_type(self.model, (0.0, 0.0), None), None)
+        kind = wish.type or steered_type(self.model, wish.velocity, wish.facing)
+        facing = wish.facing
+        if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
+            gait = self.model.gaits.get(kind)
+            facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
+        trajectory = np.array([self.steering.trajectory(wish.velocity, facing)], np.float32)
+        if kind in STEERED_TYPES:
+            self._played = ""
+            return _Asked(kind, trajectory)
+        return self._with_reference(kind, trajectory)
+
+    def _with_reference(self, kind: str, trajectory: Array | None) -> _Asked:
+        """A type as it is recorded, for as long as it is wished."""
+        if kind != self._played:
+            self._player.begin(kind)
+            self._played = kind
+        asked = self._player.play(1, trajectory)
+        shown = None if trajectory is None else asked.trajectory
+        return _Asked(kind, shown, asked.phase, None, asked.reference, asked.reference_gain)
+
+    def _follow(self, follower: PathFollower, frame: int, ground: Array) -> _Asked:
+        asked = follower(frame, ground)
+        if follower.arc >= follower.path.length - SPACING:
+            self._follower, self.wish = None, Wish()
+        weights = asked.type_weights[0]
+        return _Asked(
+            "",
+            asked.trajectory,
+            asked.phase,
+            weights,
+            asked.reference,
+            asked.reference_gain,
+            asked.slip_correction,
+        )
+
+    def _show(self, shown: _Performance, frame: int, otherwise: _Asked) -> _Asked:
+        """What a performance asks for; before its first frame is due and in its last ones, only in part."""
+        at = frame - shown.begins
+        half = self.options.blend_frames // 2
+        if at < 0:
+            return _Asked(shown.type, otherwise.trajectory, slip_correction=otherwise.slip_correction)
+        still = at < shown.frames - half
+        kind, weights = (shown.type, None) if still else (otherwise.kind, otherwise.weights)
+        now, asked = slice(at, at + 1), shown.signals
+        signals = (
+            asked.phase[now],
+            weights,
+            asked.reference[now],
+            asked.reference_gain[now],
+            otherwise.slip_correction,
+        )
+        if bool(asked.trajectory_mask[at]):
+            return _Asked(kind, asked.trajectory[now], *signals)
+        # Who stands and kicks is not to be held in place; who goes or follows a path goes on.
+        goes = self._follower is not None or math.hypot(*(self.wish.velocity or (0.0, 0.0))) >= STANDS_BELOW
+        return _Asked(kind, otherwise.trajectory if goes else None, *signals)
+
+    def _blend(self, kind: str, weights: Array | None) -> Array:
+        """Type weights (N,) that go over to those of a kind, or to the given ones, within blend_frames."""
+        if kind != self._target:
+            self._from, self._target, self._blended = self._weights, kind, 0
+        self._blended += 1
+        share = min(1.0, self._blended / max(1, self.options.blend_frames))
+        goal = self._one(kind) if weights is None else weights
+        self._weights = self._from + share * (goal - self._from)
+        self.type = kind or self.model.types[int(goal.argmax())]
+        return self._weights
+
+    def _one(self, kind: str) -> Array:
+        weights = np.zeros(len(self.model.types), np.float32)
+        weights[self.model.type_id(kind)] = 1.0
+        return weights
+
+
+def together(asked: list[FrameControls]) -> FrameControls:
+    """The controls of several characters as those of one batch."""
+    none, never, all_of_it = (
+        np.zeros((1, REFERENCE_COUNT), np.float32),
+        np.zeros(1, np.float32),
+        np.ones(1, np.float32),
+    )
+    return FrameControls(
+        np.concatenate([a.type_weights for a in asked]),
+        np.concatenate([a.trajectory for a in asked]),
+        np.concatenate([a.trajectory_mask for a in asked]),
+        np.concatenate([a.phase for a in asked]),
+        np.concatenate([none if a.reference is None else a.reference for a in asked]),
+        np.concatenate([never if a.reference_gain is None else a.reference_gain for a in asked]),
+        np.concatenate([all_of_it if a.slip_correction is None else a.slip_correction for a in asked]),
+    )

@@ -1,0 +1,219 @@
+"""A character along a path: the library call behind `motionkit follow-path` (paper 5.2)."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.path import SPACING, Path2D
+from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.steering import STEERED_TYPES
+from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motion
+from motionkit.errors import ControlError
+from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
+from motionkit.inference.rollout import FrameControls, Noise, Rollout, RolloutState
+from motionkit.inference.start import clip_start, type_start
+from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import rotate_ground
+
+# The place on the path is sought from a little behind the last one to a little ahead, so that a path
+# that crosses itself is not cut short.
+SEARCH_BACK, SEARCH_AHEAD = 30.0, 60.0
+DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
+PATIENCE = 1.6  # times the expected duration, after which the end is given up
+BLEND_SAMPLES = 16
+
+
+@dataclass(frozen=True, eq=False)
+class FollowResult:
+    """A motion along a path.
+
+    Attributes:
+        motion: what to write.
+        distance: to the whole path, on the default body.
+        part_distances: mean and largest distance (cm) of the frames on each part, None for a part not reached.
+        part_frames: frames at the model's rate spent on each part.
+        finished: whether the end was reached.
+        seconds: how long the roll-out took.
+        frames: frames at the model's rate.
+    """
+
+    motion: Motion
+    distance: TrajectoryDistance
+    part_distances: tuple[tuple[float, float] | None, ...]
+    part_frames: tuple[int, ...]
+    finished: bool
+    seconds: float
+    frames: int
+
+
+class PathFollower:
+    """Turns a path into the controls of every frame for one character; a Controller.
+
+    Who walks or runs takes the speed and the turns of the path; other types are reference_gain by recordings, which
+    choice picks among.
+    """
+
+    def __init__(self, model: MotionModel, path: Path2D, choice: int = 0, behind: int = 0) -> None:
+        """behind: frames of the first part's performance that lie behind already."""
+        self.path, self.fps = path, model.fps
+        self.player, self.behind = ReferencePlayer(model, choice, own_share=0.0), behind
+        self.types = np.array([model.type_id(part.type) for part in path.parts])
+        self.type_count = len(model.types)
+        gaits = [model.gaits.get(part.type) for part in path.parts]
+        self.speeds = part_speeds(model, path)
+        self.facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
+        self.entered = -1  # the part the character is on
+        self.arc = 0.0
+        self.arcs: list[float] = []
+
+    @property
+    def expected_seconds(self) -> float:
+        """How long the path takes at the asked speeds."""
+        return _seconds_along(self.path, self.speeds)
+
+    def __call__(self, frame: int, ground: Array) -> FrameControls:
+        self.arc = self._project(ground[0, :2])
+        self.arcs.append(self.arc)
+        ahead = self._arcs_ahead(TRAJECTORY_OFFSETS)
+        points, tangents = self.path.at(ahead)
+        heading = ground[0, 2]
+        positions = rotate_ground(-heading, points - ground[0, :2])
+        facing = self.facings[self.path.part_at(ahead)]
+        directions = rotate_ground(-heading - facing, tangents)
+        trajectory = np.concatenate([positions.reshape(-1), directions.reshape(-1)])
+        weights = self._type_weights()[None]
+        part = int(self.path.part_at(self.arc))
+        kind = self.path.parts[part].type
+        # On a path the way comes first, wherever feet stand or those of a recording went.
+        loose = np.zeros(1, np.float32)
+        if kind in STEERED_TYPES:
+            self.entered = part
+            no_phase = np.full((1,), -1.0, np.float32)
+            return FrameControls(
+                weights, trajectory[None], np.ones(1, np.float32), no_phase, slip_correction=loose
+            )
+        if part != self.entered:
+            self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
+            self.entered = part
+        asked = self.player.play(1, trajectory[None])
+        shown = (asked.phase, asked.reference, asked.reference_gain)
+        return FrameControls(weights, trajectory[None], np.ones(1, np.float32), *shown, loose)
+
+    def _project(self, point: Array) -> float:
+        first = max(0, int((self.arc - SEARCH_BACK) / SPACING))
+        last = min(len(self.path.points), int((self.arc + SEARCH_AHEAD) / SPACING) + 2)
+        near = self.path.points[first:last]
+        nearest = first + int(np.linalg.norm(near - point, axis=-1).argmin())
+        # Past the last point the way on is counted along its direction, so that the end can be reached.
+        beyond = float(((point - self.path.points[-1]) * self.path.tangents[-1]).sum())
+        arc = nearest * SPACING
+        return arc + max(0.0, beyond) if nearest == len(self.path.points) - 1 else arc
+
+    def _arcs_ahead(self, frames: Sequence[int]) -> Array:
+        """Arc lengths frames (sorted, from 1) ahead at the wanted speeds, part by part."""
+        out, arc, frame = [], self.arc, 0
+        for wanted in frames:
+            while frame < wanted:
+                step = min(5, wanted - frame)
+                speed = float(self.speeds[self.path.part_at(arc)])
+                arc += speed * step / self.fps
+                frame += step
+            out.append(arc)
+        return np.array(out, np.float32)
+
+    def _type_weights(self) -> Array:
+        """Type weights (N,): the mean over half a blend behind and ahead, which is the blend of 40 frames."""
+        half = TYPE_BLEND_FRAMES // 2
+        reach = float(self.speeds[self.path.part_at(self.arc)]) * half / self.fps
+        arcs = np.linspace(self.arc - reach, self.arc + reach, BLEND_SAMPLES)
+        kinds = self.types[self.path.part_at(arcs)]
+        return np.eye(self.type_count, dtype=np.float32)[kinds].mean(axis=0)
+
+
+def part_speeds(model: MotionModel, path: Path2D) -> Array:
+    """Speed (N,) in cm/s on each part of the path: what is asked for, else what is usual for its type."""
+    gaits = [model.gaits.get(part.type) for part in path.parts]
+    typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
+    wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
+    return np.maximum(np.array(wanted, np.float32), 20.0)
+
+
+def expected_seconds(model: MotionModel, path: Path2D) -> float:
+    """How long the path takes at the asked speeds."""
+    return _seconds_along(path, part_speeds(model, path))
+
+
+def _seconds_along(path: Path2D, speeds: Array) -> float:
+    return float((SPACING / speeds[path.part]).sum())
+
+
+def follow_path(
+    model: MotionModel,
+    path: Path2D,
+    options: SynthesisOptions | None = None,
+    progress: Callable[[float], None] | None = None,
+) -> FollowResult:
+    """Synthesize a motion along a path; the same seed gives the same motion.
+
+    Raises:
+        ControlError: for an unknown type or character, or a path that takes too long.
+    """
+    options = options or SynthesisOptions(noise=Noise())
+    skeleton = model.character(options.character)
+    if options.count != 1:
+        raise ControlError("a path is followed by one character at a time")
+    first = path.parts[0].type
+    check_size(expected_seconds(model, path), model.fps, options)
+    weights = np.zeros((1, len(model.types)), np.float32)
+    weights[0, model.type_id(first)] = 1.0
+    start = type_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
+    # StartPose frames are the beginning of a performance; what comes after them goes on from there.
+    length = model.phase_seconds(first) * model.fps if options.init is None else 0.0
+    follower = PathFollower(model, path, options.seed, start.features.shape[1] if length else 0)
+    tangent = path.tangents[0]
+    heading = math.atan2(*tangent) - follower.facings[0]
+    place = np.array([[*path.points[0], heading]], np.float32)
+    limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
+    made: list[tuple[Array, Array, Array]] = []
+    state = RolloutState(model, 1, options.noise, options.seed)
+    state.start(start.features, start.contacts, weights, place, length)
+    began = time.perf_counter()
+    for frame in range(limit):
+        made.append(state.step(follower(frame, state.ground)))
+        if progress:
+            progress(min(1.0, follower.arc / path.length))
+        if follower.arc >= path.length - SPACING:
+            break
+    seconds = time.perf_counter() - began
+    rollout = Rollout(*(np.stack(values, 1) for values in zip(*made, strict=True)))
+    track = rollout.ground[0, :, :2]
+    return FollowResult(
+        finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),
+        trajectory_distance(track, path.points),
+        _part_distances(track, follower.arcs, path),
+        tuple(np.bincount(path.part_at(np.array(follower.arcs)), minlength=len(path.parts)).tolist()),
+        follower.arc >= path.length - SPACING,
+        seconds,
+        len(track),
+    )
+
+
+def _part_distances(track: Array, arcs: list[float], path: Path2D) -> tuple[tuple[float, float] | None, ...]:
+    parts = path.part_at(np.array(arcs))
+    out: list[tuple[float, float] | None] = []
+    for index in range(len(path.parts)):
+        mine = track[: len(parts)][parts == index]
+        if len(mine) == 0:
+            out.append(None)
+            continue
+        distance = trajectory_distance(mine, path.points)
+        out.append((distance.mean, distance.max))
+    return tuple(out)

@@ -1,0 +1,135 @@
+"""What a user asks for: motion types one after another, each for a time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.reference_player import ReferencePlayer, Signals
+from motionkit.errors import ControlError
+from motionkit.features.control import blend_types
+from motionkit.inference.rollout import Controller, FrameControls
+from motionkit.models.checkpoint import MotionModel
+
+DEFAULT_SECONDS = 4.0
+MAX_SECONDS = 3600.0
+
+
+@dataclass(frozen=True)
+class TypePart:
+    """A motion type for some seconds."""
+
+    type: str
+    seconds: float
+
+
+def parse_types(
+    text: str, seconds: float | None = None, usual: Callable[[str], float] | None = None
+) -> list[TypePart]:
+    """Parts from "running,cartwheel" or "running:4,cartwheel:3".
+
+    Args:
+        seconds: the whole length, shared by the parts that name none.
+        usual: tells how long a type usually takes, zero for any time; without seconds, a part that
+            names none takes so long, or 4 s.
+
+    Raises:
+        ControlError: for a part without a type, or a time that is no positive number.
+    """
+    words = [word.strip() for word in text.split(",")]
+    if not any(words):
+        raise ControlError("expected motion types such as running,cartwheel, found none")
+    timed: list[tuple[str, float | None]] = []
+    for word in words:
+        name, _, time = word.partition(":")
+        if not name:
+            raise ControlError(f"expected type or type:seconds, found {word!r}")
+        timed.append((name.strip(), _seconds(time, word) if time else None))
+    free = [name for name, time in timed if time is None]
+    given = sum(time for _, time in timed if time is not None)
+    if seconds is not None and free:
+        share = (seconds - given) / len(free)
+        if share <= 0:
+            raise ControlError(f"the parts alone take {given:g} s, more than the {seconds:g} s asked for")
+    elif seconds is not None:
+        # Every part says its time: stretch them to the whole.
+        return [TypePart(name, time * seconds / given) for name, time in timed if time is not None]
+    else:
+        natural = usual or (lambda name: 0.0)
+        return [TypePart(name, time or natural(name) or DEFAULT_SECONDS) for name, time in timed]
+    return [TypePart(name, share if time is None else time) for name, time in timed]
+
+
+def _seconds(text: str, word: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        raise ControlError(f"expected seconds after the colon, found {word!r}") from None
+    if not 0 < value <= MAX_SECONDS:
+        raise ControlError(f"expected between 0 and {MAX_SECONDS:g} seconds, found {word!r}")
+    return value
+
+
+def type_track(model: MotionModel, parts: Sequence[TypePart]) -> Array:
+    """The type id (T,) of every frame of the parts; raises ControlError for an unknown type."""
+    ids = [model.type_id(part.type) for part in parts]
+    counts = [max(1, round(part.seconds * model.fps)) for part in parts]
+    return np.repeat(ids, counts)
+
+
+def crowd_controller(
+    model: MotionModel,
+    plans: list[list[TypePart]],
+    near: list[Array],
+    behind: list[int],
+    choice: int = 0,
+) -> Controller:
+    """What is asked of a crowd: characters take the plans in turn, and go on with the last frame of theirs.
+
+    Args:
+        near: for each character the last reference_clips of the frames it starts from (last_poses).
+        behind: for each plan the frames of its first performance that lie behind already.
+        choice: picks among recordings; each character makes a choice of its own.
+    """
+    turn = [i % len(plans) for i in range(len(near))]
+    tracks = [plan_weights(model, plan) for plan in plans]
+    longest = max(len(track) for track in tracks)
+
+    def whole(values: Array) -> Array:
+        return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
+
+    weights = np.stack([whole(track) for track in tracks], 1)[:, turn]
+    asked = [plan_signals(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
+    signals = Signals.side_by_side(asked)
+
+    def controls(frame: int, ground: Array) -> FrameControls:
+        now = min(frame, longest - 1)
+        return signals.controls(now, weights[now])
+
+    return controls
+
+
+def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Array:
+    """Blended type weights (T, N) of the parts: 40 frames at each change."""
+    return blend_types(type_track(model, parts), len(model.types))
+
+
+def plan_signals(
+    model: MotionModel, parts: Sequence[TypePart], near: Array, behind: int = 0, choice: int = 0
+) -> Signals:
+    """What recordings of the parts' types ask for, frame by frame.
+
+    Args:
+        near: (S, 24) the last reference_clips of the frames before (last_poses).
+        behind: frames of the first part's performance that lie behind already.
+        choice: picks among the recordings of the types.
+    """
+    player = ReferencePlayer(model, choice)
+    asked = []
+    for number, part in enumerate(parts):
+        player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0)
+        asked.append(player.play(max(1, round(part.seconds * model.fps))))
+    return Signals.joined(asked)

@@ -1,0 +1,195 @@
+"""The coming second of a character that is steered: a made-up trajectory from what it does to what is wanted.
+
+A path says where the root will be; a held key says only which velocity is wanted now. Velocity and facing
+therefore go over to what is wanted as a critically damped spring does: quick at first, without overshoot.
+Plain floats, since this runs for every character at every frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from motionkit.features.control import TRAJECTORY_OFFSETS
+from motionkit.models.checkpoint import MotionModel
+
+# Types a character that is only steered goes over between, by its speed and by how it faces its way.
+STEERED_TYPES = ("idle", "walking", "running", "b-walking")
+TURN_COST = 3.0  # of a radian between wanted and usual facing, in roots of cm/s
+BACKWARDS_SHARE = 0.2
+STANDS_BELOW = 15.0  # cm/s; who is asked for less stands
+SMOOTHING = 0.2  # share of a frame in the measured velocity: hips sway with every step
+LEAVE_ANCHOR = 60.0  # cm; one who stands and was carried so far away stays there instead of going back
+
+Pair = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class SteeringOptions:
+    """How the wanted turns into the coming second.
+
+    Attributes:
+        halflife: seconds in which half of the way to a wanted velocity is made.
+        turn_halflife: the same for the facing.
+        anchor_halflife: the same for the way back to where one who stands came to a halt.
+        own_share: how far each frame draws the spring towards what the body really does; 0 never looks,
+            1 starts every frame from the present velocity, which a sluggish body then keeps.
+    """
+
+    halflife: float = 0.1
+    turn_halflife: float = 0.15
+    anchor_halflife: float = 0.5
+    own_share: float = 0.02
+
+
+def spring_rate(halflife: float) -> float:
+    """The rate y (1/s) of a critically damped spring that makes half its way in halflife seconds.
+
+    What remains is (1 + y t) exp(-y t), a half at y t = 1.678.
+    """
+    return 1.678347 / max(halflife, 1e-3)
+
+
+def spring(away: float, velocity: float, y: float, t: float) -> Pair:
+    """Distance from the goal, and velocity, t seconds on of a critically damped spring of rate y."""
+    push = velocity + away * y
+    fade = math.exp(-y * t)
+    return fade * (away + push * t), fade * (velocity - y * push * t)
+
+
+def spring_travel(away: float, velocity: float, y: float, t: float) -> float:
+    """The integral over t seconds of the distance from the goal of such a spring."""
+    push = velocity + away * y
+    fade = math.exp(-y * t)
+    return (away * (1.0 - fade) + push * ((1.0 - fade) / y - t * fade)) / y
+
+
+def nearest_turn(angle: float) -> float:
+    """The same angle between -pi and pi."""
+    return math.remainder(angle, 2.0 * math.pi)
+
+
+def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> str:
+    """The type of STEERED_TYPES for a wanted velocity (x, z in cm/s) and facing (radians, None for any).
+
+    The one whose usual speed is nearest (in roots, so that slow types have narrow bands) and whose body
+    faces its way as wanted. A model without these types chooses among all that have no phase.
+    """
+    known = [kind for kind in STEERED_TYPES if kind in model.types]
+    names = known or [kind for kind in model.types if not model.phase_seconds(kind)] or list(model.types)
+    speed, way = math.hypot(*velocity), math.atan2(*velocity)
+
+    def cost(kind: str) -> float:
+        gait = model.gaits.get(kind)
+        if gait is None:
+            return math.inf
+        wanted = 0.0 if facing is None else way - facing
+        if speed < STANDS_BELOW:
+            return abs(math.sqrt(speed) - math.sqrt(gait.speed))
+        # Sideways is nearer to forwards than to backwards: those types count a little more turned.
+        turn = abs(nearest_turn(wanted - gait.facing)) + BACKWARDS_SHARE * abs(gait.facing)
+        return abs(math.sqrt(speed) - math.sqrt(gait.speed)) + TURN_COST * turn
+
+    return min(names, key=cost)
+
+
+class Steering:
+    """The state behind the trajectories of one character: spring and halting place."""
+
+    def __init__(self, fps: float, options: SteeringOptions) -> None:
+        self.fps, self.options = fps, options
+        self.velocity: list[float] = [0.0, 0.0]
+        self._acceleration: list[float] = [0.0, 0.0]
+        self._measured: list[float] = [0.0, 0.0]
+        self._facing: Pair | None = None  # heading and turning speed of the spring
+        self._before: tuple[float, float, float] | None = None
+        self._anchor: tuple[float, float, float] | None = None
+
+    def observe(self, x: float, z: float, heading: float, free: bool) -> None:
+        """Take in where the body is, once a frame, before the trajectory is asked for.
+
+        Args:
+            free: nobody steers; the spring then just does what the body does.
+        """
+        before = self._before or (x, z, heading)
+        self._before = (x, z, heading)
+        steps = ((x - before[0]) * self.fps, (z - before[1]) * self.fps)
+        share = 1.0 if free else self.options.own_share
+        for axis, step in enumerate(steps):
+            self._measured[axis] += SMOOTHING * (step - self._measured[axis])
+            self.velocity[axis] += share * (self._measured[axis] - self.velocity[axis])
+            self._acceleration[axis] *= 1.0 - share
+        facing, turning = self._facing or (heading, 0.0)
+        off = nearest_turn(facing - heading) * (1.0 - share)
+        self._facing = (heading + off, turning * (1.0 - share))
+        if free:
+            self._anchor = None
+
+    def trajectory(self, velocity: Pair, facing: float | None) -> list[float]:
+        """The 24 trajectory numbers in the heading frame, after observe.
+
+        Args:
+            velocity: wanted, x and z in cm/s; slower than STANDS_BELOW stands where it came to a halt.
+            facing: wanted heading in radians; None keeps the facing one stopped with, or the present one.
+        """
+        assert self._before is not None and self._facing is not None
+        x, z, heading = self._before
+        stands = math.hypot(*velocity) < STANDS_BELOW
+        goal = (0.0, 0.0) if stands else velocity
+        anchor = self._hold(x, z) if stands else None
+        if not stands:
+            self._anchor = None
+        wanted = facing if facing is not None else (heading if anchor is None else anchor[2])
+        places = [self._place(axis, goal[axis], anchor) for axis in (0, 1)]
+        turns = self._turns(wanted, heading)
+        self._advance(goal, wanted)
+        sine, cosine = math.sin(heading), math.cos(heading)
+        out: list[float] = []
+        for ahead_x, ahead_z in zip(*places, strict=True):
+            out += (cosine * ahead_x - sine * ahead_z, sine * ahead_x + cosine * ahead_z)
+        for turn in turns:
+            out += (math.sin(turn), math.cos(turn))
+        return out
+
+    def _hold(self, x: float, z: float) -> tuple[float, float, float] | None:
+        """Place and heading to keep, once the spring has nearly stopped; None before."""
+        assert self._facing is not None
+        far = self._anchor is not None and math.dist(self._anchor[:2], (x, z)) > LEAVE_ANCHOR
+        if self._anchor is None or far:
+            if math.hypot(*self.velocity) > STANDS_BELOW:
+                return None
+            self._anchor = (x, z, self._facing[0])
+        return self._anchor
+
+    def _place(self, axis: int, goal: float, anchor: tuple[float, float, float] | None) -> list[float]:
+        """Way from here along an axis at each of the six times."""
+        assert self._before is not None
+        times = [offset / self.fps for offset in TRAJECTORY_OFFSETS]
+        if anchor is not None:
+            y = spring_rate(self.options.anchor_halflife)
+            away = self._before[axis] - anchor[axis]
+            return [spring(away, self.velocity[axis], y, t)[0] - away for t in times]
+        y = spring_rate(self.options.halflife)
+        away = self.velocity[axis] - goal
+        return [goal * t + spring_travel(away, self._acceleration[axis], y, t) for t in times]
+
+    def _turns(self, wanted: float, heading: float) -> list[float]:
+        """Turn from the present heading at each of the six times."""
+        assert self._facing is not None
+        y = spring_rate(self.options.turn_halflife)
+        away = nearest_turn(self._facing[0] - wanted)
+        begin = nearest_turn(self._facing[0] - heading) - away
+        return [begin + spring(away, self._facing[1], y, t / self.fps)[0] for t in TRAJECTORY_OFFSETS]
+
+    def _advance(self, goal: Pair, wanted: float) -> None:
+        """The spring one frame on."""
+        assert self._facing is not None
+        y, t = spring_rate(self.options.halflife), 1.0 / self.fps
+        for axis in (0, 1):
+            away, self._acceleration[axis] = spring(
+                self.velocity[axis] - goal[axis], self._acceleration[axis], y, t
+            )
+            self.velocity[axis] = goal[axis] + away
+        away = nearest_turn(self._facing[0] - wanted)
+        off, turning = spring(away, self._facing[1], spring_rate(self.options.turn_halflife), t)
+        self._facing = (self._facing[0] - away + off, turning)

@@ -1,0 +1,154 @@
+"""Whole motions from a list of types: the library call behind `motionkit synthesize`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.reference_player import last_poses
+from motionkit.control.script import TypePart, crowd_controller, plan_weights
+from motionkit.errors import ControlError
+from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run
+from motionkit.inference.start import clip_start, type_start
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.skeleton import Skeleton, leg_length
+
+# Frames of all characters together, or of the files written: four gigabytes of memory.
+MAX_FRAMES = 500_000
+
+
+@dataclass(frozen=True, eq=False)
+class Synthesis:
+    """One synthesized motion.
+
+    Attributes:
+        motion: what to write: on the character, at the asked rate, feet locked if asked for.
+        contacts: (T, 4) predicted contacts at the model's rate.
+        types: the parts that were asked for.
+    """
+
+    motion: Motion
+    contacts: Array
+    types: tuple[TypePart, ...]
+
+
+@dataclass(frozen=True)
+class SynthesisOptions:
+    """How to synthesize; fps None keeps the model's rate."""
+
+    count: int = 1
+    seed: int = 0
+    noise: Noise = field(default_factory=Noise)
+    character: str = "default"
+    init: str | Path | None = None
+    ik: bool = False
+    fps: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SynthesisResult:
+    """All motions of a call, and how long the roll-out took."""
+
+    motions: tuple[Synthesis, ...]
+    seconds: float
+
+    @property
+    def frames(self) -> int:
+        """Frames of all motions at the model's rate."""
+        return sum(len(s.contacts) for s in self.motions)
+
+
+def synthesize(
+    model: MotionModel,
+    parts: Sequence[TypePart] | Sequence[Sequence[TypePart]],
+    options: SynthesisOptions | None = None,
+    progress: Callable[[int], None] | None = None,
+) -> SynthesisResult:
+    """Motion types one after another; the same seed gives the same motion.
+
+    All characters run in one batch. parts are for all of them, or several lists of parts that they take
+    in turn, as they do the names in options.character, which commas separate.
+
+    Raises:
+        ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
+    """
+    options = options or SynthesisOptions()
+    count = options.count
+    if count < 1:
+        raise ControlError(f"expected a count of at least 1, found {count}")
+    plans = _plans(parts)
+    check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
+    skeletons = [model.character(name.strip()) for name in options.character.split(",")]
+    first = np.stack([plan_weights(model, plan)[0] for plan in plans])
+    kinds = [plan[0].type for plan in plans]
+    lengths = [0.0] * len(plans)
+    if options.init is not None:
+        start = clip_start(model, options.init, count)
+    else:
+        start = type_start(model, kinds, count)
+        lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
+    turn = [i % len(plans) for i in range(count)]
+    state = RolloutState(model, count, options.noise, options.seed)
+    state.start(start.features, start.contacts, first[turn], start.ground, [lengths[i] for i in turn])
+    behind = [start.features.shape[1] if length else 0 for length in lengths]
+    near = [last_poses(model, features) for features in start.features]
+    controller = crowd_controller(model, plans, near, behind, options.seed)
+    frames = [len(plan_weights(model, plan)) for plan in plans]
+    started = time.perf_counter()
+    rollout = run(state, max(frames), controller, progress)
+    seconds = time.perf_counter() - started
+    motions = []
+    for i in range(count):
+        mine = rollout.first(frames[turn[i]])
+        skeleton = skeletons[i % len(skeletons)]
+        motion = finish_motion(model, mine, i, skeleton, options.ik, options.fps)
+        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]])))
+    return SynthesisResult(tuple(motions), seconds)
+
+
+def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
+    """Refuse more motion than memory holds, before any is asked for; raises ControlError."""
+    fps = max(model_fps, options.fps or 0.0)
+    most = MAX_FRAMES / options.count / fps
+    if seconds > most:
+        raise ControlError(
+            f"{seconds:.0f} s of motion for each of {options.count} at {fps:g} fps are "
+            f"{seconds * fps * options.count:,.0f} frames, expected at most {MAX_FRAMES:,}: {most:.0f} s for each"
+        )
+
+
+def _plans(parts: Sequence[TypePart] | Sequence[Sequence[TypePart]]) -> list[list[TypePart]]:
+    """One list of parts for every kind of character."""
+    plans: list[list[TypePart]] = []
+    alone: list[TypePart] = []
+    for part in parts:
+        if isinstance(part, TypePart):
+            alone.append(part)
+        else:
+            plans.append(list(part))
+    return plans or [alone]
+
+
+def finish_motion(
+    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, ik: bool, fps: float | None
+) -> Motion:
+    """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate."""
+    body = model.character("default")
+    motion = rollout_motion(model, rollout, index, body)
+    if ik:
+        motion = lock_feet(motion, rollout.contacts[index])
+    motion = on_character(motion, skeleton)
+    return motion if fps is None else resample(motion, fps)
+
+
+def on_character(motion: Motion, skeleton: Skeleton) -> Motion:
+    """The same rotations on another body, the root's path scaled with the length of its legs."""
+    share = leg_length(skeleton) / leg_length(motion.skeleton)
+    return replace(motion, skeleton=skeleton, root_positions=motion.root_positions * share)

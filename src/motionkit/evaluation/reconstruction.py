@@ -1,0 +1,272 @@
+"""Reconstruction to held-out recordings (the paper's tables): their first frames and controls in, the rest rolled out."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.reference_player import ReferencePlayer, Signals, last_poses
+from motionkit.control.steering import STEERED_TYPES
+from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.data.phases import type_stretches
+from motionkit.evaluation.body import Body, body_of
+from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.report import Goal, Section, Table
+from motionkit.evaluation.rolling import Performance, Progress, performances
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.features.control import blend_types, future_trajectory
+from motionkit.features.decode import decode_motion
+from motionkit.inference.rollout import FrameControls, RolloutState, run
+from motionkit.inference.start import INIT_FRAMES
+from motionkit.metrics.report import evaluate_motion, placed_like
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.motion import Motion
+
+SHORTEST_REST = 30  # frames after the first INIT_FRAMES that a clip needs to be compared
+METRICS = ("bm-euler", "afs", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
+MATCH_FRAMES = (0, 10, 20, 30)  # before the roll-out begins: poses the nearest clip is sought by
+# What the recording itself would get if it were played so many frames too late: what a score of similarity asks for.
+LATE = {"3 frames late": 3, "20 frames late": 20}
+WAYS = ("ground truth", "model", "model with IK", *LATE, "last frame", "nearest clip")
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A held-out clip: its data, and its motion on the default body."""
+
+    type: str
+    data: ClipData
+    motion: Motion
+    frames: int
+
+    @property
+    def rest(self) -> Motion:
+        """What is to be rolled out."""
+        return self.motion.cut(INIT_FRAMES, INIT_FRAMES + self.frames)
+
+
+def held_out_clips(model: MotionModel, dataset: Dataset, longest: float) -> list[HeldOut]:
+    """The test clips that are long enough and of types the model knows, the rest cut to longest seconds."""
+    out = []
+    limit = round(longest * model.fps)
+    for clip in dataset.select("test"):
+        if clip.mirrored or clip.frames < INIT_FRAMES + SHORTEST_REST:
+            continue
+        data = dataset.read(clip)
+        frames = min(limit, clip.frames - INIT_FRAMES)
+        # The kind of most frames that are rolled out.
+        kinds = data.types[INIT_FRAMES : INIT_FRAMES + frames]
+        if set(dataset.types[k] for k in np.unique(data.types).tolist()) <= set(model.types):
+            kind = dataset.types[int(np.bincount(kinds).argmax())]
+            out.append(HeldOut(kind, data, _motion(model, dataset, data), frames))
+    return out
+
+
+def _motion(model: MotionModel, dataset: Dataset, data: ClipData) -> Motion:
+    return decode_motion(
+        data.features,
+        model.character("default"),
+        dataset.fps,
+        data.ground[0],
+        dataset.reference_rotations,
+        dataset.layout.version,
+    )
+
+
+def roll_like(
+    model: MotionModel,
+    dataset: Dataset,
+    clips: list[HeldOut],
+    settings: EvaluationSettings,
+    progress: Progress,
+) -> list[Performance]:
+    """Roll out every clip from its first INIT_FRAMES with its own types, trajectory and phase.
+
+    Guided as along a path: gaits not at all, other types by recordings of the training clips.
+    """
+    frames = max(clip.frames for clip in clips)
+    places = np.array([model.type_id(k) if k in model.types else 0 for k in dataset.types])
+    weights, trajectories, clocks = [], [], []
+    # A clip that is rolled out several times has its references once.
+    references_of = {clip: clip_references(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
+    references = [references_of[clip] for clip in clips]
+    for clip in clips:
+        wanted = np.minimum(np.arange(frames) + INIT_FRAMES, len(clip.data.types) - 1)
+        weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
+        trajectories.append(future_trajectory(clip.data.ground, wanted))
+        clocks.append(clip.data.phases[wanted])
+    first = np.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
+    weight, trajectory, clock = (np.stack(v, axis=1) for v in (weights, trajectories, clocks))
+    given = np.ones(len(clips), np.float32)
+    reference, reference_gain, phase, way = (
+        np.stack([getattr(g, name) for g in references], axis=1)
+        for name in ("reference", "reference_gain", "phase", "trajectory")
+    )
+    clock = np.where(reference_gain > 0.0, phase, clock)
+    trajectory = np.where(reference_gain[..., None] > 0.0, way, trajectory)
+
+    def controls(frame: int, ground: Array) -> FrameControls:
+        return FrameControls(
+            weight[frame], trajectory[frame], given, clock[frame], reference[frame], reference_gain[frame]
+        )
+
+    state = RolloutState(model, len(clips), settings.noise, settings.seed)
+    state.start(
+        np.stack([c.data.features[:INIT_FRAMES] for c in clips]),
+        np.stack([c.data.contacts[:INIT_FRAMES] for c in clips]),
+        first,
+        np.stack([c.data.ground[INIT_FRAMES - 1] for c in clips]),
+    )
+    rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
+    return performances(model, rollout)
+
+
+def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Signals:
+    """Guides for the types a clip shows after its first INIT_FRAMES, the last type to the end."""
+    types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
+    player = ReferencePlayer(model)
+    near: Array | None = last_poses(model, clip.data.features[:INIT_FRAMES])
+    last = len(clip.data.types) - 1
+    parts = []
+    for start, end, kind in type_stretches(types):
+        name = dataset.types[kind]
+        ahead = np.minimum(np.arange(start, frames if end == len(types) else end) + INIT_FRAMES, last)
+        ways = future_trajectory(clip.data.ground, ahead)
+        player.begin(name, near, trajectory=ways[0])
+        near = None
+        asked = player.play(len(ways), ways)
+        steered = name in STEERED_TYPES or name not in model.types
+        parts.append(replace(asked, reference_gain=np.zeros_like(asked.reference_gain)) if steered else asked)
+    return Signals.joined(parts)
+
+
+class NearestClip:
+    """A floor to beat: the training clip that begins most alike, played on."""
+
+    def __init__(self, model: MotionModel, dataset: Dataset, real: RealMotion) -> None:
+        self.model, self.dataset, self.real = model, dataset, real
+
+    def continues(self, clip: HeldOut, body: Body) -> Motion:
+        """Training motion as long as the clip's rest, placed and turned to go on where the clip stands."""
+        recent = [INIT_FRAMES - 1 - back for back in MATCH_FRAMES]
+        wanted = body.poses()[recent]
+        best: tuple[float, int, int] = (float("inf"), 0, 0)
+        for number, found in self.real.training.items():
+            # The end of a clip that is too short is held; a whole second has to be left.
+            usable = len(found) - round(self.real.fps)
+            if usable <= MATCH_FRAMES[-1]:
+                continue
+            poses = found.poses()
+            at = np.arange(MATCH_FRAMES[-1], usable)
+            cost = sum(
+                np.linalg.norm(poses[at - b] - w, axis=-1) for b, w in zip(MATCH_FRAMES, wanted, strict=True)
+            )
+            assert isinstance(cost, np.ndarray)
+            place = int(cost.argmin())
+            best = min(best, (float(cost[place]), number, int(at[place])))
+        source: Clip = self.dataset.clips[best[1]]
+        motion = _motion(self.model, self.dataset, self.dataset.read(source))
+        last = len(motion) - 1
+        rows = np.minimum(np.arange(clip.frames + 1) + best[2], last)
+        cut = Motion(motion.skeleton, motion.local_rotations[rows], motion.root_positions[rows], motion.fps)
+        before = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES + clip.frames)
+        return placed_like(cut, before).cut(1, clip.frames + 1)
+
+
+def _frozen(clip: HeldOut) -> Motion:
+    """The last given frame, held."""
+    still = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES)
+    return Motion(
+        still.skeleton,
+        still.local_rotations.repeat(clip.frames, axis=0),
+        still.root_positions.repeat(clip.frames, axis=0),
+        still.fps,
+    )
+
+
+def reconstruction_section(
+    model: MotionModel, dataset: Dataset, real: RealMotion, settings: EvaluationSettings, progress: Progress
+) -> Section:
+    """The section of the scoreboard: the model beside ground truth and floors, per type and overall."""
+    clips = held_out_clips(model, dataset, settings.reconstruction)
+    if not clips:
+        note = f"left out: the dataset has no held-out clips of at least {INIT_FRAMES + SHORTEST_REST} frames"
+        return Section("reconstruction", "Reconstruction to held-out clips", [], [], [note])
+    drawn = clips * settings.few
+    rolled = roll_like(model, dataset, drawn, settings, lambda share: progress(0.5 * share))
+    nearest = NearestClip(model, dataset, real)
+    sums: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
+    for number, (clip, made) in enumerate(zip(drawn, rolled, strict=True)):
+        motion = made.motion(model).cut(0, clip.frames)
+        candidates = {"model": motion, "model with IK": lock_feet(motion, made.contacts[: clip.frames])}
+        if number < len(clips):
+            candidates |= {
+                way: clip.motion.cut(INIT_FRAMES - late, INIT_FRAMES - late + clip.frames)
+                for way, late in LATE.items()
+            }
+            candidates["last frame"] = _frozen(clip)
+            candidates["nearest clip"] = nearest.continues(clip, body_of(clip.motion.cut(0, INIT_FRAMES)))
+        for way, candidate in candidates.items():
+            report = evaluate_motion(candidate, clip.rest)
+            for row in report.rows:
+                if row.id not in METRICS or row.motion.value is None or row.ground_truth is None:
+                    continue
+                for group in (clip.type, "all"):
+                    sums[group, way][row.id].append((row.motion.value, float(clip.frames)))
+                    if way == "model" and row.ground_truth.value is not None:
+                        sums[group, "ground truth"][row.id].append(
+                            (row.ground_truth.value, float(clip.frames))
+                        )
+        progress(0.5 + 0.5 * (number + 1) / len(drawn))
+    groups = ["all", *sorted({clip.type for clip in clips})]
+    means = {key: {m: _mean(values) for m, values in found.items()} for key, found in sums.items()}
+    rows = [
+        (group, way, *(means.get((group, way), {}).get(m) for m in METRICS))
+        for group in groups
+        for way in WAYS
+    ]
+    columns = ("type", "motion", *METRICS)
+    counts = [
+        (group, sum(c.type == group or group == "all" for c in clips), _seconds(clips, group, model.fps))
+        for group in groups
+    ]
+    tables = [
+        Table("Reconstruction", columns, rows),
+        Table("Held-out clips", ("type", "clips", "seconds compared"), counts),
+    ]
+    notes = [
+        f"the first {INIT_FRAMES} frames of each held-out clip, then its types, trajectory and phase as controls; at "
+        f"most {settings.reconstruction:g} s of the rest are rolled out, {settings.few} times; means over frames; metrics: "
+        "docs/metrics.md, cm and degrees a frame at 60 fps",
+        "late: the recording itself, played so many frames too late",
+        "floors: the last given frame held, and the training clip whose last half second is nearest, played on",
+        "with IK: foot locks at the predicted contacts (`--ik`)",
+    ]
+    return Section("reconstruction", "Reconstruction to held-out clips", tables, _goals(means), notes)
+
+
+def _goals(means: dict[tuple[str, str], dict[str, float]]) -> list[Goal]:
+    truth, model, locked = (means.get(("all", way), {}) for way in WAYS[:3])
+
+    def ratio(metric: str, of: dict[str, float]) -> float | None:
+        base = truth.get(metric)
+        return of[metric] / base if base and metric in of else None
+
+    return [
+        Goal("BM / real (bm-euler)", ratio("bm-euler", model), "0.95 to 1.05", 0.95, 1.05),
+        Goal("AFS / real", ratio("afs", model), "≤ 1.2", None, 1.2),
+        Goal("AFS / real with IK", ratio("afs", locked), "≤ 1", None, 1.0),
+        Goal("SSIM (ssim-window)", model.get("ssim-window"), "≥ 0.992", 0.992),
+    ]
+
+
+def _mean(values: list[tuple[float, float]]) -> float:
+    return sum(v * w for v, w in values) / sum(w for _, w in values)
+
+
+def _seconds(clips: list[HeldOut], group: str, fps: float) -> float:
+    return sum(c.frames for c in clips if group in ("all", c.type)) / fps

@@ -1,0 +1,211 @@
+"""Stability: does the motion go on as it began, alive, on its feet and near the data?"""
+
+from __future__ import annotations
+
+import random
+from collections import defaultdict
+
+import numpy as np
+
+from motionkit.control.script import TypePart
+from motionkit.evaluation.body import Body
+from motionkit.evaluation.real import MotionProfile, RealMotion
+from motionkit.evaluation.report import Goal, Section, Table
+from motionkit.evaluation.rolling import Plan, Progress, roll_plans
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.metrics.smoothness import mean_jerk
+from motionkit.models.checkpoint import MotionModel
+
+FREEZE_SECONDS = 5.0
+# Frozen: joints slower over FREEZE_SECONDS than this share of the slowest recorded windows of the type.
+FROZEN_SHARE = 0.5
+EDGE_SHARE = 1 / 3  # of the time: the first and last part between which the feet's height must not drift
+DRIFT_LIMIT = 5.0  # cm
+FLOAT_LIMIT = 3.0  # cm that feet may be higher or lower over the floor than recorded ones
+DISTANCE_LIMIT, JERK_LIMIT = 1.5, 1.5  # times real
+CHANGE_SECONDS = (3.0, 8.0)  # a type of the mixed run lasts so long
+
+
+def frozen_seconds(body: Body, slowest: float) -> float:
+    """Seconds of the windows of FREEZE_SECONDS in which the joints are slower than slowest (rad/s)."""
+    size = min(len(body), round(FREEZE_SECONDS * body.fps))
+    starts = range(0, len(body) - size + 1, size)
+    return sum(body.cut(s, s + size).joint_speed() < slowest for s in starts) * size / body.fps
+
+
+def foot_height(bodies: list[Body]) -> float:
+    """How far the lower foot is off the floor in cm: the lower quartile of all frames, in which who jumps stands."""
+    return float(np.quantile(np.concatenate([body.lifts.min(axis=-1) for body in bodies]), 0.25))
+
+
+def height_drift(body: Body) -> float:
+    """Change in cm of foot_height from the first third of the time to the last.
+
+    The mean height of the root would tell squats from drift as little as recordings in random order do.
+    """
+    edge = max(1, int(EDGE_SHARE * len(body)))
+    return foot_height([body.cut(len(body) - edge, len(body))]) - foot_height([body.cut(0, edge)])
+
+
+def _floating(body: Body, real: RealMotion, parts: tuple[TypePart, ...]) -> float | None:
+    """foot_height over that of a type's recordings; None for a mixture, whose stretches go over into one another."""
+    kinds = {part.type for part in parts}
+    if len(kinds) > 1:
+        return None
+    found = [stretch.body for stretch in real.of_type(kinds.pop())]
+    return foot_height([body]) - foot_height(found) if found else None
+
+
+def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
+    """Mean distance (cm a joint) of a type's recordings to the nearest training pose, and their mean jerk (m/s^3).
+
+    The distance is that of held-out recordings, or without any of the training ones to poses of other clips.
+    """
+    found = real.of_type(kind)
+    held_out = real.of_type(kind, "test")
+    distances, jerks, frames = [], [], []
+    for stretch in held_out or found:
+        each = real.pose_distances(stretch.body, -1 if held_out else stretch.clip).min(axis=1)
+        distances.append(each[np.isfinite(each)])
+    for stretch in found:
+        jerks.append(mean_jerk(stretch.body.positions, real.fps).value or 0.0)
+        frames.append(float(len(stretch.body)))
+    far = np.concatenate([*distances, np.zeros(0, np.float32)])
+    jerk = sum(j * f for j, f in zip(jerks, frames, strict=True)) / max(sum(frames), 1.0)
+    return float(far.mean()) if len(far) else float("nan"), jerk
+
+
+def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]) -> tuple[float, float]:
+    """real_measures, given for each type, of recordings mixed as the types of a plan are, by their seconds."""
+    seconds: dict[str, float] = defaultdict(float)
+    for part in parts:
+        seconds[part.type] += part.seconds
+    measures = np.array([recorded[kind] for kind in seconds])
+    shares = np.array(list(seconds.values()))[:, None]
+    # A type without a distance to measure (one clip) counts in the jerk alone.
+    known = shares * np.isfinite(measures)
+    distance, jerk = (np.nan_to_num(measures) * known).sum(axis=0) / known.sum(axis=0)
+    return float(distance), float(jerk)
+
+
+def _row(
+    name: str,
+    body: Body,
+    real: RealMotion,
+    recorded: dict[str, tuple[float, float]],
+    parts: tuple[TypePart, ...],
+) -> dict[str, float | str | bool | None]:
+    """What a body did for a plan's parts, against recordings of the same types in the same shares."""
+    profiles: list[MotionProfile] = [m for m in (real.profile(part.type) for part in parts) if m is not None]
+    slowest = min((m.speeds[0] for m in profiles), default=0.0) * FROZEN_SHARE
+    finite = bool(np.isfinite(body.positions).all())
+    if not finite:
+        return {"type": name, "finite": False}
+    distance, jerk = _mixed(recorded, parts)
+    heights = body.positions[:, 0, 1]
+    near = float(real.pose_distances(body.every(10)).min(axis=1).mean())
+    return {
+        "type": name,
+        "finite": True,
+        "frozen, s": frozen_seconds(body, slowest),
+        "height drift, cm": height_drift(body),
+        "feet over recorded, cm": _floating(body, real, parts),
+        "lowest root, cm": float(heights.min()),
+        "highest root, cm": float(heights.max()),
+        "pose distance, cm": near,
+        "/ held-out real": near / distance if distance > 0 else None,
+        "jerk / real": (mean_jerk(body.positions, body.fps).value or 0.0) / jerk if jerk > 0 else None,
+    }
+
+
+def random_plan(model: MotionModel, kinds: list[str], seconds: float, seed: int) -> Plan:
+    """Types in random order, each for a random time or a whole performance, for some seconds in all."""
+    chance = random.Random(seed)
+    parts, total = [], 0.0
+    while total < seconds:
+        kind = chance.choice(kinds)
+        time = model.phase_seconds(kind) or chance.uniform(*CHANGE_SECONDS)
+        # Whole frames, so that plans of one length have one number of frames.
+        time = round(min(time, seconds - total) * model.fps) / model.fps
+        if time <= 0.0:
+            break
+        parts.append(TypePart(kind, time))
+        total += time
+    return Plan(tuple(parts), seed)
+
+
+def stability_section(
+    model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
+) -> Section:
+    """The section of the scoreboard: one long roll-out of every type, and one of random changes of type."""
+    kinds = [kind for kind in model.types if kind in real.types and real.profile(kind) is not None]
+    plans = [Plan((TypePart(kind, settings.stability),), 0) for kind in kinds]
+    first = settings.stability / (settings.stability + settings.mixed)
+    single = roll_plans(model, plans, settings.noise, settings.seed, lambda x: progress(first * x))
+    wild = random_plan(model, kinds, settings.mixed, settings.seed)
+    mixed = roll_plans(
+        model, [wild], settings.noise, settings.seed, lambda x: progress(first + (1 - first) * x)
+    )
+    recorded = {kind: real_measures(real, kind) for kind in kinds}
+    rows = [
+        _row(kind, p.body, real, recorded, plan.parts)
+        for kind, p, plan in zip(kinds, single, plans, strict=True)
+    ]
+    rows.append(_row("random changes", mixed[0].body, real, recorded, wild.parts))
+    columns = max((tuple(row) for row in rows), key=len)
+    tables = [
+        Table(
+            f"{settings.stability:g} s of every type, {settings.mixed:g} s of random changes",
+            columns,
+            [tuple(row.get(column) for column in columns) for row in rows],
+        )
+    ]
+    notes = [
+        f"frozen: seconds in windows of {FREEZE_SECONDS:g} s with joints slower than {FROZEN_SHARE:g} times the lower "
+        "limit of the type's profile; how far the lower foot is off the floor (lower quartile): height drift, last "
+        "third of the time against the first; feet over recorded, against the type's recordings",
+        "pose distance: mean distance a joint to the nearest training pose of any type, over the same figure for "
+        "held-out recordings of the type (without any: of training recordings against other clips)",
+        "jerk: of 60 fps positions, over that of the type's recordings; of the random changes: over that of recordings "
+        "of their types, each for as long as it was asked for",
+    ]
+    return Section("stability", "Stability", tables, _goals(rows, settings), notes)
+
+
+def _goals(rows: list[dict], settings: EvaluationSettings) -> list[Goal]:
+    checks = [
+        ("no NaN", "finite", 1.0, None),
+        ("not frozen", "frozen, s", None, 0.0),
+        (f"height drift within {DRIFT_LIMIT:g} cm", "height drift, cm", -DRIFT_LIMIT, DRIFT_LIMIT),
+        (
+            f"feet within {FLOAT_LIMIT:g} cm of recorded height",
+            "feet over recorded, cm",
+            -FLOAT_LIMIT,
+            FLOAT_LIMIT,
+        ),
+        (f"pose distance ≤ {DISTANCE_LIMIT:g} times real", "/ held-out real", None, DISTANCE_LIMIT),
+        (f"jerk ≤ {JERK_LIMIT:g} times real", "jerk / real", None, JERK_LIMIT),
+    ]
+    goals = []
+    for what, column, lowest, highest in checks:
+        bad = [
+            row["type"] for row in rows[:-1] if not _within(row.get(column), lowest, highest, row["finite"])
+        ]
+        share = 1.0 - len(bad) / max(1, len(rows) - 1)
+        note = f"not: {', '.join(bad)}" if bad else ""
+        name = f"{settings.stability:g} s, {what}: share of types"
+        goals.append(Goal(name, share, "all", 1.0, None, note))
+    last = rows[-1]
+    good = [_within(last.get(column), low, high, last["finite"]) for _, column, low, high in checks]
+    failed = ", ".join(what for (what, *_), ok in zip(checks, good, strict=True) if not ok)
+    note = f"not: {failed}" if failed else ""
+    name = f"{settings.mixed:g} s of random changes: share of the same checks"
+    goals.append(Goal(name, sum(good) / len(good), "all", 1.0, None, note))
+    return goals
+
+
+def _within(value: float | None, lowest: float | None, highest: float | None, finite: bool) -> bool:
+    """Whether a value keeps its limits; one that could not be measured does, unless the motion is not finite."""
+    if value is None:
+        return finite
+    return (lowest is None or value >= lowest) and (highest is None or value <= highest)

@@ -1,0 +1,1 @@
+"""A model in, a graph for game engines out."""

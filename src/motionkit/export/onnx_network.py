@@ -1,0 +1,303 @@
+"""The network of one frame as ONNX nodes, written from the packed weights (inference/step_weights.py).
+
+What costs time in a graph of one frame is to read the weights, and then every node, however small. So what
+can be folded into constants is folded, and rings are written in place instead of being shifted: the next
+frame goes into the slot of the oldest.
+
+All parts go through one product. Either their maps stand side by side, (K, P N): then each part's row meets
+every map, and what it has of the others' is left out afterwards. Or they stand one below the other,
+(P K, N), and each part's row is zero but in its own columns. The additional sums cost nothing, as long as
+bringing the weights to the processor takes longer than to use them; products of a plain matrix are what
+runtimes are best at, and the only ones they know in 8 bits.
+
+Shape legend: P parts, L layers, D width, H heads, E head width, F hidden, W window, C controls.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Floats
+from motionkit.export.onnx_graph import Graph
+from motionkit.export.onnx_slip_correction import hold_ground
+from motionkit.export.onnx_small import balance_heads, spread_channels, whole_numbers
+from motionkit.features.control import skeleton_signal
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.inference.rollout import blended_columns
+from motionkit.inference.step_weights import NORM_EPS, StepWeights
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.skeleton import canonical_skeleton
+
+INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
+
+
+def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
+    """Names and shapes of the state that goes in as NAME and comes out as present NAME.
+
+    Keys and values follow the convention past_key_values.N.key, the parts as a batch.
+    """
+    config, P = weights.config, len(weights.columns)
+    ring = (P, config.heads, config.window, config.width // config.heads)
+    shapes: dict[str, tuple[int, ...]] = {
+        "pose": (1, FEATURE_COUNT),
+        "contacts": (1, CONTACT_COUNT),
+        "ground": (1, 3),
+        "rise": (1, 1),
+        "past_frames": (1, max(config.kernel - 1, 1) * INPUT_COUNT),
+        "frames_seen": (1, 1),
+    }
+    for layer in range(2 * config.layers):
+        shapes[f"past_key_values.{layer}.key"] = shapes[f"past_key_values.{layer}.value"] = ring
+    return shapes
+
+
+def present_name(name: str) -> str:
+    """What a state is called where it comes out: present.0.key for past_key_values.0.key."""
+    return (
+        name.replace("past_key_values", "present") if "." in name else f"present_{name.removeprefix('past_')}"
+    )
+
+
+def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: bool) -> str:
+    """Nodes from controls and state to all state but ground and rise; answers the unnormalised features (1, 276).
+
+    small: products of the layers in 8 bits.
+    """
+    config, P, D = weights.config, len(weights.columns), weights.config.width
+    hidden = config.contact_hidden
+    weights = balance_heads(spread_channels(weights)) if small else weights
+    step = _Step(g, weights, small)
+    blocks = _control_blocks(step, model)
+    past = state_shapes(weights)["past_frames"][1]
+    # The oldest frame goes, others stay; before is the pose of the last one.
+    stay = past - INPUT_COUNT
+    older = [size for size in (INPUT_COUNT, stay - INPUT_COUNT) if size > 0] if stay else []
+    pieces = g.split("past_frames", [*older, FEATURE_COUNT, CONTACT_COUNT], axis=1)
+    before = pieces[-2]
+    g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
+    shallow = step.module(0, step.embed_frames(blocks[0][0]), blocks[0])
+    # What the deep module and the feet take of the shallow features, in one product; all further layers hang on it.
+    taken = step.product(
+        shallow,
+        np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
+        np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
+    )
+    deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
+    deep_input = g.add("Add", g.reshape(deep_input, P, D), blocks[1][0])
+    deep = step.module(1, deep_input, blocks[1])
+    # The mean is never in 8 bits: it goes straight into the pose.
+    mean = g.add("Gemm", deep, weights.head[:, :FEATURE_COUNT], weights.head_bias[:FEATURE_COUNT])
+    rest = step.product(deep, weights.head[:, FEATURE_COUNT:], weights.head_bias[FEATURE_COUNT:])
+    sigma, feet_too = g.split(rest, [FEATURE_COUNT, hidden], axis=1)
+    feet = g.add("Relu", g.add("Add", feet, feet_too))
+    g.add("Sigmoid", g.add("Gemm", feet, weights.contact, weights.contact_bias), out="present_contacts")
+    low, high = np.float32(config.log_sigma_min), np.float32(config.log_sigma_max)
+    drawn = g.add("Mul", "noise", g.add("Exp", g.add("Clip", sigma, low, high)))
+    terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head_leak))]
+    # Nothing has moved yet at the first frame.
+    moved = g.add("Mul", g.add("Sub", "pose", before), g.add("Min", "frames_seen", np.float32(1.0)))
+    if weights.momentum is not None:
+        terms.append(g.add("Mul", moved, weights.momentum))
+    drawn = g.add("Sum", *terms)
+    velocity_blends = np.array([[model.velocity_blend.get(kind, 0.0)] for kind in model.types], np.float32)
+    velocity_blends = velocity_blends * blended_columns(config.layout)
+    late = g.add("Sub", g.add("Add", "pose", moved), drawn)
+    late = g.add("Mul", late, g.add("MatMul", "type_weights", velocity_blends))
+    slip_corrections = any(model.slip_correction.values())
+    pose = g.add("Add", drawn, late, out=None if slip_corrections else "present_pose")
+    if slip_corrections:
+        pose = hold_ground(g, model, pose)
+    return g.add("Add", g.add("Mul", pose, model.scaling.std), model.scaling.mean, out="features")
+
+
+def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
+    """What the controls add to the input of each layer (P, D), of both modules.
+
+    The skeleton is always the same one, and scales and offsets of the other signals are in the map behind
+    them: a signal (s - m) / d that counts where g is 1 is g s on a map divided by d, and g on the rest.
+    """
+    g, weights = step.g, step.weights
+    layout, scaling, references = model.controls, model.trajectory_scaling, model.reference_map
+    P, modules = len(weights.columns), (weights.shallow, weights.deep)
+    embed = np.concatenate([m.controls for m in modules]).transpose(1, 0, 2).astype(np.float64)
+    embed = embed.reshape(embed.shape[0], -1)  # (C, 2 P Dc)
+    bias = np.concatenate([m.controls_bias for m in modules]).reshape(-1).astype(np.float64)
+    bias += skeleton_signal(canonical_skeleton()).astype(np.float64) @ embed[layout.skeleton]
+    trajectory = embed[layout.trajectory] / scaling.std.astype(np.float64)[:, None]
+    given = embed[layout.flag] - scaling.mean.astype(np.float64) @ trajectory
+    reference = embed[layout.reference]
+    seen = g.add("MatMul", "pose", references.matrix / references.gains)
+    differences = g.add("Mul", g.add("Sub", "reference", seen), "reference_gain")
+    # The sine and, a quarter of a turn ahead, the cosine.
+    turns = g.add("Gemm", "phase", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
+    # One from zero on and zero below, by a steep ramp: cheaper than a comparison.
+    has_phase = g.add("Gemm", "phase", [[1e6]], [1.0])
+    has_phase = g.add("Clip", has_phase, np.float32(0.0), np.float32(1.0))
+    turns = g.add("Mul", g.add("Sin", turns), has_phase)
+    shown = g.add(
+        "Concat",
+        "type_weights",
+        g.add("Mul", "trajectory", "trajectory_mask"),
+        "trajectory_mask",
+        turns,
+        differences,
+        "reference_gain",
+        g.add("Sign", "reference_gain"),
+        axis=1,
+    )
+    rows = [
+        embed[layout.type],
+        trajectory,
+        given[None],
+        embed[layout.phase],
+        references.gains.astype(np.float64)[:, None] * reference,
+        -(references.constant.astype(np.float64) @ reference)[None],
+        embed[layout.reference_gain][None],
+    ]
+    embedded = g.add("Gemm", shown, np.concatenate(rows).astype(np.float32), bias.astype(np.float32))
+    maps = np.concatenate([m.layer_controls for m in modules])
+    added = step.product(step.own_columns(embedded, 2 * P, maps.shape[1]), _below(maps))
+    D = weights.config.width
+    count = maps.shape[2] // D
+    return [
+        g.split(part, [D] * count, axis=1) if count > 1 else [part] for part in g.split(added, [P, P], axis=0)
+    ]
+
+
+class _Step:
+    """The modules of one frame."""
+
+    def __init__(self, g: Graph, weights: StepWeights, small: bool) -> None:
+        self.g, self.weights, self.config, self.small = g, weights, weights.config, small
+        config, P, W = self.config, len(weights.columns), weights.config.window
+        # Frames are counted up to 2 W - 2 and then from W - 1 again: while places in the rings are empty, and
+        # then which slot is the oldest.
+        counts = np.arange(2 * W - 1)
+        count = g.add("Cast", "frames_seen", to=g.onnx.TensorProto.INT64)
+        g.add("Gather", np.append(counts[1:], W - 1), count, axis=0, out="present_frames_seen")
+        count = g.add("Squeeze", count)
+        # What is looked up lies in one piece for each count.
+        part, head = np.ogrid[:P, : config.heads]
+        slot = np.stack(np.broadcast_arrays(part, head, counts[:, None, None] % W), axis=-1)[:, :, :, None]
+        self.slot = g.gather(g.constant(slot, np.int64), count, axis=0)  # (P, H, 1, 3)
+        distance = (counts[:, None] - np.arange(W)) % W
+        position = np.concatenate([weights.shallow.position, weights.deep.position])  # (2 L, P, H, W)
+        bias = np.where(distance <= counts[:, None], position[..., distance], np.float32(-1e9))
+        bias = bias.reshape(-1, config.heads, 2 * W - 1, W).transpose(2, 0, 1, 3)[:, :, :, None]
+        self.biases = g.split(g.gather(bias, count, axis=0), [P] * (2 * config.layers), axis=0)
+
+    def embed_frames(self, controls: str) -> str:
+        """The first convolution, over the last frames and the present one, plus what the controls add: (P, D)."""
+        g, columns, config = self.g, self.weights.columns, self.config
+        # One frame more than a kernel of one takes in is kept. The one at the end is what biases are multiplied with.
+        frames = max(config.kernel, 2)
+        recent = g.add("Concat", "past_frames", "pose", "contacts", g.constant([[1.0]]), axis=1)
+        first = INPUT_COUNT * (frames - config.kernel + np.arange(config.kernel))
+        places, maps = [], []
+        for p, mine in enumerate(columns):
+            used = mine < INPUT_COUNT  # short parts are filled up
+            places.append(np.append((first[:, None] + mine[used]).reshape(-1), INPUT_COUNT * frames))
+            taps = self.weights.shallow.embed[p].reshape(config.kernel, len(mine), -1)[:, used]
+            bias = self.weights.shallow.embed_bias[p][None]
+            maps.append(np.concatenate([taps.reshape(-1, taps.shape[-1]), bias]))
+        own = _own(len(places), [len(place) for place in places])
+        seen = g.add("Mul", g.gather(recent, np.concatenate(places), axis=1), own)
+        return g.add("Gemm", seen, np.concatenate(maps), controls)
+
+    def module(self, index: int, x: str, controls: list[str]) -> str:
+        """Features (1, P D) without their sqrt(D) of a module from the input (P, D) of its first layer."""
+        g, config = self.g, self.config
+        weights = (self.weights.shallow, self.weights.deep)[index]
+        P, D, H = len(self.weights.columns), config.width, config.heads
+        for i in range(config.layers):
+            layer = index * config.layers + i
+            qkv = self.product(
+                self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1), even=True
+            )
+            heads = g.gather(g.reshape(qkv, P * P, 3 * H, 1, D // H), np.arange(P) * (P + 1), axis=0)
+            mixed = self._attend(layer, *g.split(heads, [H, H, H], axis=1))
+            x = self._add_product(x, self.own_columns(mixed, P, D), _below(weights.out[i]))
+            hidden = self._hidden(self._norm(x), _beside(weights.inner[i]), weights.inner_bias[i])
+            x = self._add_product(x, hidden, _below(weights.outer[i]), *controls[i + 1 : i + 2])
+        return g.reshape(self._norm(x), 1, P * D)
+
+    def _hidden(self, x: str, weight: Floats, bias: Floats) -> str:
+        """Rows (P, P F), each with zeros but in its own columns, of the hidden layer with bias (P, F)."""
+        P, F = bias.shape
+        if self.small:
+            # The scales of the columns are brought back along with the zeros: what is cut off below zero stays so.
+            hidden, size = self._small_product(x, weight, bias.reshape(-1))
+            assert size is not None  # with a bias it is a node of its own
+            return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F) * size)
+        # A bias far below zero wipes out as well.
+        biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
+        return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
+
+    def own_columns(self, rows: str, count: int, width: int) -> str:
+        """Rows (count, count width), each with its own columns and zeros, from rows of any shape."""
+        return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
+
+    def product(self, x: str, weight: Floats, bias: Floats | None = None, even: bool = False) -> str:
+        """Rows times a matrix (K, N) plus a bias (N,); even: the columns are about as large as each other."""
+        if self.small:
+            product, size = self._small_product(x, weight, bias, even)
+            return product if size is None else self.g.add("Mul", product, size)
+        return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
+
+    def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
+        """x plus rows y times a matrix, plus more."""
+        if not self.small and not more:
+            return self.g.add("Gemm", y, weight, x)
+        return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
+
+    def _small_product(
+        self, x: str, weight: Floats, bias: Floats | None, even: bool = False
+    ) -> tuple[str, Floats | None]:
+        """The same product in 8 bits, and what its columns are to be multiplied with, None for nothing.
+
+        Runtimes take half as long again over a product with a bias and a scale for every column as over one that
+        has only that of the rows, and a node of its own.
+        """
+        g = self.g
+        whole, scales = whole_numbers(weight, even)
+        common = scales if bias is None else scales.max()
+        size = None if bias is None or even else scales / common
+        value, step, zero = g.quantized(x)
+        product = g.add("MatMulInteger", value, g.constant(whole, np.int8), zero, g.constant(0, np.int8))
+        product = g.add("Cast", product, to=g.onnx.TensorProto.FLOAT)
+        product = g.add("Mul", product, g.add("Mul", step, common))
+        if bias is not None:
+            product = g.add("Add", product, bias if size is None else bias / size)
+        return product, size
+
+    def _attend(self, layer: int, query: str, key: str, value: str) -> str:
+        """Attention (P, H, 1, E) over the ring of a layer, into which key and value go."""
+        past = f"past_key_values.{layer}"
+        keys, values = (
+            self.g.add("ScatterND", f"{past}.{name}", self.slot, new, out=present_name(f"{past}.{name}"))
+            for name, new in (("key", key), ("value", value))
+        )
+        scores = self.g.add("MatMul", query, self.g.add("Transpose", keys, perm=[0, 1, 3, 2]))
+        scores = self.g.add("Add", scores, self.biases[layer])
+        return self.g.add("MatMul", self.g.add("Softmax", scores, axis=-1), values)
+
+    def _norm(self, x: str) -> str:
+        D = self.config.width
+        # The shift of zero is there for importers that do not know that it may be left out.
+        inputs = (x, np.full(D, D**-0.5), np.zeros(D))
+        return self.g.add("LayerNormalization", *inputs, axis=-1, epsilon=NORM_EPS)
+
+
+def _beside(maps: Floats) -> Floats:
+    """Maps (P, K, N) side by side: (K, P N)."""
+    return maps.transpose(1, 0, 2).reshape(maps.shape[1], -1)
+
+
+def _below(maps: Floats) -> Floats:
+    """Maps (P, K, N) one below the other: (P K, N)."""
+    return maps.reshape(-1, maps.shape[-1])
+
+
+def _own(count: int, width: int | list[int]) -> Floats:
+    """(count, count width) ones where a row has its own columns; width for all rows or for each."""
+    return np.repeat(np.eye(count, dtype=np.float32), width, axis=1)

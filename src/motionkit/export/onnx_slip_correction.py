@@ -1,0 +1,76 @@
+"""Grip as ONNX nodes: feet on the ground hold the root, as synthesis/slip_correction.py has it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.export.onnx_graph import Graph
+from motionkit.features.layout import FEATURE_COUNT, feature_layout
+from motionkit.inference import slip_correction
+from motionkit.models.checkpoint import MotionModel
+
+
+def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
+    """Nodes from a drawn pose (1, 276) to the one with the way that feet allow; writes and answers present_pose."""
+    blocks = feature_layout(model.config.layout).blocks
+    yaw, xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start
+    slip_corrections = np.array([[model.slip_correction.get(kind, 0.0)] for kind in model.types], np.float32)
+    share = g.add("MatMul", "type_weights", slip_corrections * np.float32(model.fps))
+    share = g.add("Mul", share, "slip_correction")
+    by = g.add("Mul", _standing_move(g, model, drawn, (yaw, xz)), share)
+    # What comes is a turn the other way, and a step.
+    columns = np.zeros((3, FEATURE_COUNT), np.float32)
+    columns[[0, 1, 2], [yaw, xz, xz + 1]] = -1.0, 1.0, 1.0
+    std = model.scaling.std
+    return g.add("Gemm", by, columns / std, drawn, out="present_pose")
+
+
+def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[int, int]) -> str:
+    """What to take off the turn and to add to the step of the root (1, 3)."""
+    x, y, z = slip_correction.foot_columns(model.config.layout).T
+    yaw, xz = velocities
+    mean, std = model.scaling.mean, model.scaling.std
+    reaches, shares = np.array(slip_correction.REACHES), np.array(slip_correction.SHARES)
+    # All that is linear in the frame at once: where feet are and would be without a turn, x and z; their arms, z and
+    # -x; how low they are; the turn, and a quarter more.
+    of_frame, plus = np.zeros((FEATURE_COUNT, 22)), np.zeros(22)
+    feet = np.arange(4)
+    of_frame[x, feet] = of_frame[z, 4 + feet] = of_frame[z, 8 + feet] = 1.0
+    of_frame[x, 12 + feet] = -1.0
+    of_frame[xz, :4] = of_frame[xz + 1, 4:8] = of_frame[yaw, 20:] = 1.0 / model.fps
+    of_frame[y, 16 + feet], plus[16:20] = -shares / reaches, shares * (1.0 + slip_correction.FLOOR / reaches)
+    plus[21] = 0.5 * np.pi
+    unscaled = g.add("Gemm", drawn, std[:, None] * of_frame, mean @ of_frame + plus)
+    here, low, turns = g.split(unscaled, [16, 4, 2], axis=1)
+    # Where they were, turned into the heading frame of now: sine and cosine times x, z, z and x.
+    factors = np.zeros((2, 16))
+    factors[0, 4:8], factors[0, 12:], factors[1, :4], factors[1, 8:12] = -1.0, 1.0, 1.0, 1.0
+    at = np.concatenate([x, z, z, x])
+    of_pose = np.zeros((FEATURE_COUNT, 16))
+    of_pose[at, np.arange(16)] = std[at]
+    before = g.add("Gemm", "pose", of_pose, mean[at])
+    turned = g.add("Mul", before, g.add("MatMul", g.add("Sin", turns), factors))
+    away = np.zeros((16, 16))
+    away[:8, :4] = away[8:, 4:8] = -np.concatenate([np.eye(4), np.eye(4)])
+    # Rows are moves along x and z and arms along x and z, columns foot joints.
+    both = g.reshape(g.add("Gemm", turned, away, here), 4, 4)
+    # How much each foot joint holds.
+    low = g.add("Min", g.add("Max", low, np.float32(0.0)), shares)
+    moves = g.add("Mul", both, np.array([[1.0], [1.0], [0.0], [0.0]]))
+    moved = g.add("ReduceL2", moves, axes=[0], keepdims=1)
+    weight = g.add("Div", low, g.add("Add", moved, np.float32(slip_correction.EASE)))
+    weight = g.add("Div", weight, g.add("Gemm", weight, np.ones((4, 4)), np.full(4, 1e-9)))
+    means = g.add("Gemm", both, weight, transB=1)
+    off = g.add("Sub", both, means)
+    shared = g.add("Gemm", g.add("Mul", off, weight), off, transB=1)
+    # How far all turn about their middle, and how far from it they stand.
+    of_shared = np.zeros((16, 2))
+    of_shared[[2, 7], 0] = of_shared[[10, 15], 1] = 1.0
+    turn = g.add("Gemm", g.reshape(shared, 1, 16), of_shared, np.array([0.0, slip_correction.STIFFNESS]))
+    angle = g.add("Div", *g.split(turn, [1, 1], axis=1))
+    by = g.add("Concat", g.constant([[-1.0]]), angle, axis=1)
+    step = g.add("MatMul", by, g.reshape(means, 2, 2))
+    holds = g.add("Min", g.add("MatMul", low, np.full((4, 1), 1.0 / slip_correction.ENOUGH)), np.float32(1.0))
+    size = g.add("ReduceL2", step, axes=[1], keepdims=1)
+    holds = g.add("Div", holds, g.add("Gemm", size, np.full((1, 1), 1.0 / slip_correction.LIMIT), np.ones(1)))
+    return g.add("Mul", g.add("Concat", angle, step, axis=1), holds)

@@ -1,0 +1,63 @@
+/* What frame_kernel.c, foot_kernel.c and frame_kernel.py share. Rows of all arrays are characters. */
+
+#include <stdint.h>
+
+#include "kernel_math.h"
+
+#define JOINTS 23
+
+/* How a frame is drawn from the network's Gaussians and taken in: RolloutState in rollout.py. */
+typedef struct {
+    int64_t features, contacts, yaw, xz; /* counts, and columns of the root's velocities */
+    int64_t gaussian_stride, logit_stride;
+    int64_t feet[4]; /* columns of the foot joints' positions */
+    double floor, reaches[4], shares[4], ease, stiffness, enough, limit; /* of slip_correction.py */
+    const float *mean, *log_sigma, *logits;
+    const float *scaling_mean, *scaling_std; /* (features,) */
+    const float *fresh;                      /* (B, features) standard normal; NULL takes the mean */
+    float *noise, *smooth;                   /* (B, features), follow themselves and each other */
+    const float *blended;                      /* (features,) how much of the velocity_blend each takes */
+    const float *velocity_blend, *slip_correction;             /* (B,) */
+    float *before;                           /* (B, features) the frame before, normalised */
+    float rho, fresh_share, smoothing, noise_share, temperature, fps;
+    float *x;            /* (B, features) the frame, normalised */
+    float *seen;         /* (B, contacts) probabilities */
+    float *denormalised; /* (B, features) */
+    float *ground;       /* (B, 3) root x, z, heading */
+} Draw;
+
+/* The feet of all characters and the numbers of foot_lock.py. */
+typedef struct {
+    int64_t hip[2], knee[2], ankle[2], toe[2];
+    float contact_on, contact_off, ease, brake, max_slide, max_reach, hip_return, max_drop, least_drop;
+    float toe_height, clearance, max_clearance, lift_rise, lift_fall;
+    uint8_t *locked;                           /* (B, 2) */
+    float *age;                                /* (B, 2) */
+    float *anchor, *shift, *released, *before; /* (B, 2, 2) x, z */
+    float *lift;                               /* (B, 2) */
+    float *drop;                               /* (B,) */
+} Feet;
+
+/* How far all characters are raised, and the numbers of height_correction.py. */
+typedef struct {
+    int64_t joints[4], columns[4]; /* of the foot joints, and of their heights */
+    float standing[4], reach, pace, doubt, deepest, lift;
+    float *rise; /* (B,) */
+} HeightCorrection;
+
+/* From a frame to a body: PoseDecoder, BodyKinematics, HeightCorrection and FootLock. */
+typedef struct {
+    int64_t features, root, joints, height, sixd; /* columns */
+    int64_t parents[JOINTS];
+    HeightCorrection height_correction;
+    const float *references;                    /* (22, 4, 4) */
+    const float *offsets;                       /* (B, 23, 3) */
+    const float *scale;                         /* (B,) */
+    const float *frame, *contacts, *ground;     /* (B, features), (B, 4), (B, 3) */
+    float *rotations, *root_places, *positions; /* (B, 23, 4), (B, 3), (B, 23, 3) */
+    const Feet *feet;                           /* NULL: not locked */
+} Pose;
+
+/* Locks the feet of character row, whose world rotations are given; changes rotations and positions. */
+void lock_feet(const Feet *feet, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,
+               Vec3 *positions);

@@ -1,0 +1,400 @@
+"""Closed-loop synthesis: the network's output is its next input, controls are asked for at every frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.arrays import Array, Floats
+from motionkit.errors import ControlError, ModelError
+from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
+from motionkit.features.decode import decode_motion
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
+from motionkit.inference import slip_correction
+from motionkit.inference.frame_kernel import DrawArrays, bind_draw, frame_library
+from motionkit.inference.height_correction import raised
+from motionkit.inference.step import NetworkStep
+from motionkit.inference.stepping import TorchStep, stepper
+from motionkit.models.checkpoint import MotionModel, StartPose
+from motionkit.motion.bvh_text import MAX_NUMBER
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+
+NOISE_KINDS = ("mean", "sample", "correlated")
+
+
+@dataclass(frozen=True)
+class Noise:
+    """How frames are drawn from the predicted Gaussians.
+
+    kind "mean" takes the mean, "sample" draws each frame anew (the paper's default), "correlated" draws
+    noise of the same size that follows itself over time: white noise through two first-order filters, with
+    coefficients rho and smoothing. After one filter alone its steps would still be white, and shake the body.
+    """
+
+    kind: str = "correlated"
+    temperature: float = 0.05
+    rho: float = 0.95
+    smoothing: float = 0.8
+
+    def __post_init__(self) -> None:
+        if self.kind not in NOISE_KINDS:
+            raise ControlError(f"noise {self.kind!r} is unknown, expected one of {', '.join(NOISE_KINDS)}")
+
+    @property
+    def filters(self) -> tuple[float, float, float, float]:
+        """What both filters keep of themselves and take of what comes in: rho, share, smoothing, share."""
+        if self.kind != "correlated":
+            return 0.0, 1.0, 0.0, 1.0
+        a, b = self.rho, self.smoothing
+        # What comes out has the variance of what goes in.
+        variance = (1.0 - b) / (1.0 + b) * (1.0 + a * b) / (1.0 - a * b)
+        return a, (1.0 - a * a) ** 0.5, b, (1.0 - b) / variance**0.5
+
+
+@dataclass(frozen=True, eq=False)
+class FrameControls:
+    """What is asked of B characters at one frame.
+
+    type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
+    the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative. reference:
+    (B, 72), and reference_gain: (B,) how many times larger than it is it is shown, 0 where it does not count; None for no reference
+    at all. slip_correction: (B,) the share of the types' slip_correction that counts, None for all of it.
+    """
+
+    type_weights: Array
+    trajectory: Array
+    trajectory_mask: Array
+    phase: Array
+    reference: Array | None = None
+    reference_gain: Array | None = None
+    slip_correction: Array | None = None
+
+
+# Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
+Controller = Callable[[int, Array], FrameControls]
+
+
+@dataclass(frozen=True, eq=False)
+class Rollout:
+    """What came out: features (B, T, 276) unnormalised, contacts (B, T, 4) in [0, 1], ground (B, T, 3)."""
+
+    features: Array
+    contacts: Array
+    ground: Array
+
+    def first(self, frames: int) -> Rollout:
+        """The first frames of it."""
+        return Rollout(self.features[:, :frames], self.contacts[:, :frames], self.ground[:, :frames])
+
+
+def phase_at(frame: float, phase_frames: float) -> float:
+    """Progress through performances of a length that follow each other; negative without a length."""
+    return (frame / phase_frames) % 1.0 if phase_frames > 0 else -1.0
+
+
+def blended_columns(layout: str) -> Floats:
+    """How much of a type's velocity_blend each feature takes (276,): heights none, for the floor stops a fall at once."""
+    columns = feature_layout(layout).columns
+    upright = [c.block in ("joint_positions", "joint_velocities") and c.component == 1 for c in columns]
+    return 1.0 - np.array(upright, np.float32)
+
+
+class RolloutState:
+    """B characters in motion: step() moves all of them on by one frame.
+
+    Between steps all is kept in numpy arrays of fixed size; tensors are for those who call.
+    """
+
+    def __init__(
+        self, model: MotionModel, batch: int, noise: Noise, seed: int = 0, compiled: bool = True
+    ) -> None:
+        """compiled=False keeps to numpy around the network even where there is a compiled kernel."""
+        self.model, self.batch, self.compiled = model, batch, compiled
+        self._noise = noise
+        self.network = stepper(model.network, batch)
+        self.random = np.random.default_rng(seed)
+        blocks = feature_layout(model.config.layout).blocks
+        self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
+        self._mean, self._std = model.scaling.mean, model.scaling.std
+        scaling = model.trajectory_scaling
+        self._trajectory_mean, self._trajectory_std = scaling.mean, scaling.std
+        self._layout = model.controls
+        self._noise_shares = np.array([model.noise.get(kind, 1.0) for kind in model.types], np.float32)
+        self._velocity_blends = np.array(
+            [model.velocity_blend.get(kind, 0.0) for kind in model.types], np.float32
+        )
+        self._slip_corrections = np.array(
+            [model.slip_correction.get(kind, 0.0) for kind in model.types], np.float32
+        )
+        self._feet = slip_correction.foot_columns(model.config.layout)
+        self._blended = blended_columns(model.config.layout)
+        references = model.reference_map
+        self._reference_scales, self._reference_matrix, self._reference_constant = vars(references).values()
+        self._controls = np.zeros((batch, self._layout.size), np.float32)
+        self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._before = np.zeros((batch, FEATURE_COUNT), np.float32)  # the frame before
+        self._velocity_blend = np.zeros((batch, 1), np.float32)
+        self._slip_correction = np.zeros((batch, 1), np.float32)
+        self._contacts = np.zeros((batch, CONTACT_COUNT), np.float32)
+        self._ground = np.zeros((batch, 3), np.float32)
+        self._features = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._noise_state = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._smooth_noise = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._prime: RolloutState | None = None
+        self._drawn_from: NetworkStep | TorchStep | None = None
+        self.set_skeletons([canonical_skeleton()] * batch)
+
+    @property
+    def noise(self) -> Noise:
+        """How frames are drawn; may be changed between any two."""
+        return self._noise
+
+    @noise.setter
+    def noise(self, noise: Noise) -> None:
+        self._noise = noise
+        self._drawn_from = None
+
+    @property
+    def ground(self) -> Array:
+        """Root x, z (cm) and heading (radians) of every character (B, 3)."""
+        return self._ground.copy()
+
+    @property
+    def normalised(self) -> Floats:
+        """The current frame (B, 276), normalised; changed by the next step."""
+        return self._x
+
+    def set_skeletons(self, skeletons: list[Skeleton]) -> None:
+        """The skeleton control signal of each character."""
+        self._controls[:, self._layout.skeleton] = np.stack([skeleton_signal(s) for s in skeletons])
+
+    def start(
+        self,
+        features: Array,
+        contacts: Array,
+        type_weights: Array,
+        ground: Array | None = None,
+        phase_frames: float | Sequence[float] = 0.0,
+    ) -> None:
+        """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
+
+        phase_frames is the length of a performance, of all or of each, if the frames are the beginning of one.
+        The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
+        """
+        self.network.reset()
+        x = ((features - self._mean) / self._std).astype(np.float32)
+        none = np.zeros((self.batch, TRAJECTORY_COUNT), np.float32)
+        lengths = [phase_frames] * self.batch if isinstance(phase_frames, (int, float)) else phase_frames
+        for t in range(x.shape[1] - 1):
+            progress = np.array([phase_at(t, length) for length in lengths], np.float32)
+            self._ask(FrameControls(type_weights, none, np.zeros(self.batch, np.float32), progress), x[:, t])
+            self.network.step(x[:, t], contacts[:, t], self._controls)
+        self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1]
+        self._before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
+        self._ground[:] = 0.0 if ground is None else ground
+        self._noise_state[:] = self.random.standard_normal(self._x.shape, np.float32)
+        self._smooth_noise[:] = self._noise_state
+
+    def start_one(
+        self,
+        index: int,
+        features: Array,
+        contacts: Array,
+        type_weights: Array,
+        ground: Array | None = None,
+        phase_frames: float = 0.0,
+    ) -> None:
+        """Start one character anew, as start() does with all; the others go on. Shapes are those of a batch of one."""
+        if self._prime is None:
+            self._prime = RolloutState(self.model, 1, self.noise)
+            self._prime.network = self.network.alone()
+        one = self._prime
+        one.random = self.random
+        one._controls[:, self._layout.skeleton] = self._controls[index, self._layout.skeleton]
+        one.start(features, contacts, type_weights, ground, phase_frames)
+        self.network.adopt(index, one.network)
+        for mine, its in (
+            (self._x, one._x),
+            (self._before, one._before),
+            (self._contacts, one._contacts),
+            (self._ground, one._ground),
+            (self._noise_state, one._noise_state),
+            (self._smooth_noise, one._smooth_noise),
+        ):
+            mine[index] = its[0]
+
+    def _ask(self, asked: FrameControls, x: Floats) -> None:
+        """Write control vectors, as features.control.control_vector makes them, for normalised frames x."""
+        layout, controls = self._layout, self._controls
+        weights = asked.type_weights
+        controls[:, layout.type] = weights
+        self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
+        np.matmul(weights, self._velocity_blends, out=self._velocity_blend[:, 0])
+        np.matmul(weights, self._slip_corrections, out=self._slip_correction[:, 0])
+        if asked.slip_correction is not None:
+            self._slip_correction[:, 0] *= asked.slip_correction
+        given = asked.trajectory_mask
+        shown = controls[:, layout.trajectory]
+        np.subtract(asked.trajectory, self._trajectory_mean, out=shown)
+        shown /= self._trajectory_std
+        shown *= given[:, None]
+        controls[:, layout.flag] = given
+        progress = asked.phase
+        angle, has_phase = np.float32(2.0 * np.pi) * progress, progress >= 0
+        controls[:, layout.phase.start] = np.sin(angle) * has_phase
+        controls[:, layout.phase.start + 1] = np.cos(angle) * has_phase
+        if asked.reference is None or asked.reference_gain is None:
+            controls[:, layout.reference.start :] = 0.0
+        else:
+            reference_gain = asked.reference_gain
+            shown = controls[:, layout.reference]
+            np.matmul(x, self._reference_matrix, out=shown)
+            shown += self._reference_constant
+            np.subtract(self._reference_scales * asked.reference, shown, out=shown)
+            shown *= reference_gain[:, None]
+            controls[:, layout.reference_gain] = reference_gain > 0.0
+
+    def advance(self, asked: FrameControls) -> tuple[Floats, Floats, Floats]:
+        """step() without copies: what it answers is overwritten by the next call."""
+        self._ask(asked, self._x)
+        network = self.network
+        network.step(self._x, self._contacts, self._controls)
+        network.log_sigma += self._log_share
+        if self._drawn_from is not network:
+            self._bind(network)
+        self._draw()
+        return self._features, self._contacts, self._ground
+
+    def _bind(self, network: NetworkStep | TorchStep) -> None:
+        """Choose how frames are drawn: by the compiled kernel where there is one, else by numpy."""
+        self._drawn_from = network
+        library = frame_library() if self.compiled else None
+        if library is None:
+            self._draw = self._draw_in_numpy
+            return
+        fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
+        arrays = DrawArrays(
+            network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
+            self._noise_state, self._smooth_noise, self._blended, self._velocity_blend, self._slip_correction, self._before,
+            self._x, self._contacts, self._features, self._ground,
+        )  # fmt: skip
+        noise = (*self.noise.filters, self.noise.temperature)
+        columns = (self._yaw, self._xz.start, self._feet)
+        call = bind_draw(library, arrays, columns, noise, self.model.fps)
+
+        def draw() -> None:
+            if fresh is not None:
+                self.random.standard_normal(dtype=np.float32, out=fresh)
+            call()
+
+        self._draw = draw
+
+    @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # step() looks at what comes out
+    def _draw_in_numpy(self) -> None:
+        """Functions in double precision, so that they give to the last digit what frame_kernel.c gives."""
+        network = self._drawn_from
+        assert network is not None
+        onwards = self._x + (self._x - self._before)
+        self._before[:] = self._x
+        if self.noise.kind == "mean":
+            self._x[:] = network.mean
+        else:
+            self._x[:] = np.exp(network.log_sigma, dtype=np.float64)
+            self._x *= self._next_noise()
+            self._x += network.mean
+        onwards -= self._x
+        self._x += onwards * (self._velocity_blend * self._blended)
+        self._contacts[:] = 1.0 / (1.0 + np.exp(-network.contact_logits, dtype=np.float64))
+        features = np.multiply(self._x, self._std, out=self._features)
+        features += self._mean
+        if self._slip_correction.any():
+            self._hold_ground()
+        ground, fps = self._ground, np.float32(self.model.fps)
+        ground[:, 2] += features[:, self._yaw] / fps
+        sine, cosine = (f(ground[:, 2], dtype=np.float64).astype(np.float32) for f in (np.sin, np.cos))
+        velocity = features[:, self._xz] / fps
+        ground[:, 0] += cosine * velocity[:, 0] + sine * velocity[:, 1]
+        ground[:, 1] += cosine * velocity[:, 1] - sine * velocity[:, 0]
+
+    def _hold_ground(self) -> None:
+        """Take out of the root's velocities, in part, what feet on the ground would slide."""
+        features, fps, feet = self._features, np.float32(self.model.fps), self._feet
+        before = self._before[:, feet] * self._std[feet] + self._mean[feet]
+        turn, step = features[:, self._yaw] / fps, features[:, self._xz] / fps
+        angle, move = slip_correction.standing_move(features[:, feet], before, turn, step)
+        share = self._slip_correction.astype(np.float64) * self.model.fps
+        moved = (np.concatenate([angle[:, None], move], axis=1) * share).astype(np.float32)
+        for columns, by in ((slice(self._yaw, self._yaw + 1), moved[:, :1]), (self._xz, moved[:, 1:])):
+            features[:, columns] += by
+            self._x[:, columns] += by / self._std[columns]
+
+    def step(self, asked: FrameControls) -> tuple[Array, Array, Array]:
+        """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
+
+        Raises ModelError for a frame that no BVH file could hold.
+        """
+        features, contacts, ground = self.advance(asked)
+        if not (
+            np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER
+        ):  # NaN is neither
+            raise ModelError(
+                "the model does not move from here: it predicts numbers that are not finite or far too large "
+                "(damaged weights, or a start unlike any motion)"
+            )
+        return (
+            features.copy(),
+            contacts.copy(),
+            ground.copy(),
+        )
+
+    def _next_noise(self) -> Floats:
+        fresh = self.random.standard_normal(self._x.shape, np.float32)
+        for state, keeps, takes in zip(
+            (self._noise_state, self._smooth_noise),
+            self.noise.filters[::2],
+            self.noise.filters[1::2],
+            strict=True,
+        ):
+            state *= np.float32(keeps)
+            state += fresh * np.float32(takes)
+            fresh = state
+        return fresh * np.float32(self.noise.temperature)
+
+
+def run(
+    state: RolloutState, frames: int, controller: Controller, progress: Callable[[int], None] | None = None
+) -> Rollout:
+    """Let a started state run on for some frames."""
+    features, contacts, ground = [], [], []
+    for t in range(frames):
+        f, c, g = state.step(controller(t, state.ground))
+        features.append(f)
+        contacts.append(c)
+        ground.append(g)
+        if progress:
+            progress(t + 1)
+    return Rollout(np.stack(features, 1), np.stack(contacts, 1), np.stack(ground, 1))
+
+
+def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton) -> Motion:
+    """One character's motion by forward integration on a skeleton, raised to where its feet are."""
+    features, layout = rollout.features[index], model.config.layout
+    motion = decode_motion(
+        features, skeleton, model.fps, rollout.ground[index, 0], model.reference_rotations, layout
+    )
+    roots = raised(
+        features[None], motion.local_rotations[None], motion.root_positions[None], skeleton, layout
+    )
+    return replace(motion, root_positions=roots[0])
+
+
+def start_batch(seeds: list[StartPose]) -> tuple[Array, Array]:
+    """Seeds cut to the length of the shortest, from the end: features (B, T, 276), contacts (B, T, 4)."""
+    frames = min(len(seed.features) for seed in seeds)
+    return (
+        np.stack([seed.features[-frames:] for seed in seeds]),
+        np.stack([seed.contacts[-frames:] for seed in seeds]),
+    )

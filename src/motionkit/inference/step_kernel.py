@@ -1,0 +1,260 @@
+"""step_kernel.c from Python: the shared library built when motionkit was installed, and weights in its order."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import struct
+import sys
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionkit.arrays import Floats
+from motionkit.errors import ModelError
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.inference.step_weights import NORM_EPS, ModuleWeights, StepWeights
+
+if TYPE_CHECKING:
+    from motionkit.inference.step import NetworkStep
+
+VERSION = 3  # of step_kernel.c
+LIBRARY_ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # as setup.py names them
+TILE = 32
+LINE = 64  # bytes of a line of the cache
+ROWS = 16  # characters that go through the network together, so that their activations stay near
+
+
+class _Map(Structure):
+    _fields_ = (
+        ("tiles", c_void_p),
+        ("scale", c_void_p),
+        ("bias", c_void_p),
+        ("inputs", c_int64),
+        ("outputs", c_int64),
+    )
+
+
+_SIZES = (
+    "parts layers width hidden heads window kernel part_inputs controls control_width "
+    "control_blocks contact_hidden features contacts"
+).split()
+
+
+class _Program(Structure):
+    _fields_ = (
+        *((name, c_int64) for name in _SIZES),
+        *((name, c_float) for name in ("head_leak", "log_sigma_min", "log_sigma_max", "eps")),
+        ("maps", POINTER(_Map)),
+        ("columns", c_void_p),
+    )
+
+
+class _Frame(Structure):
+    _fields_ = (
+        *((n, c_void_p) for n in ("recent", "keys", "values", "filled", "controls", "position")),
+        *((n, c_void_p) for n in ("out", "contact_logits")),
+        ("slot", c_int64),
+    )
+
+
+@cache
+def kernel_library() -> ctypes.CDLL | None:
+    """The shared library, None where the installation has none that fits."""
+    library = load_library(Path(__file__).resolve().parent / "_step_kernel", "step_kernel_version", VERSION)
+    if library is not None:
+        library.scratch_size.argtypes = [POINTER(_Program), c_int64]
+        library.scratch_size.restype = c_int64
+        library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
+        library.step.restype = c_int64
+    return library
+
+
+def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | None:
+    """A library built by setup.py, None where there is none of this version, or one that is damaged.
+
+    There is none without a C compiler or an installer, and another one where the source has changed since.
+    """
+    built = path.with_name(path.name + LIBRARY_ENDING)
+    if not built.is_file():
+        return None
+    try:
+        library = ctypes.CDLL(str(built)) if _is_whole(built) else None
+    except OSError:  # for another machine, or no library at all
+        return None
+    found = getattr(library, version_name, None)
+    return library if found is not None and found() == version else None
+
+
+def _is_whole(path: Path) -> bool:
+    """Whether an ELF file goes on to its end: the loader maps one that was cut short, and dies of SIGBUS.
+
+    Its table of sections comes last, and the names of the sections are in one of the type 3. Other formats
+    are left to their loaders.
+    """
+    data = path.read_bytes()
+    if data[:6] != b"\x7fELF\x02\x01":  # 64 bits, little-endian
+        return bool(data)
+    try:
+        (table,) = struct.unpack_from("<Q", data, 40)
+        size, count, names = struct.unpack_from("<3H", data, 58)
+        (kind,) = struct.unpack_from("<I", data, table + names * size + 4)
+    except struct.error:
+        return False
+    return kind == 3 and table + count * size <= len(data)
+
+
+def _cores() -> int:
+    """The cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@cache
+def _workers(count: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(count, thread_name_prefix="motionkit-step")
+
+
+class StepKernel:
+    """A network's weights laid out for the kernel, to be shared by any number of NetworkSteps.
+
+    small stores them in 16 bits, as whole numbers times a scale per output: half the memory to read for
+    an error of at most 1 / 65534 of the largest weight of the output.
+    """
+
+    def __init__(self, weights: StepWeights, small: bool = False) -> None:
+        library = kernel_library()
+        assert library is not None
+        self._library, self._small = library, small
+        self._kept: list[NDArray] = []  # what the kernel points into
+        config = weights.config
+        P, N = weights.columns.shape
+        maps = [
+            *self._module_maps(weights.shallow, config.layers),
+            *self._module_maps(weights.deep, config.layers),
+            self._map(weights.head, weights.head_bias),
+            self._map(weights.contact_shallow, None),
+            self._map(weights.contact, weights.contact_bias),
+        ]
+        self._maps = (_Map * len(maps))(*(words for _, words in maps))
+        self._line_up([tiles for tiles, _ in maps])
+        distance = (np.arange(config.window)[:, None] - np.arange(config.window)) % config.window
+        position = np.stack([m.position.swapaxes(0, 1) for m in (weights.shallow, weights.deep)])
+        # For every slot the bias (2, P, L, W, H) of the places in the rings.
+        self._position = np.ascontiguousarray(np.moveaxis(position[..., distance], (3, 4, 5), (5, 0, 4)))
+        sizes = (
+            P, config.layers, config.width, config.ffn, config.heads, config.window, config.kernel, N,
+            weights.shallow.controls.shape[1], config.control_embedding,
+            weights.shallow.layer_controls.shape[-1] // config.width, config.contact_hidden,
+            FEATURE_COUNT, CONTACT_COUNT,
+        )  # fmt: skip
+        self._program = _Program(
+            *sizes,
+            config.head_leak,
+            config.log_sigma_min,
+            config.log_sigma_max,
+            NORM_EPS,
+            self._maps,
+            self._keep(weights.columns),
+        )
+        if library.scratch_size(byref(self._program), 1) < 0:
+            raise ModelError(f"the compiled step cannot run a network of these sizes: {config}")
+
+    def bind(self, state: NetworkStep, controls: Floats) -> Callable[[int], None]:
+        """What does a step of NetworkStep at a slot: rings, mean, log_sigma and contact_logits of all characters.
+
+        The arrays of the state, and controls, are to stay where they are.
+        """
+        arrays: list[NDArray] = [state.recent, state.keys, state.values, state.filled, controls]
+        arrays += [self._position, state.out, state.contacts_out]
+        assert all(array.flags.c_contiguous for array in arrays)
+        frame = _Frame(*(array.ctypes.data for array in arrays), 0)
+        places = [self._position[slot].ctypes.data for slot in range(len(self._position))]
+        program, call = byref(self._program), self._library.step
+        size = self._library.scratch_size(program, min(ROWS, state.batch))
+        shares = [
+            (first, min(ROWS, state.batch - first), np.empty(size, np.float32))
+            for first in range(0, state.batch, ROWS)
+        ]
+        calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
+
+        def step(slot: int) -> None:
+            frame.position, frame.slot = places[slot], slot
+            if len(calls) == 1:
+                refused = call(*calls[0])
+            else:  # the library does not hold Python's lock
+                refused = any(list(_workers(_cores()).map(lambda words: call(*words), calls)))
+            if refused:
+                raise ModelError("the compiled step does not fit this network")
+
+        step.keeps = (shares, controls)  # type: ignore[attr-defined]
+        return step
+
+    def _module_maps(self, weights: ModuleWeights, layers: int) -> list[tuple[NDArray, _Map]]:
+        """Maps in the order of the kernel: part by part, layer by layer."""
+        maps = []
+        heads, D = weights.position.shape[2], weights.out.shape[-1]
+        turn = np.arange(D).reshape(heads, -1).T.ravel()  # heads side by side
+        three = np.concatenate([turn, D + turn, 2 * D + turn])
+        for part in range(len(weights.embed)):
+            maps.append(self._map(weights.embed[part], weights.embed_bias[part]))
+            maps.append(self._map(weights.controls[part], weights.controls_bias[part]))
+            maps.append(self._map(weights.layer_controls[part], None))
+            for layer in range(layers):
+                maps.append(
+                    self._map(weights.qkv[layer, part][:, three], weights.qkv_bias[layer, part][three])
+                )
+                maps.append(self._map(weights.out[layer, part][turn], None))
+                maps.append(self._map(weights.inner[layer, part], weights.inner_bias[layer, part]))
+                maps.append(self._map(weights.outer[layer, part], None))
+        return maps
+
+    def _map(self, weight: Floats, bias: Floats | None) -> tuple[NDArray, _Map]:
+        """A map's tiles, and its description, which lacks their place."""
+        inputs, outputs = weight.shape
+        weight = np.pad(weight, ((0, 0), (0, -outputs % TILE)))
+        bias = None if bias is None else np.pad(bias, (0, -outputs % TILE))
+        scale = None
+        tiles: NDArray = weight.reshape(inputs, -1, TILE).swapaxes(0, 1)
+        if self._small:
+            largest = np.maximum(np.abs(weight).max(axis=0), 1e-12).reshape(-1, 1, TILE)
+            tiles, scale = (
+                _in_pairs(tiles * (32767.0 / largest)),
+                (largest / (32767.0 * 65536.0)).astype(np.float32),
+            )
+        return np.ascontiguousarray(tiles), _Map(None, self._keep(scale), self._keep(bias), inputs, outputs)
+
+    def _line_up(self, tiles: list[NDArray]) -> None:
+        """Give the maps their tiles: one after another as the kernel reads them, each row in a line of the cache."""
+        sizes = [array.nbytes for array in tiles]
+        memory = np.empty(sum(sizes) + LINE, np.uint8)
+        self._kept.append(memory)
+        place = -memory.ctypes.data % LINE
+        for index, array in enumerate(tiles):
+            memory[place : place + array.nbytes] = array.reshape(-1).view(np.uint8)
+            self._maps[index].tiles = memory.ctypes.data + place
+            place += array.nbytes
+
+    def _keep(self, array: NDArray | None) -> int | None:
+        """The address of a contiguous copy that lives as long as this object."""
+        if array is None:
+            return None
+        array = np.ascontiguousarray(array)
+        self._kept.append(array)
+        return array.ctypes.data
+
+
+def _in_pairs(tiles: Floats) -> NDArray[np.int32]:
+    """Tiles (..., 32) of numbers up to 32767 as (..., 16) pairs in 32 bits.
+
+    The first of a pair takes the low 16 bits. The second is read as the whole 32 bits are, so it is rounded
+    to what lies nearest with those low bits after it, and nothing is lost by not masking them away.
+    """
+    low = np.rint(tiles[..., : TILE // 2]).astype(np.int64) & 0xFFFF
+    high = np.rint(tiles[..., TILE // 2 :] - low / 65536.0).astype(np.int64)
+    return (high * 65536 + low).astype(np.int32)

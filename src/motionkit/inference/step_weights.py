@@ -1,0 +1,191 @@
+"""The network as a program for one frame: weights folded together once, so that a step has little to do.
+
+Everything that knows how the network is put together for streaming is here; inference/step.py and
+export/onnx_export.py run what this file packs. What is folded, all of it exact:
+
+- The mean is taken out of everything that is written into the residual stream, so that a layer norm is a
+  scaling by 1 / sqrt(sum of squares + D eps); the sqrt(D) it lacks is in the maps that follow it.
+- 1 / sqrt(E) is in the queries.
+- The control inputs of all layers of a module are one map of the embedded controls; the first block of it
+  is the concatenation of motion and controls.
+- Fusion and the embedding of the deep module are one map of all parts' shallow features, and the first
+  layer of the Foot-MLP goes along in the products that see its inputs.
+
+Shape legend: P parts, L layers, D width, F hidden, C controls, H heads, W window, K kernel, N inputs of a part.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionkit.arrays import Array, Doubles, Floats
+from motionkit.errors import ModelError
+from motionkit.features.layout import FEATURE_COUNT
+from motionkit.models.config import ModelConfig
+from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts, part_columns
+
+NORM_EPS = 1e-5  # of torch's layer_norm
+
+
+@dataclass(frozen=True, eq=False)
+class ModuleWeights:
+    """The shallow or the deep module of all parts; maps are (inputs, outputs).
+
+    Attributes:
+        embed: (P, K N, D) for the shallow module, (P, P D, D) from all parts' features for the deep one.
+        embed_bias: (P, D).
+        controls, controls_bias: (P, C, Dc), (P, Dc) embedding of the control vector.
+        layer_controls: (P, Dc, L D) what the embedded controls add to the input of each layer, or
+            (P, Dc, D) if they only enter at the first.
+        qkv, qkv_bias: (L, P, D, 3 D), (L, P, 3 D) of a norm without its sqrt(D).
+        out: (L, P, D, D).
+        inner, inner_bias: (L, P, D, F), (L, P, F) of a norm without its sqrt(D).
+        outer: (L, P, F, D).
+        position: (L, P, H, W) bias per distance in frames.
+    """
+
+    embed: Floats
+    embed_bias: Floats
+    controls: Floats
+    controls_bias: Floats
+    layer_controls: Floats
+    qkv: Floats
+    qkv_bias: Floats
+    out: Floats
+    inner: Floats
+    inner_bias: Floats
+    outer: Floats
+    position: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class StepWeights:
+    """All that a step needs.
+
+    Attributes:
+        columns: (P, N) where each part's inputs stand in features, contacts and one zero.
+        shallow, deep: the modules.
+        contact_shallow: (P D, M) the share of shallow features in the hidden layer of the Foot-MLP.
+        head, head_bias: (P D, 552 + M), (552 + M,) mean, log sigma and that hidden layer from deep features.
+        contact, contact_bias: (M, 4), (4,).
+        momentum: (276,) share of the last step of the input that is added to the mean, or None.
+    """
+
+    config: ModelConfig
+    columns: NDArray[np.int64]
+    shallow: ModuleWeights
+    deep: ModuleWeights
+    contact_shallow: Floats
+    head: Floats
+    head_bias: Floats
+    contact: Floats
+    contact_bias: Floats
+    momentum: Floats | None
+
+
+def why_not_packable(config: ModelConfig) -> str | None:
+    """What in a config keeps it from being run frame by frame on packed weights, None if nothing does."""
+    if config.position != "bias":
+        return "position='sinusoidal' changes with every frame, so the window has to be computed anew"
+    if config.norm != "pre":
+        return "norm='post' is run by the layers themselves"
+    return None
+
+
+def pack(network: NetworkWeights) -> StepWeights:
+    """Fold a network's weights into a step.
+
+    Raises:
+        ModelError: for a config that cannot be folded, with the reason.
+    """
+    config = network.config
+    reason = why_not_packable(config)
+    if reason:
+        raise ModelError(f"the network cannot be packed: {reason}")
+    columns, _ = part_columns(config)
+    P, D = len(columns), config.width
+    root = math.sqrt(D)
+    embed = (network["shallow.embed.weight"] * embedding_mask(config)).astype(np.float64)
+    # Deep inputs are s_p + fusion(others): one map of all parts' features, which come without their sqrt(D).
+    fused = np.eye(P * D).reshape(P * D, P, D).swapaxes(0, 1).copy()
+    fusion, fusion_bias = network.get("fusion.weight"), network.get("fusion.bias")
+    if fusion is not None:
+        for p in range(P):
+            others = [q for q in range(P) if q != p]
+            rows = np.concatenate([np.arange(q * D, (q + 1) * D) for q in others])
+            fused[p, rows] += fusion[p]
+    deep_weight = network["deep.embed.weight"].astype(np.float64)
+    deep_bias = network["deep.embed.bias"].astype(np.float64)
+    if fusion_bias is not None:
+        deep_bias = deep_bias + fusion_bias @ deep_weight
+    shown = 2 * FEATURE_COUNT
+    hidden, feet = config.contact_hidden, foot_parts(config)
+    first = network["contact_mlp.inner.weight"][0].astype(np.float64).reshape(len(feet), 2, D, hidden)
+    from_shallow, from_deep = (np.zeros((P, D, hidden)) for _ in range(2))
+    from_shallow[feet], from_deep[feet] = root * first[:, 0], root * first[:, 1]
+    aggregate = network["aggregate.weight"][:shown].astype(np.float64).T
+    head = np.concatenate([root * aggregate, from_deep.reshape(P * D, hidden)], axis=1)
+    head_bias = np.concatenate([network["aggregate.bias"][:shown], network["contact_mlp.inner.bias"][0, 0]])
+    momentum = network.get("momentum")
+    return StepWeights(
+        config,
+        columns,
+        _pack_module(network, "shallow", embed, network["shallow.embed.bias"].astype(np.float64)),
+        _pack_module(network, "deep", root * (fused @ deep_weight), deep_bias),
+        _floats(from_shallow.reshape(P * D, hidden)),
+        _floats(head),
+        _floats(head_bias),
+        _floats(network["contact_mlp.outer.weight"][0]),
+        _floats(network["contact_mlp.outer.bias"][0, 0]),
+        None if momentum is None else _floats(momentum),
+    )
+
+
+def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Doubles) -> ModuleWeights:
+    config = network.config
+    D, Dc, E = config.width, config.control_embedding, config.width // config.heads
+    beside_count = config.control_width
+    P, root = embed.shape[0], math.sqrt(D)
+
+    def layers(name: str) -> Doubles:
+        """A parameter of all layers (L, ...)."""
+        whole = [network[f"{module}.layers.{i}.{name}"] for i in range(config.layers)]
+        return np.stack(whole).astype(np.float64)
+
+    # The stream is motion beside the first of the embedded controls; then what the first layer adds.
+    beside = np.zeros((P, Dc, D))
+    beside[:, :beside_count, D - beside_count :] = np.eye(beside_count)
+    controls = [beside]
+    if config.layer_controls:
+        added = layers("control.weight")
+        controls = [beside + added[0], *added[1:]]
+    wide = _centred(np.pad(np.concatenate([embed, bias], axis=1), ((0, 0), (0, 0), (0, beside_count))))
+    query = np.ones(3 * D)
+    query[:D] /= math.sqrt(E)
+    return ModuleWeights(
+        _floats(wide[:, :-1]),
+        _floats(wide[:, -1]),
+        _floats(network[f"{module}.embed_controls.weight"]),
+        _floats(network[f"{module}.embed_controls.bias"][:, 0]),
+        _floats(np.concatenate([_centred(c) for c in controls], axis=-1)),
+        _floats(layers("attention.qkv.weight") * (root * query)),
+        _floats(layers("attention.qkv.bias")[:, :, 0] * query),
+        _floats(_centred(layers("attention.out.weight"))),
+        _floats(root * layers("ffn.inner.weight")),
+        _floats(layers("ffn.inner.bias")[:, :, 0]),
+        _floats(_centred(layers("ffn.outer.weight"))),
+        _floats(layers("attention.offset_bias")),
+    )
+
+
+def _centred(weight: Doubles) -> Doubles:
+    """A map whose outputs have no mean."""
+    return weight - weight.mean(axis=-1, keepdims=True)
+
+
+def _floats(values: Array) -> Floats:
+    return np.ascontiguousarray(values, dtype=np.float32)

@@ -1,0 +1,217 @@
+"""The running session: clients come, ask and go, and every frame goes out to all of them on time."""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from motionkit.errors import ControlError
+from motionkit.play.client import COSTS, Client
+from motionkit.play.frames import WorldFrame, frame_bytes, frame_text
+from motionkit.play.pace import Pacer
+from motionkit.play.recording import Recordings, bvh_bytes
+from motionkit.play.requests import ProtocolError, Request, parse_request
+from motionkit.play.session import Recorded, Session
+
+CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
+REST = 3.0  # times as long as such work took, only frames and light requests follow work like a reset
+
+
+class Live:
+    """A session with its clients and its clock; all of it runs in one event loop."""
+
+    def __init__(self, session: Session, clock: Callable[[], float] = time.perf_counter) -> None:
+        self.session, self.clock = session, clock
+        self.clients: dict[int, Client] = {}
+        limits = session.limits
+        self.recordings = Recordings(limits.recordings, limits.recording_bytes)
+        self.pacer = Pacer(session.model.fps, clock())
+        self.watchers: list[Callable[[WorldFrame], None]] = []  # told of every frame, as VMC is
+        self._last_client = 0
+        self._joining = 0  # clients that wait for their character
+        self._changed = False  # the characters, since clients were told of them
+        self._working = asyncio.Lock()
+        self._rested = 0.0  # when work may begin again, on the clock
+        self._writing = asyncio.Semaphore(1)
+        self._tasks: set[asyncio.Task] = set()
+
+    # ---- clients ----
+
+    async def join(self, as_json: bool) -> Client | None:
+        """A new client with its hello under way; None if there are as many as there may be, and none is idle."""
+        if len(self.clients) + self._joining >= self.session.limits.clients and not self._let_one_go():
+            return None
+        self._joining += 1
+        try:
+            async with self._turn():
+                return self._welcome(as_json)
+        finally:
+            self._joining -= 1
+
+    def _let_one_go(self) -> bool:
+        """Close the client that has said nothing for longest, if that is long enough."""
+        quiet = min(self.clients.values(), key=lambda client: client.heard, default=None)
+        if quiet is None or self.clock() - quiet.heard < self.session.limits.idle_seconds:
+            return False
+        said = ProtocolError("another client needs the place; send a ping now and then to keep yours")
+        quiet.dismiss(error_event(said, closing=True))
+        self.leave(quiet)
+        return True
+
+    def _welcome(self, as_json: bool) -> Client:
+        self._last_client += 1
+        client = Client(self._last_client, as_json, self.session.limits, self.clock())
+        character = self.session.join(client.number)
+        self.clients[client.number] = client
+        client.tell(self.session.hello(client.number, character))
+        if self.pacer.behind:
+            client.tell(self.pace_event())
+        self._changed = True
+        return client
+
+    def leave(self, client: Client) -> None:
+        """A client has gone."""
+        if self.clients.pop(client.number, None) is not None:
+            self.session.leave(client.number)
+            self._changed = True
+
+    async def take(self, client: Client, message: str | bytes) -> None:
+        """Act on a message of a client.
+
+        Raises:
+            ProtocolError: if it is no request, after which the client is to be closed.
+        """
+        client.charge(len(message), self.clock())
+        if isinstance(message, bytes):
+            raise ProtocolError("expected text, found a binary message")
+        request = parse_request(message)
+        client.charge_work(request, self.clock())
+        if request.do == "ping":
+            stamp = request.fields["stamp"]
+            client.tell({"event": "pong", "stamp": stamp, "time": self.session.time})
+        elif request.do in COSTS:
+            async with self._turn():
+                self._obey(client, request)
+        else:
+            self._obey(client, request)
+
+    def _obey(self, client: Client, request: Request) -> None:
+        try:
+            if request.fields.get("on") and len(self._tasks) >= self.session.limits.recordings:
+                raise ControlError("earlier recordings are still being written")
+            recorded = self.session.obey(client.number, request)
+        except ControlError as error:
+            client.tell(error_event(error, closing=False))
+            return
+        if recorded is not None:
+            self._keep(recorded)
+        if request.do in CHANGES_CHARACTERS:
+            self._changed = True
+
+    @asynccontextmanager
+    async def _turn(self) -> AsyncIterator[None]:
+        """A client's turn to do what takes as long as several frames.
+
+        Clients have it one after the other, and together for a part of all time only: whoever asks for much
+        waits, and everybody's frames go on.
+        """
+        async with self._working:
+            await asyncio.sleep(max(0.0, self._rested - self.clock()))
+            began = self.clock()
+            try:
+                yield
+            finally:
+                now = self.clock()
+                self._rested = now + REST * (now - began)
+
+    def _tell_all(self, event: dict[str, Any]) -> None:
+        for client in self.clients.values():
+            client.tell(event)
+
+    # ---- recordings ----
+
+    def _keep(self, recorded: Recorded) -> None:
+        task = asyncio.get_running_loop().create_task(self._write(recorded))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _write(self, recorded: Recorded) -> None:
+        """Make the file beside the running clock, and tell its owner."""
+        async with self._writing:
+            data = await asyncio.to_thread(bvh_bytes, recorded.motion)
+        token = self.recordings.add(data)
+        client = self.clients.get(recorded.owner or 0)
+        if client is not None:
+            client.tell(
+                {
+                    "event": "recorded",
+                    "character": recorded.character,
+                    "url": f"/recordings/{token}.bvh",
+                    "frames": len(recorded.motion),
+                    "seconds": recorded.motion.seconds,
+                }
+            )
+
+    # ---- the clock ----
+
+    async def run(self) -> None:
+        """Make and send frames until cancelled."""
+        self.pacer = Pacer(self.session.model.fps, self.clock())
+        while True:
+            await self._until(self.pacer.begin)
+            began = self.clock()
+            frame = self.session.step(self.pacer.fps)
+            self.pacer.made(self.clock() - began)
+            await self._until(self.pacer.due)
+            self._send(frame)
+
+    async def _until(self, then: float) -> None:
+        # Even when late: clients are heard between any two frames.
+        await asyncio.sleep(max(0.0, then - self.clock()))
+
+    def _send(self, frame: WorldFrame) -> None:
+        # Once a frame at most, or who changes something all the time would fill everybody's outbox.
+        if self._changed:
+            self._changed = False
+            self._tell_all({"event": "characters", "characters": self.session.told()})
+        self._show(frame)
+        for watcher in self.watchers:
+            watcher(frame)
+        for number in frame.arrived:
+            character = self.session.characters.get(number)  # it may have gone since the frame was made
+            owner = None if character is None else self.clients.get(character.owner or 0)
+            if owner is not None:
+                owner.tell({"event": "arrived", "character": number})
+        ended = self.session.full()
+        for recorded in ended:
+            self._keep(recorded)
+            self._changed = True
+        if self.pacer.sent(self.clock()):
+            self._tell_all(self.pace_event())
+
+    def _show(self, frame: WorldFrame) -> None:
+        forms: dict[bool, str | bytes] = {}  # each is made once for all, and only if somebody takes it
+        for client in self.clients.values():
+            if client.as_json not in forms:
+                as_json = client.as_json
+                forms[as_json] = (
+                    frame_text(frame, self.session.model.types) if as_json else frame_bytes(frame)
+                )
+            client.show(forms[client.as_json])
+
+    def pace_event(self) -> dict[str, Any]:
+        """What clients are told when the machine falls behind or keeps up again."""
+        return {
+            "event": "pace",
+            "behind": self.pacer.behind,
+            "fps": round(self.pacer.fps, 2),
+            "step_ms": round(1000.0 * self.pacer.step_seconds, 3),
+        }
+
+
+def error_event(error: ControlError | ProtocolError, closing: bool) -> dict[str, Any]:
+    """What a client is told of its fault."""
+    return {"event": "error", "message": str(error), "closing": closing}

@@ -1,0 +1,88 @@
+"""What the server answers to plain HTTP: its page and recordings. Requests never name files."""
+
+from __future__ import annotations
+
+import ipaddress
+import re
+import socket
+from collections.abc import Collection, Mapping
+
+import numpy as np
+
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import Skeleton
+from motionkit.play.recording import Recordings
+from motionkit.view.figure_data import CM, rig_data
+from motionkit.view.viewer import fill_page
+
+LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
+_HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:;\[\]]+))(?::\d{1,5})?")
+_RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64})\.bvh")
+
+
+def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
+    """The page as it is served, with a figure for every body, by name."""
+    rigs = {name: rig_data(_standing(skeleton)) for name, skeleton in bodies.items()}
+    return fill_page("play.html", {"bodies": rigs}).encode()
+
+
+def _standing(skeleton: Skeleton) -> Motion:
+    """One frame of a body in cm as a motion in metres."""
+    turns = quat_identity((1, len(skeleton)))
+    return Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0).scaled(CM)
+
+
+def policy(host: str) -> str:
+    """The content security policy of the page: all it needs is in it, and it talks to this server only."""
+    return (
+        "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
+        f"img-src data: blob:; connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
+        "frame-ancestors 'none'"
+    )
+
+
+def host_name(host: str) -> str:
+    """The name in a Host header, without its port and an IPv6 address's brackets; empty if it is no such header."""
+    match = _HOST.fullmatch(host)
+    return "" if match is None else (match[1] or match[2]).lower()
+
+
+def is_loopback(address: str) -> bool:
+    """Whether an address to listen on reaches this machine only."""
+    try:
+        return ipaddress.ip_address(address).is_loopback
+    except ValueError:
+        return address.lower() == "localhost"
+
+
+def known_names(listens_on: str) -> frozenset[str]:
+    """Names this server goes by, beside the numbers of its addresses."""
+    names = LOOPBACK_NAMES | {listens_on.lower()}
+    return names if is_loopback(listens_on) else names | {socket.gethostname().lower()}
+
+
+def host_allowed(host: str, names: Collection[str], numbers: bool) -> bool:
+    """Whether a Host header names this server.
+
+    A web page elsewhere can make its own name point here (DNS rebinding), but not an address in numbers.
+    """
+    name = host_name(host)
+    if name in names:
+        return True
+    try:
+        ipaddress.ip_address(name)
+    except ValueError:
+        return False
+    return numbers
+
+
+def origin_allowed(origin: str | None, host: str) -> bool:
+    """Whether a WebSocket may be opened from an origin: the page itself, or a program, which sends none."""
+    return origin is None or origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())
+
+
+def find_recording(path: str, recordings: Recordings) -> bytes | None:
+    """The file a path asks for, if it is one of the recordings."""
+    match = _RECORDING.fullmatch(path)
+    return None if match is None else recordings.get(match.group(1))

@@ -1,0 +1,179 @@
+"""Requests of clients: JSON text to checked values. Whatever comes, the only fault raised is ProtocolError."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NoReturn
+
+from motionkit.errors import MotionkitError
+from motionkit.inference.rollout import NOISE_KINDS
+from motionkit.play.limits import Limits
+
+MAX_SPEED = 1000.0  # cm/s
+MAX_PLACE = 1e6  # cm from the origin
+MAX_COUNT = 2**32 - 1
+MAX_NAME = 100  # characters of a type's or body's name
+MAX_TEMPERATURE = 2.0
+MAX_SECONDS = 60.0  # of a performance of a type without a length of its own
+
+
+class ProtocolError(MotionkitError):
+    """A message that is no request."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a client asks for: do names it, fields hold a value for each field it knows."""
+
+    do: str
+    fields: dict[str, Any]
+
+
+Check = Callable[[Any], Any]
+
+
+def _number(low: float, high: float) -> Check:
+    def check(value: Any) -> float:
+        # Comparisons are false for NaN, and hold for integers too large for a float.
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+            raise ValueError(f"a number from {low:g} to {high:g}")
+        return float(value)
+
+    return check
+
+
+def _count(value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value <= MAX_COUNT:
+        raise ValueError(f"a whole number from 0 to {MAX_COUNT}")
+    return value
+
+
+def _name(value: Any) -> str:
+    if not isinstance(value, str) or not 0 < len(value) <= MAX_NAME:
+        raise ValueError(f"a name of at most {MAX_NAME} characters")
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError("true or false")
+    return value
+
+
+def _noise_kind(value: Any) -> str:
+    if value not in NOISE_KINDS:
+        raise ValueError(f"one of {', '.join(NOISE_KINDS)}")
+    return str(value)
+
+
+def _pair(limit: float) -> Check:
+    number = _number(-limit, limit)
+
+    def check(value: Any) -> tuple[float, float]:
+        if not isinstance(value, list) or len(value) != 2:
+            raise ValueError("two numbers [x, z]")
+        return number(value[0]), number(value[1])
+
+    return check
+
+
+def _points(value: Any) -> list[tuple[float, float]]:
+    most = Limits().path_points
+    if not isinstance(value, list) or not 2 <= len(value) <= most:
+        raise ValueError(f"2 to {most} points [x, z]")
+    point = _pair(MAX_PLACE)
+    return [point(each) for each in value]
+
+
+def _or_null(check: Check) -> Check:
+    return lambda value: None if value is None else check(value)
+
+
+_REQUIRED = object()
+_CHARACTER: dict[str, tuple[Check, Any]] = {"character": (_or_null(_count), None)}
+_SEQ: dict[str, tuple[Check, Any]] = {"seq": (_count, 0)}
+# The fields of every request: name to check and default.
+REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
+    "wish": {
+        **_CHARACTER,
+        "velocity": (_or_null(_pair(MAX_SPEED)), (0.0, 0.0)),
+        "facing": (_or_null(_number(-1e3, 1e3)), None),
+        "type": (_or_null(_name), None),
+        **_SEQ,
+    },
+    "perform": {
+        **_CHARACTER,
+        "type": (_name, _REQUIRED),
+        "seconds": (_number(0.1, MAX_SECONDS), 2.0),
+        **_SEQ,
+    },
+    "path": {
+        **_CHARACTER,
+        "points": (_points, _REQUIRED),
+        "type": (_or_null(_name), None),
+        "speed": (_or_null(_number(5.0, MAX_SPEED)), None),
+        **_SEQ,
+    },
+    "add": {"body": (_name, "default")},
+    "remove": {**_CHARACTER},
+    "body": {**_CHARACTER, "body": (_name, _REQUIRED)},
+    "reset": {**_CHARACTER},
+    "noise": {
+        **_CHARACTER,
+        "kind": (_noise_kind, "correlated"),
+        "temperature": (_number(0.0, MAX_TEMPERATURE), 0.05),
+    },
+    "record": {**_CHARACTER, "on": (_flag, _REQUIRED)},
+    "ping": {"stamp": (_number(-1e300, 1e300), 0.0)},
+}
+
+
+def _refuse(word: str) -> NoReturn:
+    raise ValueError(f"{word} is no JSON")
+
+
+def parse_request(text: str | bytes) -> Request:
+    """The request in a message.
+
+    Raises:
+        ProtocolError: for text that is not JSON, an unknown request, or a field of the wrong kind.
+    """
+    try:
+        value = json.loads(text, parse_constant=_refuse)
+    except (ValueError, RecursionError) as error:
+        raise ProtocolError(f"expected a JSON object, found {_shown(text)} ({_first_line(error)})") from None
+    if not isinstance(value, dict):
+        raise ProtocolError(f"expected a JSON object, found {_shown(text)}")
+    do = value.pop("do", None)
+    fields = REQUESTS.get(do) if isinstance(do, str) else None
+    if fields is None:
+        raise ProtocolError(f'expected "do" to be one of {", ".join(REQUESTS)}, found {_shown(do)}')
+    unknown = sorted(value.keys() - fields.keys())
+    if unknown:
+        raise ProtocolError(
+            f"{do}: unknown field {_shown(unknown[0])}, expected {', '.join(fields) or 'none'}"
+        )
+    out = {}
+    for name, (check, default) in fields.items():
+        if name not in value and default is _REQUIRED:
+            raise ProtocolError(f"{do}: {name} is missing")
+        try:
+            out[name] = check(value[name]) if name in value else default
+        except ValueError as error:
+            raise ProtocolError(f"{do}: {name}: expected {error}, found {_shown(value[name])}") from None
+    return Request(do, out)
+
+
+def _shown(value: Any) -> str:
+    """A value as it was sent, cut short."""
+    try:
+        text = repr(value)
+    except ValueError:  # an integer with too many digits to print
+        return "a number that is too long"
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0][:80]

@@ -1,0 +1,487 @@
+"""The sockets of `motionkit play`: page and WebSocket on one port, newline JSON on another, VMC to a third."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import hmac
+import json
+import logging
+import re
+import secrets
+import signal
+import socket as socketlib
+from collections.abc import AsyncIterable, AsyncIterator, Awaitable, Callable
+from contextlib import AsyncExitStack, suppress
+from dataclasses import dataclass, replace
+from http import HTTPStatus
+from http.cookies import CookieError, SimpleCookie
+from urllib.parse import parse_qs
+
+from websockets.asyncio.server import Server, ServerConnection, serve
+from websockets.datastructures import Headers, MultipleValuesError
+from websockets.exceptions import ConnectionClosed
+from websockets.http11 import Request as HttpRequest
+from websockets.http11 import Response
+
+from motionkit.errors import MotionkitError
+from motionkit.play.client import Client, TooManyMessages
+from motionkit.play.frames import WorldFrame
+from motionkit.play.live import Live, error_event
+from motionkit.play.page import (
+    find_recording,
+    host_allowed,
+    is_loopback,
+    known_names,
+    load_page,
+    origin_allowed,
+    policy,
+)
+from motionkit.play.requests import ProtocolError
+from motionkit.play.session import Session
+from motionkit.play.vmc import VmcBody, osc_bundles
+
+SOCKET_PATH = "/live"
+CLOSE_SECONDS = 1.0  # granted to clients when the server ends
+WAITING_BYTES = 8192
+TOKEN_SECONDS = 10.0  # a TCP client has to send the token, where one is asked for
+WAITING_ROOM = 4  # times as many TCP connections as clients may be open
+CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013
+
+
+LONGEST_METHOD = 20
+_METHOD = re.compile(rb"[A-Z]{1,%d}(?= |$)" % LONGEST_METHOD)
+
+
+class ServeError(MotionkitError):
+    """A port or address that cannot be used."""
+
+
+@dataclass(frozen=True)
+class ServerOptions:
+    """Where to listen and send; port 0 is any free one, None is not to."""
+
+    host: str = "127.0.0.1"
+    port: int = 8642
+    tcp: int | None = None
+    vmc: tuple[str, int] | None = None
+    page: bool = True
+
+
+@dataclass(frozen=True)
+class Addresses:
+    """Where the server is reached; url and socket hold the token, where one is asked for."""
+
+    url: str
+    socket: str
+    tcp: tuple[str, int] | None
+    vmc: tuple[str, int] | None
+    token: str | None = None
+
+
+class PlayServer:
+    """A live session on its sockets."""
+
+    def __init__(self, session: Session, options: ServerOptions) -> None:
+        self.options = options
+        self.live = Live(session)
+        model = session.model
+        bodies = {name: model.character(name) for name in model.characters}
+        self._page = load_page(bodies) if options.page else None
+        self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # of the TCP port
+        self._names = known_names(options.host)
+        self._numbers = not is_loopback(options.host)
+        # Where others than this machine can connect, only those who were told the address may.
+        self.token = None if is_loopback(options.host) else secrets.token_urlsafe(18)
+        self._cookie = ""  # its name; known with the port, as cookies do not tell ports apart
+
+    async def run(self, ready: Callable[[Addresses], None] | None = None) -> None:
+        """Serve until cancelled or told to stop by SIGINT or SIGTERM.
+
+        Raises:
+            ServeError: if a port is taken or an address is none of this machine's.
+        """
+        stop = asyncio.Event()
+        loop = asyncio.get_running_loop()
+        async with AsyncExitStack() as open_:
+            for number in (signal.SIGINT, signal.SIGTERM):
+                # Windows and threads other than the main one have no such handlers; Ctrl-C interrupts there.
+                with suppress(NotImplementedError, RuntimeError, ValueError):
+                    loop.add_signal_handler(number, stop.set)
+                    open_.callback(loop.remove_signal_handler, number)
+            addresses = await self._open(open_)
+            clock = loop.create_task(self.live.run())
+            open_.push_async_callback(_cancelled, clock)
+            if ready is not None:
+                ready(addresses)
+            stopping = loop.create_task(stop.wait())
+            open_.push_async_callback(_cancelled, stopping)
+            await asyncio.wait([clock, stopping], return_when=asyncio.FIRST_COMPLETED)
+            if clock.done():
+                clock.result()  # a fault of ours, to be seen
+
+    async def _open(self, open_: AsyncExitStack) -> Addresses:
+        host, options = self.options.host, self.options
+        if options.vmc is not None:
+            open_.callback((await self._open_vmc(*options.vmc)).close)
+        try:
+            web = await serve(
+                self._web_client,
+                host,
+                options.port,
+                process_request=self._answer_method,
+                create_connection=_Connection,
+                compression=None,
+                max_size=self.live.session.limits.message_bytes,
+                close_timeout=CLOSE_SECONDS,
+                server_header=None,
+                logger=_quiet_logger(),
+            )
+        except (OSError, ValueError) as error:  # a name no address book takes is a ValueError
+            raise _serve_error(host, options.port, "--port", error) from None
+        open_.push_async_callback(self._close_web, web)
+        port = web.sockets[0].getsockname()[1]
+        tcp = None
+        if options.tcp is not None:
+            limit = self.live.session.limits.message_bytes
+            try:
+                server = await asyncio.start_server(self._tcp_client, host, options.tcp, limit=limit)
+            except (OSError, ValueError) as error:
+                raise _serve_error(host, options.tcp, "--tcp", error) from None
+            open_.push_async_callback(self._close_tcp, server)
+            tcp = (reachable_name(host), server.sockets[0].getsockname()[1])
+        self._cookie = f"motionkit-{port}"
+        name = reachable_name(host)
+        name = f"[{name}]" if ":" in name else name
+        query = "" if self.token is None else f"?token={self.token}"
+        url, live = f"http://{name}:{port}/{query}", f"ws://{name}:{port}{SOCKET_PATH}{query}"
+        return Addresses(url, live, tcp, options.vmc, self.token)
+
+    # ---- HTTP ----
+
+    def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+        """The response to GET, or to HEAD, which is the same without its body."""
+        assert isinstance(connection, _Connection)
+        response = self._answer(request)
+        if connection.method != b"HEAD":
+            return response
+        return _method_refused() if response is None else replace(response, body=b"")
+
+    def _answer(self, request: HttpRequest) -> Response | None:
+        """The response to a plain request, None where a WebSocket may be opened."""
+        try:
+            host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
+        except MultipleValuesError:
+            return _response(HTTPStatus.BAD_REQUEST, "one Host and one Origin at most")
+        if not host_allowed(host, self._names, self._numbers):
+            return _response(HTTPStatus.FORBIDDEN, "this server does not go by that name")
+        path, _, query = request.path.partition("?")
+        if path == SOCKET_PATH:
+            if not origin_allowed(origin, host):
+                return _response(HTTPStatus.FORBIDDEN, "only the page of this server may connect")
+            return None if self._knows_token(request, query) else _token_missing()
+        if path == "/" and self._page is not None:
+            if not self._knows_token(request, query):
+                return _token_missing()
+            headers = {"Content-Security-Policy": policy(host)}
+            if self.token is not None:  # with which the page opens its socket
+                headers["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
+            return _response(HTTPStatus.OK, self._page, "text/html; charset=utf-8", headers)
+        recording = find_recording(path, self.live.recordings)
+        if recording is not None:
+            named = {"Content-Disposition": 'attachment; filename="motionkit-recording.bvh"'}
+            return _response(HTTPStatus.OK, recording, "text/plain; charset=utf-8", named)
+        return _response(HTTPStatus.NOT_FOUND, "not found")
+
+    def _knows_token(self, request: HttpRequest, query: str) -> bool:
+        """Whether a request holds the token in its address or its cookie, or none is asked for."""
+        told = parse_qs(query).get("token", [])
+        for line in request.headers.get_all("Cookie"):
+            with suppress(CookieError):
+                cookie = SimpleCookie(line).get(self._cookie)
+                told += [] if cookie is None else [cookie.value]
+        return self.token is None or any(self._is_token(word) for word in told)
+
+    def _is_token(self, word: object) -> bool:
+        # In the same time whatever is wrong with it.
+        return isinstance(word, str) and hmac.compare_digest(
+            word.encode("utf-8", "replace"), (self.token or "").encode()
+        )
+
+    # ---- clients ----
+
+    async def _web_client(self, socket: ServerConnection) -> None:
+        async def send(message: str | bytes) -> None:
+            try:
+                await socket.send(message)
+            except ConnectionClosed as error:
+                raise ConnectionError(str(error)) from None
+
+        _send_late(socket.transport)
+        client = await self.live.join(as_json=False)
+        with suppress(ConnectionClosed):
+            if client is None:
+                await socket.close(CLOSE_FULL, "too many clients")
+                return
+            fault = await self._attend(client, socket, send, socket.transport.abort)
+            if fault is not None:
+                code = CLOSE_RATE if isinstance(fault, TooManyMessages) else CLOSE_MALFORMED
+                await socket.close(code, "see the error event")
+
+    async def _tcp_client(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        async def send(message: str | bytes) -> None:
+            writer.write((message if isinstance(message, bytes) else message.encode()) + b"\n")
+            await writer.drain()
+
+        task = asyncio.current_task()
+        assert task is not None
+        self._connections[task] = writer
+        _send_late(writer.transport)
+        try:
+            lines = self._lines(reader)
+            fault = await self._tcp_fault(lines)
+            client = None if fault else await self.live.join(as_json=True)
+            if client is None:
+                refused = error_event(ProtocolError(fault or "too many clients"), closing=True)
+                writer.write(json.dumps(refused).encode() + b"\n")
+            else:
+                await self._attend(client, lines, send, writer.transport.abort)
+            # What the client still sends is read, or the system would drop what it has not read of ours.
+            with suppress(OSError, asyncio.TimeoutError):
+                writer.write_eof()
+                await asyncio.wait_for(_read_away(reader), CLOSE_SECONDS)
+        finally:
+            writer.close()
+            del self._connections[task]
+
+    async def _tcp_fault(self, lines: AsyncIterator[str]) -> str | None:
+        """Why a TCP client may not join, None if it may: it has to send the token first, where one is asked for."""
+        if len(self._connections) > WAITING_ROOM * self.live.session.limits.clients:
+            return "too many connections"
+        if self.token is None:
+            return None
+        with suppress(ProtocolError, StopAsyncIteration, asyncio.TimeoutError, ValueError, RecursionError):
+            told = json.loads(await asyncio.wait_for(lines.__anext__(), TOKEN_SECONDS))
+            if isinstance(told, dict) and self._is_token(told.get("token")):
+                return None
+        return 'expected the token of this server first: {"token": "..."}'
+
+    async def _close_web(self, server: Server) -> None:
+        """Close port and connections; who has not ended by then, such as one who says nothing, is not waited for."""
+        for client in self.live.clients.values():
+            client.leave()
+        server.close()
+        ended = asyncio.ensure_future(server.wait_closed())
+        await asyncio.wait([ended], timeout=2.0 * CLOSE_SECONDS)
+        await _cancelled(ended)
+
+    async def _close_tcp(self, server: asyncio.Server) -> None:
+        """Close port and connections; the tasks of the latter end by themselves, as if the clients had gone."""
+        server.close()
+        for writer in self._connections.values():
+            writer.transport.abort()
+        if self._connections:
+            await asyncio.wait(list(self._connections), timeout=CLOSE_SECONDS)
+
+    async def _attend(
+        self,
+        client: Client,
+        messages: AsyncIterable[str | bytes],
+        send: Callable[[str | bytes], Awaitable[None]],
+        abort: Callable[[], None],
+    ) -> ProtocolError | None:
+        """Serve a client until it goes; answers the fault for which it is to be closed, if there was one."""
+
+        def sent_all(_: asyncio.Task) -> None:
+            if client.stalled:
+                abort()
+            elif client.let_go:  # once the last event is through
+                loop.call_later(CLOSE_SECONDS, abort)
+
+        loop = asyncio.get_running_loop()
+        pump = loop.create_task(client.pump(send))
+        pump.add_done_callback(sent_all)
+        try:
+            async for message in messages:
+                await self.live.take(client, message)
+        except ProtocolError as error:
+            client.end(error_event(error, closing=True))
+            await asyncio.wait([pump])
+            return error
+        finally:
+            self.live.leave(client)
+            client.leave()
+            await _cancelled(pump)
+        return None
+
+    async def _lines(self, reader: asyncio.StreamReader) -> AsyncIterator[str]:
+        """Lines of a TCP client; raises ProtocolError for one too long or not in UTF-8."""
+        while True:
+            try:
+                line = await reader.readuntil(b"\n")
+            except (asyncio.IncompleteReadError, OSError):
+                return
+            except asyncio.LimitOverrunError:
+                most = self.live.session.limits.message_bytes
+                raise ProtocolError(f"a line is longer than {most} bytes") from None
+            try:
+                yield line.decode("utf-8")
+            except UnicodeDecodeError:
+                raise ProtocolError("expected UTF-8, found other bytes") from None
+
+    # ---- VMC ----
+
+    async def _open_vmc(self, host: str, port: int) -> asyncio.DatagramTransport:
+        loop, session = asyncio.get_running_loop(), self.live.session
+        try:
+            transport, _ = await loop.create_datagram_endpoint(
+                asyncio.DatagramProtocol, remote_addr=(host, port)
+            )
+        except (OSError, ValueError) as error:
+            raise ServeError(f"{host}:{port}: cannot be sent to ({_reason(error)})") from None
+        kept = session.keep()
+        bodies: dict[str, VmcBody] = {}
+
+        def show(frame: WorldFrame) -> None:
+            shown = next((one for one in frame.characters if one.id == kept.id), None)
+            if shown is None:
+                return
+            if kept.body not in bodies:
+                bodies[kept.body] = VmcBody(session.model.character(kept.body))
+            for bundle in osc_bundles(bodies[kept.body].messages(shown, frame.time)):
+                transport.sendto(bundle)
+
+        self.live.watchers.append(show)
+        return transport
+
+
+class _Connection(ServerConnection):
+    """A connection that tells HTTP methods apart: websockets takes in GET alone, some versions anything."""
+
+    method: bytes | None = None
+    _begun = b""
+    _refused = False
+
+    def data_received(self, data: bytes) -> None:
+        if self._refused:
+            return
+        if self.method is None:
+            data = self._begun = self._begun + data
+            word = _METHOD.match(data)
+            if word is None or (word.end() == len(data) and len(data) <= LONGEST_METHOD):
+                if word is not None or not data:
+                    return  # the rest of the word is still to come
+                self.method = b""  # no HTTP: websockets closes it
+            else:
+                self.method = word[0]
+            self._begun = b""
+            if self.method == b"HEAD":
+                data = b"GET" + data[len(b"HEAD") :]
+            elif self.method not in (b"", b"GET"):
+                self._refuse()
+                return
+        super().data_received(data)
+
+    def _refuse(self) -> None:
+        self._refused = True
+        assert isinstance(self.transport, asyncio.Transport)
+        self.transport.write(_method_refused().serialize())
+        # What it still sends is read for a while, or it might not get the answer.
+        self.transport.write_eof()
+        asyncio.get_running_loop().call_later(CLOSE_SECONDS, self.transport.abort)
+
+
+def _send_late(transport: asyncio.BaseTransport) -> None:
+    """Keep little waiting on the way, so that a slow client gets new frames instead of old ones."""
+    assert isinstance(transport, asyncio.WriteTransport)
+    transport.set_write_buffer_limits(high=WAITING_BYTES)
+    connection = transport.get_extra_info("socket")
+    if hasattr(socketlib, "TCP_NOTSENT_LOWAT"):
+        connection.setsockopt(socketlib.IPPROTO_TCP, socketlib.TCP_NOTSENT_LOWAT, WAITING_BYTES)
+
+
+async def _read_away(reader: asyncio.StreamReader) -> None:
+    while await reader.read(65536):
+        pass
+
+
+async def _cancelled(task: asyncio.Task) -> None:
+    """End a task and wait until it has."""
+    task.cancel()
+    with suppress(asyncio.CancelledError):
+        await task
+
+
+def _response(
+    status: HTTPStatus,
+    body: bytes | str,
+    kind: str = "text/plain; charset=utf-8",
+    more: dict[str, str] | None = None,
+) -> Response:
+    data = body if isinstance(body, bytes) else f"{body}\n".encode()
+    headers = Headers(
+        {
+            "Content-Type": kind,
+            "Content-Length": str(len(data)),
+            "Connection": "close",
+            "Cache-Control": "no-store",
+            "X-Content-Type-Options": "nosniff",
+            "Referrer-Policy": "no-referrer",
+            **(more or {}),
+        }
+    )
+    return Response(status.value, status.phrase, headers, data)
+
+
+def _method_refused() -> Response:
+    return _response(
+        HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered", more={"Allow": "GET, HEAD"}
+    )
+
+
+def _token_missing() -> Response:
+    return _response(
+        HTTPStatus.FORBIDDEN,
+        "this server asks for a token; use the whole address that motionkit play printed",
+    )
+
+
+def reachable_name(host: str) -> str:
+    """The host to reach a server at that listens on a host: an address of this machine for all addresses."""
+    if host not in ("", "0.0.0.0", "::"):
+        return host
+    family, away, here = (
+        (socketlib.AF_INET6, "2001:db8::1", "::1")
+        if host == "::"
+        else (socketlib.AF_INET, "192.0.2.1", "127.0.0.1")
+    )
+    try:
+        with socketlib.socket(family, socketlib.SOCK_DGRAM) as probe:
+            probe.connect((away, 9))  # sends nothing; only asks which way it would go
+            return str(probe.getsockname()[0])
+    except OSError:
+        return here
+
+
+def _serve_error(host: str, port: int, option: str, error: OSError | ValueError) -> ServeError:
+    number = getattr(error, "errno", None)
+    if number == errno.EADDRINUSE:
+        return ServeError(f"{host}:{port}: the port is in use; give another with {option}")
+    if number == errno.EACCES:
+        return ServeError(f"{host}:{port}: this port is not for everybody; give one above 1023 with {option}")
+    return ServeError(f"{host}:{port}: cannot be listened on ({_reason(error)})")
+
+
+def _reason(error: OSError | ValueError) -> str:
+    return getattr(error, "strerror", None) or str(error)
+
+
+def _quiet_logger() -> logging.Logger:
+    """Faults of ours are logged; what strangers send instead of HTTP is not."""
+    logger = logging.getLogger("motionkit.play")
+    logger.addFilter(_is_ours)
+    return logger
+
+
+def _is_ours(record: logging.LogRecord) -> bool:
+    return "opening handshake failed" not in record.getMessage()

@@ -1,0 +1,133 @@
+"""Frames as VMC messages (OSC over UDP), which motion receivers of game engines read."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Sequence
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.inference.pose import BodyKinematics, matrix_to_quat, quat_to_matrix
+from motionkit.motion.rotations import quat_between, quat_inverse
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.play.frames import Floats, Shown
+
+BUNDLE_BYTES = 1400  # below what one Ethernet frame holds
+_IMMEDIATELY = struct.pack(">Q", 1)  # OSC's time tag that means at once
+CM = 0.01  # metres
+
+# Unity's HumanBodyBones: bone, its parent bone, the joint that carries it.
+BONES: tuple[tuple[str, str, str], ...] = (
+    ("Hips", "", "Hips"),
+    ("Spine", "Hips", "Spine"),
+    ("Chest", "Spine", "Spine1"),
+    ("Neck", "Chest", "Neck"),
+    ("Head", "Neck", "Head"),
+    *(
+        (f"{side}{bone}", f"{side}{parent}" if own else parent, f"{side}{joint}")
+        for side in ("Left", "Right")
+        for bone, parent, own, joint in (
+            ("UpperLeg", "Hips", False, "UpLeg"),
+            ("LowerLeg", "UpperLeg", True, "Leg"),
+            ("Foot", "LowerLeg", True, "Foot"),
+            ("Toes", "Foot", True, "ToeBase"),
+            ("Shoulder", "Chest", False, "Shoulder"),
+            ("UpperArm", "Shoulder", True, "Arm"),
+            ("LowerArm", "UpperArm", True, "ForeArm"),
+            ("Hand", "LowerArm", True, "Hand"),
+        )
+    ),
+)
+_JOINTS = [JOINT_NAMES.index(joint) for _, _, joint in BONES]
+_NAMES = [bone for bone, _, _ in BONES]
+_PARENTS = [1 + _NAMES.index(parent) if parent else 0 for _, parent, _ in BONES]  # 0 is the root
+
+
+def osc_string(text: str) -> bytes:
+    """A string as OSC has it: ended by zeros up to a multiple of four bytes."""
+    data = text.encode("ascii") + b"\0"
+    return data + b"\0" * (-len(data) % 4)
+
+
+def osc_message(address: str, *arguments: str | int | float) -> bytes:
+    """One OSC message; integers are sent as int32, floats as float32."""
+    tags, data = ",", b""
+    for argument in arguments:
+        if isinstance(argument, str):
+            tags, data = tags + "s", data + osc_string(argument)
+        elif isinstance(argument, int):
+            tags, data = tags + "i", data + struct.pack(">i", argument)
+        else:
+            tags, data = tags + "f", data + struct.pack(">f", argument)
+    return osc_string(address) + osc_string(tags) + data
+
+
+def osc_bundles(messages: Sequence[bytes], most_bytes: int = BUNDLE_BYTES) -> list[bytes]:
+    """Messages in bundles of at most so many bytes, to be acted on at once."""
+    head = osc_string("#bundle") + _IMMEDIATELY
+    out, current = [], head
+    for message in messages:
+        element = struct.pack(">i", len(message)) + message
+        if len(current) + len(element) > most_bytes and current != head:
+            out.append(current)
+            current = head
+        current += element
+    out.append(current)
+    return out
+
+
+def rest_turns(skeleton: Skeleton) -> Array:
+    """World rotations (23, 4) that bring the rest pose into a T-pose with vertical legs."""
+    turns = np.zeros((len(skeleton), 4), np.float32)
+    turns[:, 0] = 1.0
+    down = np.array([0.0, -1.0, 0.0], np.float32)
+    for side in ("Left", "Right"):
+        for joint, ahead in (("UpLeg", "Leg"), ("Leg", "Foot")):
+            bone = skeleton.offsets[skeleton.index(side + ahead)]
+            turns[skeleton.index(side + joint)] = quat_between(bone, down)
+    return turns
+
+
+class VmcBody:
+    """Turns frames of one skeleton into VMC messages."""
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self._kinematics = BodyKinematics(skeleton.offsets[None])
+        self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)))[_JOINTS]
+
+    def bones(self, shown: Shown) -> tuple[Floats, Floats]:
+        """MotionIndex (1 + B, 3) and rotations (1 + B, 4) of the root and then of BONES, each in its parent.
+
+        Still right-handed and in cm; rotations count from the T-pose.
+        """
+        world = self._kinematics.forward(shown.rotations[None], shown.root[None])[0, _JOINTS]
+        half = 0.5 * shown.heading
+        root_turn = quat_to_matrix(np.array([[math.cos(half), 0.0, math.sin(half), 0.0]], np.float32))
+        root_place = shown.root * np.array([1.0, 0.0, 1.0], np.float32)
+        turns = np.concatenate([root_turn, np.matmul(world[:, :3, :3], self._from_rest)])
+        places = np.concatenate([root_place[None], world[:, :3, 3]])
+        above = np.swapaxes(turns[_PARENTS], -1, -2)  # of the bones; the root itself is in the world
+        inside = np.matmul(above, turns[1:])
+        ways = np.matmul(above, (places[1:] - places[_PARENTS])[..., None])[..., 0]
+        return (
+            np.concatenate([places[:1], ways]),
+            matrix_to_quat(np.concatenate([turns[:1], inside])),
+        )
+
+    def messages(self, shown: Shown, seconds: float) -> list[bytes]:
+        """The OSC messages of one frame."""
+        places, rotations = self.bones(shown)
+        out = [osc_message("/VMC/Ext/OK", 1), osc_message("/VMC/Ext/T", float(seconds))]
+        addresses = ["/VMC/Ext/Root/Pos"] + ["/VMC/Ext/Bone/Pos"] * len(_NAMES)
+        for address, name, place, turn in zip(addresses, ["root", *_NAMES], places, rotations, strict=True):
+            out.append(osc_message(address, name, *_unity(place.tolist(), turn.tolist())))
+        return out
+
+
+def _unity(place: list[float], rotation: list[float]) -> list[float]:
+    """Place in metres and quaternion x, y, z, w, mirrored at x = 0: Unity's X points right, ours left."""
+    x, y, z = (CM * v for v in place)
+    w, qx, qy, qz = rotation
+    return [-x, y, z, qx, -qy, -qz, w]

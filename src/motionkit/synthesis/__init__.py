@@ -1,1 +1,0 @@
-"""A model and controls in, motion out: one frame at a time, or whole."""

@@ -1,0 +1,1 @@
+"""Motion in, something to look at out: pages, contact sheets, GIFs, films."""

@@ -1,0 +1,191 @@
+"""What a page needs to draw a figure, packed small: the rig, its body, and its frames, in metres with Y up.
+
+Numbers are packed as {"type", "shape", "data"}: little-endian, deflated, base64. Whole numbers are
+differences from row to row, which deflate well.
+"""
+
+from __future__ import annotations
+
+import base64
+import math
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionkit.arrays import Array
+from motionkit.errors import SkeletonError
+from motionkit.metrics.loading import PLAUSIBLE_LEG
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.mirror import is_z_up, joint_sides
+from motionkit.motion.motion import Motion
+from motionkit.motion.rig_names import map_rig
+from motionkit.motion.rotations import matrix_to_quat, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
+from motionkit.motion.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
+from motionkit.view.body import make_body
+from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
+from motionkit.view.surface import TINTS
+
+CM = 0.01
+QUATERNION_STEPS = 32767  # a rotation is told to a few thousandths of a degree
+POINT_STEPS = 10_000  # a point of the body to a tenth of a millimetre
+# Y up from Z up: -90 degrees about X.
+_UPRIGHT = np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """A motion to show.
+
+    Attributes:
+        name: what to call it.
+        motion: in any unit, either axis up.
+        types: motion types with their seconds, one after another; empty when unknown.
+        path: (N, 2) x, z in cm of the path it was asked to follow, or None.
+    """
+
+    name: str
+    motion: Motion
+    types: Sequence[tuple[str, float]] = ()
+    path: Array | None = None
+
+
+def pack(values: NDArray, kind: str) -> dict[str, Any]:
+    """Numbers of any shape for the page; kind is "f4", or "i2", "u2" or "u1" for whole numbers."""
+    array = np.asarray(values)
+    if kind == "f4":
+        raw = array.astype("<f4")
+    else:  # wraps around, as the page's sums do
+        flat = array.astype(np.int64).reshape(len(array), -1)
+        steps = np.diff(flat, axis=0, prepend=np.zeros((1, flat.shape[1]), dtype=np.int64))
+        raw = (steps & (0xFFFF if kind[1] == "2" else 0xFF)).astype(f"<u{kind[1]}")
+    data = base64.b64encode(zlib.compress(raw.tobytes(), 9)).decode("ascii")
+    return {"type": kind, "shape": list(array.shape), "data": data}
+
+
+def figure_data(shown: Shown) -> dict[str, Any]:
+    """A motion as the page takes it: rig, body, frames, contacts, types and path."""
+    motion, scale, note = in_metres(shown.motion)
+    figure = motion_figure(motion)
+    path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
+    return {
+        "name": shown.name,
+        "fps": motion.fps,
+        "frames": len(motion),
+        "scale": scale,
+        "unit": note,
+        "floor": 0.0 if figure.floor_is_zero else figure.floor,
+        **rig_data(motion, figure),
+        "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
+        "roots": pack(motion.root_positions, "f4"),
+        "moving": _moving(motion),
+        "feet": [
+            {
+                "side": side,
+                "joint": foot,
+                "low": pack(low_frames(figure, foot), "u1"),
+                "slides": pack(sliding_frames(figure, foot), "u1"),
+            }
+            for side, foot in figure.feet.items()
+        ],
+        "types": _bands(shown, len(motion) / motion.fps),
+        "path": path,
+    }
+
+
+def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
+    """The rig of a motion in metres with Y up, and its body, for the page.
+
+    figure is the motion's, where it is already at hand.
+    """
+    figure = figure or motion_figure(motion)
+    skeleton = motion.skeleton
+    bones = [joint for _, joint in figure.bones if joint < len(skeleton)]
+    surface, pose = make_body(motion, bones)
+    turns = matrix_to_quat(pose.rotations)
+    return {
+        "joints": list(skeleton.names),
+        "parents": list(skeleton.parents),
+        "sides": list(joint_sides(skeleton.names)),
+        "offsets": pack(skeleton.offsets, "f4"),
+        "bones": bones,
+        "ends": [[joint, *end] for joint, end in sorted(skeleton.end_sites.items())],
+        "hips": figure.hips,
+        "head": figure.head,
+        "stature": figure.stature,
+        "body": {
+            "rotations": pack(turns, "f4"),
+            "places": pack(pose.places, "f4"),
+            "points": pack((surface.points * POINT_STEPS).round(), "i2"),
+            "triangles": pack(surface.triangles, "u2"),
+            "joints": pack(surface.joints, "u2"),
+            "weights": pack((surface.weights * 255).round(), "u1"),
+            "tints": pack(surface.tints, "u1"),
+            "names": list(TINTS),
+        },
+    }
+
+
+def in_metres(motion: Motion) -> tuple[Motion, float, str]:
+    """The motion in metres with Y up, metres per unit of the file, and how that was found."""
+    cm, note = _cm_per_unit(motion)
+    scaled = motion.scaled(cm * CM)
+    _, positions = motion_kinematics(motion)
+    if is_z_up(positions, motion.skeleton.names):
+        rotations = scaled.local_rotations.copy()
+        turn = _UPRIGHT.astype(rotations.dtype)
+        rotations[:, 0] = quat_multiply(np.broadcast_to(turn, (len(motion), 4)), rotations[:, 0])
+        roots = quat_rotate(np.broadcast_to(turn, (len(motion), 4)), scaled.root_positions)
+        scaled, note = replace(scaled, local_rotations=rotations, root_positions=roots), f"{note}; Z up"
+    return scaled, cm * CM, note
+
+
+def _cm_per_unit(motion: Motion) -> tuple[float, str]:
+    leg = _leg(motion.skeleton)
+    if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
+        return 1.0, "centimetres"
+    if leg <= 0.0:
+        leg = motion_figure(motion).stature * LEG_TO_STATURE
+    return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
+
+
+def _leg(skeleton: Skeleton) -> float:
+    """Thigh plus shin of a human rig, 0 for any other."""
+    try:
+        places = map_rig(skeleton).places
+    except SkeletonError:
+        return 0.0
+    rest = skeleton.rest_positions()
+    chains = [
+        [places.get(f"{side}{part}") for part in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")
+    ]
+    whole = [[joint for joint in chain if joint is not None] for chain in chains]
+    lengths = [
+        sum(float(np.linalg.norm(rest[b] - rest[a])) for a, b in pairwise(chain))
+        for chain in whole
+        if len(chain) == 3
+    ]
+    return sum(lengths) / len(lengths) if lengths else 0.0
+
+
+def _moving(motion: Motion) -> dict[str, Any] | None:
+    """Where joints are against their parents, for those that do not stay at their offsets."""
+    if motion.local_positions is None:
+        return None
+    places = motion.local_positions
+    away = np.abs(places - motion.skeleton.offsets).max(axis=(0, 2)) > 1e-5
+    joints = [j for j in np.flatnonzero(away).tolist() if j > 0]
+    return {"joints": joints, "places": pack(places[:, joints], "f4")} if joints else None
+
+
+def _bands(shown: Shown, seconds: float) -> list[dict[str, Any]]:
+    bands, start = [], 0.0
+    for kind, length in shown.types:
+        bands.append({"type": kind, "start": start, "end": min(start + length, seconds)})
+        start += length
+    return bands

@@ -1,0 +1,188 @@
+"""Pictures of bodies on a ground, drawn with Pillow: what the page shows, without a browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.rotations import quat_to_matrix
+from motionkit.view.body import make_body
+from motionkit.view.contact_sheet import load_pillow
+from motionkit.view.contact_sheet_geometry import Figure, motion_figure
+from motionkit.view.figure_data import Shown, in_metres
+from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
+from motionkit.view.picture_labels import Labels
+from motionkit.view.raster import fill_triangles
+from motionkit.view.surface import TINTS, Array
+
+if TYPE_CHECKING:
+    from PIL import Image
+
+ZOOM = 2  # drawn so much larger and averaged down
+GRID_REACH = 9  # lines around the camera's target, each way
+SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)
+SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116), (168, 115, 222), (221, 85, 103), (43, 167, 172))
+SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm([1.7, 5.6, 2.2])  # where from, for a camera at SIDE_ANGLE
+
+
+@dataclass(frozen=True, eq=False)
+class _Actor:
+    """A motion ready to be drawn: rotations (T, J, 3, 3), places (T, J, 3), hips (T, 3), all in metres."""
+
+    shown: Shown
+    color: tuple[int, int, int]
+
+    @cached_property
+    def _parts(self) -> tuple[Any, ...]:
+        motion, _, _ = in_metres(self.shown.motion)
+        figure = motion_figure(motion)
+        surface, pose = make_body(motion, [j for _, j in figure.bones if j < len(motion.skeleton)])
+        turns, places = motion_kinematics(motion)
+        return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
+
+    @property
+    def figure(self) -> Figure:
+        figure: Figure = self._parts[4]
+        return figure
+
+    @cached_property
+    def shades(self) -> Array:
+        """(F, 3) the colour of each triangle in full light."""
+        surface = self._parts[0]
+        mixes = {"head": ((242, 224, 208), 0.85), "leg": ((42, 48, 64), 0.68), "foot": ((20, 23, 28), 0.82)}
+        mixes["hand"] = mixes["head"]
+        table = []
+        for name in TINTS:
+            other, share = mixes.get(name, (self.color, 0.0))
+            table.append((1 - share) * np.array(self.color) + share * np.array(other))
+        return np.array(table)[surface.tints[surface.triangles[:, 0]]]
+
+    def triangles(self, time: float) -> tuple[Array, Array]:
+        """Corners (F, 3, 3) in the world at a time, the floor at zero, and normals (F, 3) of the skin there."""
+        surface, pose, turns, places, figure = self._parts
+        frame = frame_at(time, figure.fps, len(turns))
+        points = surface.posed(pose.matrices_from(turns[frame], places[frame]))
+        points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
+        corners = points[surface.triangles]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        # Averaged over neighbours, twice: at the points, then back on the triangles.
+        spread = [np.bincount(surface.triangles.ravel(), np.repeat(n, 3), len(points)) for n in normals.T]
+        skin: Array = np.stack(spread, axis=-1).astype(np.float64)
+        skin = skin / np.maximum(np.linalg.norm(skin, axis=-1, keepdims=True), 1e-12)
+        return corners, skin[surface.triangles].mean(axis=1)
+
+
+class Scenery:
+    """Motions side by side, and the camera that goes with them."""
+
+    def __init__(self, shown: Sequence[Shown], width: int, height: int) -> None:
+        self.pillow = load_pillow()
+        self.size = width * ZOOM, height * ZOOM
+        self.actors = [_Actor(one, SHIRTS[n % len(SHIRTS)]) for n, one in enumerate(shown)]
+        self.labels = Labels(shown, [a.color for a in self.actors], width, height) if len(shown) > 1 else None
+        top = 0 if self.labels is None else self.labels.height * ZOOM
+        self.framing = Framing([a.figure for a in self.actors], self.size, top)
+        self.seconds = self.framing.seconds
+        sun = self.framing.angle - SIDE_ANGLE  # it shines past the camera's shoulder
+        self.sun = np.array(
+            [
+                SUN[0] * np.cos(sun) + SUN[2] * np.sin(sun),
+                SUN[1],
+                SUN[2] * np.cos(sun) - SUN[0] * np.sin(sun),
+            ]
+        )
+        self.step = _grid_step(self.framing.farthest)
+
+    def frame(self, time: float) -> Image.Image:
+        """The picture at a time, seconds from the start."""
+        image, image_draw, _ = self.pillow
+        camera = self.framing.camera(time)
+        bodies = [a.triangles(time) for a in self.actors]
+        bodies = [
+            (body + place, skin) for (body, skin), place in zip(bodies, self.framing.places, strict=True)
+        ]
+        picture = image.new("RGB", self.size, SKY)
+        self._ground(image_draw.Draw(picture), camera)
+        self._shadows(picture, bodies, camera)
+        pixels = np.array(picture)
+        fill_triangles(pixels, *self._shaded(bodies, camera))
+        picture = image.fromarray(pixels).reduce(ZOOM)
+        if self.labels is not None:
+            self.labels.draw(picture, camera.screen(self.framing.tops(time))[:, :2] / ZOOM)
+        return picture
+
+    def _shadows(self, picture: Image.Image, bodies: list[tuple[Array, Array]], camera: Camera) -> None:
+        """Soft shadows on the ground, drawn small: nothing of them is sharp."""
+        image, _, _ = self.pillow
+        from PIL import ImageFilter
+
+        width, height = self.size[0] // ZOOM, self.size[1] // ZOOM
+        shadow = np.zeros((height, width, 1), np.uint8)
+        for body, normals in bodies:
+            lit = body[normals @ self.sun > 0.0]
+            flat = lit - lit[..., 1:2] / self.sun[1] * self.sun
+            corners = camera.screen(flat)[..., :2] / ZOOM
+            fill_triangles(shadow, corners, np.full((len(corners), 1), 90, np.uint8))
+        soft = image.fromarray(shadow[..., 0]).filter(ImageFilter.GaussianBlur(2.5))
+        box = soft.getbbox()
+        if box is not None:
+            large = tuple(ZOOM * edge for edge in box)
+            mask = soft.crop(box).resize(
+                (large[2] - large[0], large[3] - large[1]), image.Resampling.BILINEAR
+            )
+            picture.paste((40, 46, 58), large, mask)
+
+    def _ground(self, pen: Any, camera: Camera) -> None:
+        """The floor with lines that fade into the distance."""
+        width, height = self.size
+        away = -camera.axes[2] * [1.0, 0.0, 1.0]
+        horizon = camera.screen(camera.target * [1.0, 0.0, 1.0] + 1e5 * away)
+        pen.rectangle((0, float(np.clip(horizon[1], 0, height)), width, height), fill=GROUND)
+        reach = GRID_REACH * self.step
+        first_x, first_z = (np.floor(camera.target[axis] / self.step) * self.step - reach for axis in (0, 2))
+        across = np.arange(2 * GRID_REACH + 1)[:, None] * self.step
+        along = np.linspace(0.0, 2.0 * reach, 4 * GRID_REACH + 1)[None]
+        x, z = np.broadcast_arrays(first_x + across, first_z + along)
+        x_too, z_too = np.broadcast_arrays(first_x + along, first_z + across)
+        lines = np.concatenate([np.stack([x, 0 * x, z], -1), np.stack([x_too, 0 * x_too, z_too], -1)])
+        seen = camera.screen(lines)
+        starts, ends = seen[:, :-1].reshape(-1, 3), seen[:, 1:].reshape(-1, 3)
+        low, high = np.minimum(starts, ends), np.maximum(starts, ends)
+        shown = (low[:, 2] > 0.3) & (high[:, :2] >= 0.0).all(axis=1) & (low[:, :2] <= self.size).all(axis=1)
+        starts, ends = starts[shown], ends[shown]
+        fades = np.clip((starts[:, 2] - camera.distance) / reach, 0.0, 1.0)[:, None]
+        colors = ((1 - fades) * LINE + fades * GROUND).round().astype(int).tolist()
+        ways = np.concatenate([starts[:, :2], ends[:, :2]], axis=1).tolist()
+        for way, color in zip(ways, colors, strict=True):
+            pen.line(way, fill=tuple(color), width=ZOOM)
+
+    def _shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
+        """Triangles that face the camera, corners (F, 3, 2) and colours (F, 3), from far to near."""
+        corners: list[Array] = []
+        colors: list[NDArray[np.uint8]] = []
+        for actor, (body, normals) in zip(self.actors, bodies, strict=True):
+            seen = camera.screen(body)
+            sides = np.diff(seen[..., :2], axis=1)
+            facing = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0] < 0.0
+            skin = normals[facing]
+            # From all around and above, from the sun, and a little from the camera, so that no face is in the dark.
+            light = 0.5 + 0.13 * skin[:, 1] + 0.42 * np.clip(skin @ self.sun, 0.0, 1.0)
+            light += 0.16 * np.clip(skin @ camera.axes[2], 0.0, 1.0)
+            colors.append(np.clip(actor.shades[facing] * light[:, None], 0, 255).astype(np.uint8))
+            corners.append(seen[facing])
+        every, shades = np.concatenate(corners), np.concatenate(colors)
+        order = np.argsort(-every[..., 2].mean(axis=1), kind="stable")
+        return every[order][..., :2], shades[order]
+
+
+def _grid_step(distance: float) -> float:
+    """Metres between the lines of the ground: 1, 2, 5, 10 ..., more if the camera is far away."""
+    wanted = max(1.0, distance / (2 * DISTANCE))
+    ten = 10.0 ** np.floor(np.log10(wanted))
+    return float(next(ten * step for step in (1.0, 2.0, 5.0, 10.0) if ten * step >= wanted))

@@ -1,0 +1,46 @@
+"""The viewer file: motions and the page that plays them in one HTML file, which needs nothing else."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from motionkit.errors import MotionkitError
+from motionkit.files import atomic_write
+from motionkit.view.figure_data import Shown, figure_data
+
+MAX_MOTIONS = 32
+
+
+def viewer_page(shown: Sequence[Shown], title: str = "") -> str:
+    """The text of an HTML page that plays the motions; it opens from disk and asks the network for nothing.
+
+    Raises MotionkitError without motions, or for more than 32.
+    """
+    if not 0 < len(shown) <= MAX_MOTIONS:
+        raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
+    named = title or " · ".join(one.name for one in shown)
+    data = {"title": f"{named} · motionkit", "motions": [figure_data(one) for one in shown]}
+    return fill_page("view.html", data)
+
+
+def write_viewer(path: str | Path, shown: Sequence[Shown], title: str = "") -> None:
+    """Write a viewer file, whole or not at all."""
+    page = viewer_page(shown, title)
+    with atomic_write(path) as file:
+        file.write(page)
+
+
+def fill_page(name: str, data: dict[str, Any]) -> str:
+    """A built page with the data it is to show."""
+    # Escaped, nothing in a name can end the element that holds the data.
+    text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
+    return page_asset(name).replace("__DATA__", text)
+
+
+def page_asset(name: str) -> str:
+    """One of the built pages that come with the package (web/README.md tells how they are built)."""
+    return (files("motionkit") / "assets" / "web" / name).read_text("utf-8")

@@ -1,0 +1,156 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from motionkit.arrays import Array
+from motionkit.control.follow import PathFollower, follow_path
+from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
+from motionkit.control.synthesize import SynthesisOptions
+from motionkit.errors import ControlError
+from motionkit.metrics.trajectory import trajectory_distance
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.rotations import rotate_ground
+
+
+def walk_obediently(follower: PathFollower, path: Path2D, frames: int) -> tuple[Array, list[Array]]:
+    """Ground track (T, 3) of a body that goes just where its trajectory says, and the controls it got."""
+    heading = np.arctan2(path.tangents[0, 0], path.tangents[0, 1]) - follower.facings[0]
+    ground = np.concatenate([path.points[0], heading[None]])[None]
+    track, asked = [], []
+    for frame in range(frames):
+        controls = follower(frame, ground)
+        asked.append(controls)
+        positions, directions = controls.trajectory[0].reshape(2, 6, 2)
+        step = rotate_ground(ground[0, 2], positions[0] / 10.0)  # the first sample is 10 frames ahead
+        turn = np.arctan2(directions[0, 0], directions[0, 1]) / 10.0
+        ground = np.concatenate([ground[0, :2] + step, (ground[0, 2] + turn)[None]])[None]
+        track.append(ground[0])
+        if follower.arc >= path.length - SPACING:
+            break
+    return np.stack(track), asked
+
+
+@pytest.mark.parametrize(
+    ("name", "size", "mean", "largest"),
+    [
+        ("line", 8.0, 0.5, 1.0),
+        ("circle", 2.0, 2.0, 4.0),
+        ("figure-eight", 2.0, 2.0, 5.0),
+        ("square", 3.0, 3.0, 20.0),
+        ("pentagram", 3.0, 5.0, 25.0),
+        ("u-turn", 5.0, 2.0, 6.0),
+    ],
+)
+def test_an_obedient_body_follows_to_the_end(
+    tiny_model: MotionModel, name: str, size: float, mean: float, largest: float
+) -> None:
+    path = shape_path(name, size, ["walking"], 1.2)
+    follower = PathFollower(tiny_model, path)
+    frames = int(1.6 * 60 * follower.expected_seconds)
+    track, _ = walk_obediently(follower, path, frames)
+    assert follower.arc >= path.length - SPACING, "the end was not reached"
+    distance = trajectory_distance(track[:, :2], path.points)
+    assert distance.mean < mean and distance.max < largest
+    assert distance.coverage > 0.95, "no part of the path was left out"
+    assert len(track) / 60 == pytest.approx(path.length / 120.0, rel=0.15), "at the speed asked for"
+
+
+def test_samples_are_where_the_path_is_at_the_asked_speed(tiny_model: MotionModel) -> None:
+    path = shape_path("line", 10.0, ["walking"], 1.5)
+    follower = PathFollower(tiny_model, path)
+    ground = np.array([[0.0, 100.0, 0.0]], np.float32)
+    follower.arc = 100.0
+    positions, directions = follower(0, ground).trajectory[0].reshape(2, 6, 2)
+    assert np.allclose(positions[:, 1], 150.0 * np.arange(1, 7) / 6.0, atol=1e-2)
+    assert np.abs(positions[:, 0]).max() < 1e-3
+    assert np.allclose(directions, np.broadcast_to(np.array([0.0, 1.0], np.float32), (6, 2)))
+
+
+def test_samples_are_in_the_heading_frame(tiny_model: MotionModel) -> None:
+    follower = PathFollower(tiny_model, shape_path("line", 10.0, ["walking"], 1.2))
+    quarter = np.array(
+        [[30.0, 0.0, math.pi / 2]], np.float32
+    )  # faces +X, the path goes along +Z to its right
+    positions, directions = follower(0, quarter).trajectory[0].reshape(2, 6, 2)
+    assert (positions[:, 0] < 0).all(), "along +Z is to the right of one who faces +X"
+    assert np.allclose(positions[:, 1], np.full((6,), -30.0, np.float32), atol=1e-3)
+    assert np.allclose(directions, np.broadcast_to(np.array([-1.0, 0.0], np.float32), (6, 2)), atol=1e-5)
+
+
+def test_a_type_that_goes_backwards_faces_against_its_way(tiny_model: MotionModel) -> None:
+    from dataclasses import replace
+
+    gait = replace(tiny_model.gaits["walking"], facing=math.pi)
+    model = replace(tiny_model, gaits={**tiny_model.gaits, "walking": gait})
+    path = shape_path("line", 5.0, ["walking"], 1.2)
+    track, asked = walk_obediently(PathFollower(model, path), path, 400)
+    facing = np.remainder(track[:, 2] + math.pi, 2 * math.pi)
+    assert np.minimum(facing, 2 * math.pi - facing).max() < 1e-3, "it faces -Z all the way"
+    assert float(track[-1, 1]) == pytest.approx(500.0, abs=5.0)
+    assert all(float(c.trajectory[0, 1]) < 0 for c in asked), "and goes to its back"
+
+
+def test_types_blend_over_40_frames_between_parts(tiny_model: MotionModel) -> None:
+    path = shape_path("line", 12.0, ["walking", "running"], 1.2)
+    follower = PathFollower(tiny_model, path)
+    _, asked = walk_obediently(follower, path, 1000)
+    weights = np.concatenate([c.type_weights for c in asked])
+    running = weights[:, tiny_model.type_id("running")]
+    assert np.allclose(weights.sum(-1), np.ones(len(weights), np.float32), atol=1e-5)
+    assert float(running[0]) == 0.0 and float(running[-1]) == 1.0
+    assert (np.diff(running) >= -1e-6).all()
+    mixed = int(((running > 0) & (running < 1)).sum())
+    assert mixed == pytest.approx(40, abs=6)
+
+
+def test_a_type_goes_at_its_own_speed_unless_told(tiny_model: MotionModel) -> None:
+    path = shape_path("line", 10.0, ["running"], None)
+    follower = PathFollower(tiny_model, path)
+    assert float(follower.speeds[0]) == pytest.approx(tiny_model.gaits["running"].speed, rel=1e-3)
+    slow = PathFollower(tiny_model, shape_path("line", 10.0, ["idle"], None))
+    assert float(slow.speeds[0]) == 20.0, "one who stands would never arrive"
+    assert slow.expected_seconds == pytest.approx(50.0, rel=0.01)
+
+
+def test_a_body_pushed_off_the_path_is_led_back(tiny_model: MotionModel) -> None:
+    path = shape_path("line", 10.0, ["walking"], 1.2)
+    follower = PathFollower(tiny_model, path)
+    positions = follower(0, np.array([[40.0, 50.0, 0.0]], np.float32)).trajectory[0, :12].reshape(6, 2)
+    assert np.allclose(positions[:, 0], np.full((6,), -40.0, np.float32), atol=1e-3)
+
+
+def test_unknown_type_on_a_path(tiny_model: MotionModel) -> None:
+    path = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 100.0]], np.float32), "flying")])
+    with pytest.raises(ControlError, match="unknown motion type 'flying'"):
+        follow_path(tiny_model, path)
+
+
+def test_a_whole_roll_out(tiny_model: MotionModel) -> None:
+    """The tiny model cannot follow; what comes back is whole and honest all the same."""
+    path = shape_path("line", 0.4, ["walking", "cartwheel"], 3.0)
+    seen: list[float] = []
+    result = follow_path(tiny_model, path, progress=seen.append)
+    again = follow_path(tiny_model, path)
+    assert result.frames == len(result.motion) == len(seen)
+    assert np.array_equal(result.motion.local_rotations, again.motion.local_rotations)
+    assert len(result.part_distances) == 2
+    limit = int((1.6 * 0.4 / 3.0 + 3.0) * 60)
+    assert result.frames <= limit + 1
+    assert result.finished == (seen[-1] >= 0.9)
+    assert 0.0 <= min(seen) and max(seen) <= 1.0
+    assert result.distance.mean >= 0 and math.isfinite(result.distance.mean)
+
+
+def test_one_character_at_a_time(tiny_model: MotionModel) -> None:
+    path = shape_path("line", 1.0, ["walking"], 1.0)
+    with pytest.raises(ControlError, match="one character at a time"):
+        follow_path(tiny_model, path, SynthesisOptions(count=2))
+
+
+def test_a_path_that_starts_elsewhere_starts_there(tiny_model: MotionModel) -> None:
+    points = np.array([[300.0, -200.0], [350.0, -200.0]], np.float32)
+    result = follow_path(tiny_model, make_path([PathPart(points, "walking", 150.0)]))
+    assert float(np.linalg.norm(result.motion.root_positions[0, [0, 2]] - points[0])) < 30.0

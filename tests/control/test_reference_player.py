@@ -1,0 +1,190 @@
+"""Recordings in reference_clip, played as references, and the ways of recorded performances."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from motionkit.arrays import Array, lerp
+from motionkit.control.motion_index import STATE_FRAMES
+from motionkit.control.reference_player import (
+    BEFORE_EVENT,
+    BLEND,
+    OWN_SHARE,
+    PAUSE,
+    ReferencePlayer,
+    last_poses,
+)
+from motionkit.control.script import TypePart, plan_signals
+from motionkit.features.control import future_trajectory
+from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
+from motionkit.models.checkpoint import MotionModel, ReferenceClip
+
+NEAR = np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32)
+
+
+@pytest.fixture
+def flips(tiny_model: MotionModel) -> MotionModel:
+    assert tiny_model.performed("cartwheel"), "the tiny dataset has a type that turns over"
+    return tiny_model
+
+
+def recording(frames: int, phases: Array | None = None, first: float = 0.0) -> ReferenceClip:
+    """An reference_clip whose poses count frames."""
+    poses = np.zeros((frames + 30, EMBEDDING_COUNT), np.float32)
+    poses[:, 0] = first + np.arange(frames + 30)
+    return ReferenceClip(
+        poses,
+        np.zeros((frames, 3), np.float32),
+        np.full((frames,), -1.0, np.float32) if phases is None else phases,
+    )
+
+
+def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel) -> None:
+    parts = [TypePart("walking", 1.0), TypePart("cartwheel", 0.5), TypePart("walking", 0.5)]
+    asked = plan_signals(flips, parts, NEAR)
+    assert asked.trajectory.shape == (120, 24) and asked.reference.shape == (120, REFERENCE_COUNT)
+    assert asked.trajectory_mask.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
+    assert asked.reference_gain.tolist() == pytest.approx(
+        [1.0] * 60 + [flips.reference_gain["cartwheel"]] * 30 + [1.0] * 30
+    )
+    reference_clip = flips.reference_clips["cartwheel"][0]
+    frames = np.arange(30)
+    assert np.array_equal(asked.trajectory[60:90], future_trajectory(reference_clip.ground, frames))
+    assert np.array_equal(asked.reference[60:90], reference_signal(reference_clip.poses, frames))
+    assert np.array_equal(asked.phase[60:90], reference_clip.phases[:30])
+
+
+def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
+    far = recording(300, first=1000.0)
+    model = replace(tiny_model, reference_clips={"walking": [recording(300)], "running": [far]})
+    asked = plan_signals(model, [TypePart("walking", 1.0), TypePart("running", 1.0)], NEAR)
+    steps = np.diff(asked.reference[58 : 60 + BLEND + 2, 0])
+    leap = float(asked.reference[60 + BLEND, 0] - asked.reference[59, 0])
+    assert leap > 800.0 and float(steps.max()) < 1.5 * leap / BLEND
+
+
+def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: MotionModel) -> None:
+    length = len(flips.reference_clips["cartwheel"][0])
+    asked = plan_signals(flips, [TypePart("cartwheel", (2 * length + PAUSE) / flips.fps)], NEAR)
+    second = slice(length + PAUSE, None)
+    for signal in (asked.reference, asked.trajectory, asked.phase):
+        assert np.array_equal(signal[:length], signal[second])
+    pause = slice(length, length + PAUSE)
+    assert (asked.phase[pause] < 0.0).all() and (asked.trajectory_mask[pause] == 1.0).all()
+    way = asked.reference[length + PAUSE] - asked.reference[length - 1]
+    steps = np.diff(asked.reference[length - 1 : length + PAUSE], axis=0)
+    assert float(np.linalg.norm(steps, axis=1).max()) < 1.5 * float(np.linalg.norm(way)) / PAUSE + 1e-4
+    assert flips.phase_seconds("cartwheel") == pytest.approx(length / flips.fps)
+
+
+def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: MotionModel) -> None:
+    reference_clips, parts = flips.reference_clips["cartwheel"], [TypePart("cartwheel", 10 / flips.fps)]
+    asked = plan_signals(flips, parts, NEAR, behind=5)
+    assert np.array_equal(asked.phase, reference_clips[0].phases[5:15])
+    other = plan_signals(flips, parts, NEAR, choice=1)
+    assert np.array_equal(other.reference, reference_signal(reference_clips[1].poses, np.arange(10)))
+    again = plan_signals(flips, parts, NEAR, choice=len(reference_clips))
+    assert np.array_equal(again.reference, reference_signal(reference_clips[0].poses, np.arange(10)))
+
+
+def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
+    asked = plan_signals(replace(flips, uses_references=False), [TypePart("walking", 1.0)], NEAR)
+    assert not asked.reference_gain.any()
+    unknown = replace(flips, reference_clips={})
+    asked = plan_signals(unknown, [TypePart("walking", 1.0)], NEAR)
+    assert not asked.reference_gain.any() and not asked.reference.any() and float(asked.phase.max()) == -1.0
+
+
+def test_a_recording_is_entered_where_its_pose_is_most_alike(tiny_model: MotionModel) -> None:
+    model = replace(tiny_model, reference_clips={"walking": [recording(200), recording(200, first=1000.0)]})
+    player = ReferencePlayer(model, choice=3)
+    near = NEAR.copy()
+    near[:, 0] = 1050.0 - np.array(STATE_FRAMES)
+    player.begin("walking", near)
+    assert player.clip is model.reference_clips["walking"][1]
+    assert abs(player.at - 50) < 20, "one of a few places drawn"
+    at = player.at
+    first = player.play(40)
+    assert first.reference[:, 0].tolist() == [1000.0 + at + 5 + i for i in range(40)]
+    rest = player.play(400)
+    assert len(rest.phase) == 400, "another recording follows"
+
+
+def test_what_stands_is_not_entered(tiny_model: MotionModel) -> None:
+    """Whoever asks for a dance and stands would find a dancer who stands most alike."""
+    dance = recording(400)
+    dance.poses[:200, 0] = 0.0
+    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": [dance]}), choice=1)
+    player.begin("walking", NEAR)
+    assert player.at > 100
+
+
+def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
+    phases = np.full((300,), -1.0, np.float32)
+    phases[100:140] = np.arange(40) / 40.0
+    model = replace(tiny_model, reference_clips={"kicking": [recording(300, phases)]})
+    player = ReferencePlayer(model)
+    player.begin("kicking")
+    assert player.at == 100 - BEFORE_EVENT
+    assert player.event_frames() == BEFORE_EVENT + 40
+    asked = player.play(BEFORE_EVENT + 41)
+    assert float(asked.phase[BEFORE_EVENT]) == 0.0 and float(asked.phase[-1]) == -1.0
+    assert not asked.trajectory_mask.any(), "only whole performances bring their way along"
+
+
+def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
+    plays = [
+        plan_signals(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).reference for c in (4, 4, 5)
+    ]
+    assert np.array_equal(plays[0], plays[1]) and not np.array_equal(plays[0], plays[2])
+
+
+def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> None:
+    features = tiny_model.start_poses["walking"][0].features
+    features = np.concatenate([features, np.flip(features, 0)])
+    before = [-1 - frames for frames in STATE_FRAMES]
+    assert np.allclose(last_poses(tiny_model, features), tiny_model.pose_embedding.of(features[before]))
+    first = tiny_model.pose_embedding.of(features[[1, 0, 0, 0]])
+    assert STATE_FRAMES[:2] == (0, 5) and np.allclose(last_poses(tiny_model, features[:2]), first)
+
+
+@pytest.mark.parametrize("frames", [1, 2, 3, 91, 92])
+def test_recordings_of_a_few_frames_are_entered_too(tiny_model: MotionModel, frames: int) -> None:
+    reference_clip = recording(frames)
+    reference_clip.poses[:, 0] = reference_clip.poses[:, 0] ** 2  # no two places move as much
+    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": [reference_clip]}))
+    player.begin("walking", NEAR)
+    assert player.clip is reference_clip and 0 <= player.at < frames
+    assert len(player.play(10).phase) == 10
+
+
+@pytest.mark.parametrize("share", [0.0, OWN_SHARE])
+def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, share: float) -> None:
+    reference_clip = recording(200)
+    reference_clip.ground[:, 1] = np.arange(200.0, dtype=np.float32)  # straight ahead, 1 cm a frame
+    asked = np.zeros((40, 24), np.float32)
+    asked[:, 12:] = np.tile(np.float32([0.0, 1.0]), 6)
+    asked[:, 0:12:2] = np.arange(10.0, 70.0, 10.0, dtype=np.float32)  # to the side
+    player = ReferencePlayer(
+        replace(tiny_model, reference_clips={"walking": [reference_clip]}), own_share=share
+    )
+    player.begin("walking", NEAR, trajectory=asked[0])
+    shown = player.play(40, asked)
+    own = future_trajectory(reference_clip.ground, np.arange(player.at - 40, player.at))
+    assert np.allclose(shown.trajectory, lerp(asked, own, share), atol=1e-4)
+    assert shown.trajectory_mask.tolist() == [1.0] * 40
+    assert player.play(3).trajectory_mask.tolist() == [0.0] * 3
+
+
+def test_a_performance_goes_the_way_asked_for(flips: MotionModel) -> None:
+    player = ReferencePlayer(flips)
+    player.begin("cartwheel")
+    length = len(flips.reference_clips["cartwheel"][0])
+    asked = np.random.default_rng(0).random((2 * length, 24), np.float32)
+    shown = player.play(2 * length, asked)
+    assert float(shown.trajectory_mask.min()) == 1.0
+    between = slice(length, length + PAUSE)
+    assert np.array_equal(shown.trajectory[between], asked[between])

@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from motionkit.control.steering import (
+    STANDS_BELOW,
+    Steering,
+    SteeringOptions,
+    nearest_turn,
+    spring,
+    spring_rate,
+    spring_travel,
+    steered_type,
+)
+from motionkit.models.checkpoint import Gait, MotionModel
+
+FPS = 60.0
+
+
+def walk_as_told(
+    steering: Steering, velocity: tuple[float, float], facing: float | None, frames: int
+) -> list:
+    """Ground places of a body that does what its trajectory says, frame by frame."""
+    x = z = heading = 0.0
+    out = []
+    for _ in range(frames):
+        steering.observe(x, z, heading, False)
+        numbers = steering.trajectory(velocity, facing)
+        ahead_x, ahead_z, sine, cosine = numbers[0] / 10, numbers[1] / 10, numbers[12], numbers[13]
+        turn = math.atan2(sine, cosine) / 10
+        x += math.cos(heading) * ahead_x + math.sin(heading) * ahead_z
+        z += -math.sin(heading) * ahead_x + math.cos(heading) * ahead_z
+        heading += turn
+        out.append((x, z, heading))
+    return out
+
+
+def test_a_spring_is_half_way_after_its_halflife_and_never_overshoots() -> None:
+    y = spring_rate(0.3)
+    assert spring(10.0, 0.0, y, 0.3)[0] == pytest.approx(5.0, abs=1e-4)
+    ways = [spring(10.0, 0.0, y, t / 100)[0] for t in range(300)]
+    assert all(a > b > 0 for a, b in pairwise(ways))
+
+
+def test_a_spring_in_two_steps_is_one_in_one() -> None:
+    y = spring_rate(0.2)
+    away, velocity = spring(-3.0, 40.0, y, 0.1)
+    assert spring(away, velocity, y, 0.25) == pytest.approx(spring(-3.0, 40.0, y, 0.35))
+
+
+def test_the_way_of_a_spring_is_the_sum_of_its_distances() -> None:
+    y, steps = spring_rate(0.2), 20000
+    summed = sum(spring(50.0, -300.0, y, (i + 0.5) / steps)[0] for i in range(steps)) / steps
+    assert spring_travel(50.0, -300.0, y, 1.0) == pytest.approx(summed, rel=1e-6)
+
+
+def test_the_trajectory_begins_at_the_present_velocity() -> None:
+    steering = Steering(FPS, SteeringOptions(own_share=0.02))
+    for frame in range(120):  # runs along +Z while nobody steers
+        steering.observe(0.0, 5.0 * frame, 0.0, True)
+    numbers = steering.trajectory((0.0, 0.0), None)
+    first, last = numbers[1], numbers[11]
+    assert 0 < first < 50.0, "it has begun to slow down in the first 10 frames"
+    assert first > 30.0, "but is not at rest at once"
+    assert last < 1.2 * 300.0 * 0.15 * 2, "and halts in about two halflives"
+
+
+def test_numbers_are_in_the_heading_frame() -> None:
+    steering = Steering(FPS, SteeringOptions())
+    steering.observe(7.0, 9.0, math.pi / 2, False)  # faces +X
+    numbers = steering.trajectory((0.0, 100.0), 0.0)  # is to go along +Z, which is to its right
+    places, directions = numbers[:12], numbers[12:]
+    assert all(x < 0 for x in places[0::2]) and max(map(abs, places[1::2])) < 1e-9
+    turns = [math.atan2(s, c) for s, c in zip(directions[0::2], directions[1::2], strict=True)]
+    assert all(a > b for a, b in pairwise(turns)), "turns right all the while"
+    assert turns[-1] == pytest.approx(-math.pi / 2, abs=0.02)
+
+
+def test_an_obedient_body_reaches_velocity_and_facing() -> None:
+    track = walk_as_told(Steering(FPS, SteeringOptions()), (120.0, 0.0), math.pi / 2, 120)
+    (x0, z0, _), (x1, z1, heading) = track[-2:]
+    assert (x1 - x0) * FPS == pytest.approx(120.0, rel=0.03)
+    assert abs(z1 - z0) * FPS < 1.0
+    assert heading == pytest.approx(math.pi / 2, abs=0.03)
+
+
+def test_one_who_stands_goes_back_to_where_it_stopped() -> None:
+    steering = Steering(FPS, SteeringOptions())
+    steering.observe(0.0, 0.0, 0.3, False)
+    steering.trajectory((0.0, 0.0), None)
+    steering.observe(12.0, 0.0, 0.0, False)  # drifted and turned
+    numbers = steering.trajectory((0.0, 0.0), None)
+    assert -12.5 < numbers[10] < -8.0, "the last place is most of the way back"
+    assert math.atan2(numbers[22], numbers[23]) > 0.2, "and it turns back"
+
+
+def test_one_who_was_carried_off_stays_there() -> None:
+    steering = Steering(FPS, SteeringOptions())
+    steering.observe(0.0, 0.0, 0.0, False)
+    steering.trajectory((0.0, 0.0), None)
+    for _ in range(90):
+        steering.observe(300.0, 0.0, 0.0, False)
+        numbers = steering.trajectory((0.0, 0.0), None)
+    assert max(map(abs, numbers[:12])) < 5.0
+
+
+def test_facing_turns_the_short_way() -> None:
+    steering = Steering(FPS, SteeringOptions())
+    steering.observe(0.0, 0.0, 3.0, False)
+    numbers = steering.trajectory((0.0, 0.0), -3.0)
+    turns = [math.atan2(s, c) for s, c in zip(numbers[12::2], numbers[13::2], strict=True)]
+    assert all(0 < turn <= nearest_turn(-6.0) + 1e-6 for turn in turns)
+
+
+@pytest.mark.parametrize(
+    ("velocity", "facing", "kind"),
+    [
+        ((0.0, 0.0), None, "idle"),
+        ((0.0, STANDS_BELOW), 1.0, "idle"),
+        ((0.0, 60.0), None, "walking"),
+        ((80.0, 80.0), None, "walking"),
+        ((0.0, 300.0), None, "running"),
+        ((-400.0, 0.0), None, "running"),
+        ((0.0, -100.0), 0.0, "b-walking"),
+        ((0.0, -100.0), math.pi, "walking"),
+        ((100.0, 0.0), 0.0, "walking"),
+    ],
+)
+def test_type_by_velocity_and_facing(
+    tiny_model: MotionModel, velocity: tuple[float, float], facing: float | None, kind: str
+) -> None:
+    from dataclasses import replace
+
+    gaits = {"idle": Gait(4.0, 0.0), "walking": Gait(116.0, 0.0), "running": Gait(312.0, 0.0)}
+    gaits["b-walking"] = Gait(103.0, math.pi)
+    model = replace(tiny_model, types=(*gaits, "cartwheel"), gaits=gaits)
+    assert steered_type(model, velocity, facing) == kind
+
+
+def test_a_model_without_the_usual_types_still_moves(tiny_model: MotionModel) -> None:
+    from dataclasses import replace
+
+    gaits = {"limp": Gait(50.0, 0.0), "flip": Gait(50.0, 0.0, 2.0), "sprint": Gait(700.0, 0.0)}
+    model = replace(tiny_model, types=tuple(gaits), gaits=gaits, reference_clips={})
+    assert steered_type(model, (0.0, 0.0), None) == "limp"
+    assert steered_type(model, (600.0, 0.0), None) == "sprint"

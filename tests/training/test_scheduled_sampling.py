@@ -1,0 +1,135 @@
+"""Windows that feed on the network's own predictions."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.features.control import ControlLayout
+from motionkit.models.network import PartTransformer
+from motionkit.models.presets import preset
+from motionkit.training.losses import Batch
+from motionkit.training.sampler import SamplerOptions, WindowSampler, window_generator
+from motionkit.training.scheduled_sampling import (
+    ScheduledSamplingOptions,
+    join_batches,
+    run_on_predictions,
+    sampled_windows,
+    take_windows,
+)
+
+ALWAYS = ScheduledSamplingOptions(
+    back=0.0, limit=1e9, reference_back=0.0, reference_limit=1e9, temperature=0.0
+)
+
+
+@pytest.fixture(scope="module")
+def sampler(dataset: Dataset) -> WindowSampler:
+    return WindowSampler(dataset, SamplerOptions(window=24, splices=0, reference_dropout=0.6))
+
+
+@pytest.fixture(scope="module")
+def references(sampler: WindowSampler) -> torch.Tensor:
+    return torch.from_numpy(sampler.reference_map.matrix)
+
+
+@pytest.fixture(scope="module")
+def batch(sampler: WindowSampler) -> Batch:
+    return sampler.batch(0, 4)
+
+
+@pytest.fixture(scope="module")
+def network(dataset: Dataset) -> PartTransformer:
+    torch.manual_seed(0)
+    network = PartTransformer(preset("tiny"), ControlLayout(dataset.types).size)
+    with torch.no_grad():
+        network.aggregate.weight.mul_(5.0)
+    return network.train()
+
+
+def generators(count: int = 4) -> list[torch.Generator]:
+    return [window_generator(0, 0, i, 1) for i in range(count)]
+
+
+def test_inputs_are_the_predictions_of_the_frames_before(
+    network: PartTransformer, batch: Batch, references: torch.Tensor
+) -> None:
+    fed = run_on_predictions(network, batch, ALWAYS, generators(), references)
+    assert network.training
+    network.eval()
+    with torch.no_grad():
+        made = network(fed.inputs, fed.contacts, fed.controls)
+    network.train()
+    assert torch.equal(fed.inputs[:, 0], batch.inputs[:, 0])
+    assert torch.allclose(fed.inputs[:, 1:], made.mean[:, :-1], atol=1e-4)
+    assert torch.allclose(fed.contacts[:, 1:], torch.sigmoid(made.contact_logits[:, :-1]), atol=1e-4)
+    assert torch.equal(fed.targets, batch.targets) and torch.equal(fed.mask, batch.mask)
+
+
+def test_real_frames_take_over_and_do_not_count_there(
+    network: PartTransformer, batch: Batch, references: torch.Tensor
+) -> None:
+    fed = run_on_predictions(
+        network, batch, replace(ALWAYS, back=0.3, reference_back=0.3), generators(), references
+    )
+    own = (fed.inputs != batch.inputs).any(dim=-1)
+    assert 0.4 < float(own[:, 1:].float().mean()) < 0.95
+    returns = own[:, :-1] & ~own[:, 1:]
+    assert returns.any()
+    assert torch.equal(fed.mask[:, 1:] == 0, returns | (batch.mask[:, 1:] == 0))
+
+
+def test_a_frame_too_far_off_is_not_fed(
+    network: PartTransformer, batch: Batch, references: torch.Tensor
+) -> None:
+    fed = run_on_predictions(
+        network, batch, replace(ALWAYS, limit=0.0, reference_limit=0.0), generators(), references
+    )
+    assert torch.equal(fed.inputs, batch.inputs) and torch.equal(fed.mask, batch.mask)
+
+
+def test_windows_are_fed_the_same_alone_and_together(
+    network: PartTransformer, batch: Batch, references: torch.Tensor
+) -> None:
+    options = ScheduledSamplingOptions(limit=1e9, reference_limit=1e9)
+    together = run_on_predictions(network, batch, options, generators(), references)
+    alone = [
+        run_on_predictions(network, take_windows(batch, [i]), options, [generators()[i]], references)
+        for i in range(4)
+    ]
+    assert torch.allclose(join_batches(alone).inputs, together.inputs, atol=1e-4)
+
+
+def test_guides_are_seen_from_the_frames_fed(
+    network: PartTransformer, batch: Batch, dataset: Dataset, references: torch.Tensor
+) -> None:
+    fed = run_on_predictions(network, batch, ALWAYS, generators(), references)
+    layout = ControlLayout(dataset.types)
+    reference_gain = batch.controls[..., layout.reference_gain] > 0
+    assert reference_gain.any() and not reference_gain.all()
+    # What is asked for is the same pose from wherever it is seen.
+    before = batch.controls[..., layout.reference] + batch.inputs @ references
+    after = fed.controls[..., layout.reference] + fed.inputs @ references
+    assert torch.allclose(before[reference_gain], after[reference_gain], rtol=1e-3, atol=1e-3)
+    assert not torch.equal(fed.controls, batch.controls)
+    assert torch.equal(fed.controls[~reference_gain], batch.controls[~reference_gain]), (
+        "who has none sees none"
+    )
+
+
+def test_a_guide_lets_runs_be_longer(
+    network: PartTransformer, batch: Batch, references: torch.Tensor
+) -> None:
+    options = replace(ALWAYS, back=1.0, reference_back=0.0)
+    fed = run_on_predictions(network, batch, options, generators(), references)
+    reference_gain = batch.controls[..., -1] > 0
+    own = (fed.inputs != batch.inputs).any(dim=-1)
+    assert torch.equal(own[:, 1:], reference_gain[:, :-1])
+
+
+@pytest.mark.parametrize("share", [0.0, 0.25, 0.4, 0.5, 1.0])
+def test_the_share_of_fed_windows_does_not_depend_on_processes(share: float) -> None:
+    whole = sampled_windows(0, 16, share)
+    halves = sampled_windows(0, 8, share) + [8 + i for i in sampled_windows(8, 8, share)]
+    assert whole == halves and len(whole) == int(16 * share)

@@ -1,0 +1,180 @@
+"""The viewer file in a real browser, from disk and without a network."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from motionkit.errors import MotionkitError
+from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.view.figure_data import Shown, in_metres
+from motionkit.view.viewer import viewer_page, write_viewer
+from synthetic_motions import make_cartwheel, make_walk
+from view.conftest import PATIENCE, drawn
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
+
+
+def cmu_clip(name: str, frames: int) -> Motion:
+    """The first frames of a recording in its own rig and unit."""
+    return bvh_to_motion(read_bvh(DATA / f"{name}.bvh")).cut(0, frames)
+
+
+@pytest.fixture(scope="module")
+def two_motions() -> list[Shown]:
+    """A walk at 60 fps and a recording of another rig and unit at 120, with types and a path."""
+    path = np.array([[0.0, 0.0], [0.0, 300.0], [100.0, 500.0]], np.float32)
+    walk = Shown("a <b>walk</b></script>", make_walk(120), [("walking", 1.5), ("running", 0.5)], path)
+    return [walk, Shown("16_05", cmu_clip("16_05", 240))]
+
+
+@pytest.fixture(scope="module")
+def opened(two_motions: list[Shown], tmp_path_factory: pytest.TempPathFactory, open_page: Callable) -> Page:
+    """The viewer of two_motions, opened from disk, offline."""
+    file = tmp_path_factory.mktemp("viewer") / "two motions.html"
+    write_viewer(file, two_motions)
+    page = open_page(file.as_uri(), offline=True)
+    assert page.evaluate("motionkit.playing"), "it plays when it is opened"
+    return page
+
+
+@pytest.fixture
+def page(opened: Page) -> Page:
+    """The same, standing at the start, the first motion chosen."""
+    opened.evaluate("motionkit.play(false); motionkit.choose(0); motionkit.seek(0, true)")
+    return opened
+
+
+def joints_in_page(page: Page, track: int) -> np.ndarray:
+    """(J, 3) where the page has the joints of a motion, before it moves them side by side."""
+    places = page.evaluate(f"Array.from(motionkit.tracks[{track}].clip.pose.places)")
+    return np.array(places).reshape(-1, 3)
+
+
+def picture(page: Page) -> np.ndarray:
+    """The scene as (H, W, 3)."""
+    drawn(page)
+    data = page.locator("#scene").screenshot()
+    return np.array(Image.open(io.BytesIO(data)).convert("RGB")).astype(int)
+
+
+def test_joints_are_where_kinematics_puts_them(page: Page, two_motions: list[Shown]) -> None:
+    for seconds, frames in ((0.0, (0, 0)), (1.0, (60, 120)), (1.5, (90, 180))):
+        page.evaluate(f"motionkit.seek({seconds}, true)")
+        for track, (shown, frame) in enumerate(zip(two_motions, frames, strict=True)):
+            motion, _, _ = in_metres(shown.motion)
+            expected = motion_kinematics(motion)[1][frame]
+            assert page.evaluate(f"motionkit.tracks[{track}].frame") == frame
+            np.testing.assert_allclose(joints_in_page(page, track), expected, atol=2e-3)
+
+
+def test_every_joint_is_drawn(page: Page, two_motions: list[Shown]) -> None:
+    page.get_by_role("button", name="Skeleton").click()
+    for track, shown in enumerate(two_motions):
+        figure = f"motionkit.tracks[{track}].figure"
+        assert page.evaluate(f"{figure}.drawnJoints") == len(shown.motion.skeleton)
+        assert page.evaluate(f"{figure}.skeletonShown")
+        carried = set(page.evaluate(f"Array.from({figure}.rig.body.joints)"))
+        names = shown.motion.skeleton.names
+        limbs = {
+            j for j, name in enumerate(names) if name.endswith(("UpLeg", "Leg", "Foot", "Arm", "ForeArm"))
+        }
+        assert limbs and limbs <= carried, "a limb without a body"
+
+
+def test_playing_scrubbing_and_keys(page: Page) -> None:
+    page.keyboard.press("Space")
+    page.wait_for_function("motionkit.time > 0.1")
+    page.keyboard.press("Space")
+    stopped = page.evaluate("motionkit.time")
+    page.wait_for_timeout(200)
+    assert page.evaluate("motionkit.time") == stopped
+    page.keyboard.press("Home")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("motionkit.time") == pytest.approx(1 / 60)
+    page.keyboard.press("2")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("motionkit.tracks[1].frame") == 3, "steps at the chosen motion's own rate"
+    page.keyboard.press("End")
+    assert page.evaluate("motionkit.tracks.map(t => t.frame)") == [119, 239]
+    timeline = page.locator("#timeline").bounding_box()
+    page.mouse.click(timeline["x"] + 92 + (timeline["width"] - 106) / 2, timeline["y"] + 20)
+    assert page.evaluate("motionkit.time / motionkit.timeline.seconds") == pytest.approx(0.5, abs=0.02)
+
+
+def test_what_can_be_switched(page: Page) -> None:
+    page.evaluate("motionkit.seek(0.5, true)")
+    for name, state in (
+        ("Names", "motionkit.names"),
+        ("Paths", "motionkit.tracks[0].paths[2].visible"),
+        ("Feet", "motionkit.tracks[0].prints.visible"),
+        ("Follow", "motionkit.followed"),
+        ("Side by side", "motionkit.apart"),
+    ):
+        before = page.evaluate(state)
+        page.get_by_role("button", name=name, exact=True).click()
+        assert page.evaluate(state) is (not before), name
+    assert page.evaluate("motionkit.tracks.map(t => t.group.position.length())") == [0, 0], "overlaid"
+    page.wait_for_function("document.querySelectorAll('#labels span:not(.name)').length > 20")
+    assert page.locator("#clips").inner_text().count("fps") == 2
+    assert "a <b>walk</b></script>" in page.locator("#clips").inner_text(), "names are text, not markup"
+    page.keyboard.press("d")
+    theme = page.evaluate("document.documentElement.dataset.theme")
+    assert (picture(page)[5, 5].mean() > 128) == (theme == "light")
+
+
+def test_the_picture_shows_figures_and_moves(page: Page) -> None:
+    page.evaluate("motionkit.seek(0, true); motionkit.toggles.f.set(false); motionkit.frameAll()")
+    first = picture(page)
+    assert len(np.unique(first.reshape(-1, 3), axis=0)) > 200, "blank"
+    blue = (first[..., 2] - first[..., 0] > 60).sum()
+    orange = (first[..., 0] - first[..., 2] > 60).sum()
+    assert min(blue, orange) > 100, "both shirts are to be seen"
+    page.evaluate("motionkit.seek(1.4, true)")
+    assert (np.abs(picture(page) - first).max(axis=-1) > 30).sum() > 500
+
+
+def test_the_size_of_a_file(two_motions: list[Shown]) -> None:
+    empty = len(viewer_page([Shown("x", two_motions[0].motion.cut(0, 1))]))
+    assert empty < 1_500_000
+    frames = len(two_motions[0].motion)
+    assert len(viewer_page(two_motions[:1])) - empty < 200 * frames
+
+
+def test_a_cartwheel_has_types_contacts_and_an_end(tmp_path: Path, open_page: Callable) -> None:
+    file = tmp_path / "one.html"
+    write_viewer(file, [Shown("cartwheel", make_cartwheel(60), [("cartwheel", 1.0)])])
+    page = open_page(file.as_uri(), offline=True)
+    bands = page.evaluate("motionkit.tracks[0].clip.types")
+    assert bands == [{"type": "cartwheel", "start": 0, "end": 1}]
+    page.evaluate("motionkit.toggles.l.set(false); motionkit.seek(0.9, true); motionkit.play(true)")
+    page.wait_for_function("!motionkit.playing")
+    assert page.evaluate("motionkit.tracks[0].frame") == 59
+
+
+def test_the_page_asks_for_nothing(two_motions: list[Shown], tmp_path: Path, browser: Browser) -> None:
+    file = tmp_path / "alone.html"
+    write_viewer(file, two_motions[:1])
+    page = browser.new_page()
+    asked: list[str] = []
+    page.on("request", lambda request: asked.append(request.url))
+    page.goto(file.as_uri())
+    page.wait_for_selector("html[data-ready]", state="attached", timeout=PATIENCE)
+    page.close()
+    assert asked == [file.as_uri()]
+
+
+def test_no_motions_is_an_error() -> None:
+    with pytest.raises(MotionkitError, match="1 to 32 motions"):
+        viewer_page([])
