@@ -8,12 +8,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from motionkit.control.script import parse_types
-from motionkit.control.synthesize import SynthesisOptions, synthesize
-from motionkit.inference.rollout import Noise
-from motionkit.metrics.report import evaluate_motion
-from motionkit.models.bundled import open_model
-from motionkit.motion.bvh import write_bvh
+import motionkit as mk
 
 
 def main() -> None:
@@ -24,15 +19,13 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path, default=Path("out.bvh"))
     arguments = parser.parse_args()
 
-    model = open_model(arguments.model)
+    model = mk.load_model(arguments.model)
     print(f"the model knows {', '.join(model.types)}")
-    options = SynthesisOptions(seed=arguments.seed, noise=Noise("correlated", temperature=0.3), ik=True)
-    parts = parse_types(arguments.types, usual=model.phase_seconds)
-    result = synthesize(model, parts, options)
-    motion = result.motions[0].motion
-    write_bvh(arguments.output, motion)
+    result = mk.synthesize(arguments.types, model=model, seed=arguments.seed)
+    motion = result.motion
+    mk.write_bvh(arguments.output, motion)
     print(f"wrote {arguments.output}: {motion.seconds:.1f} s, made in {result.seconds:.2f} s")
-    for row in evaluate_motion(motion).rows:
+    for row in mk.measure(motion).rows:
         if row.motion.value is not None:
             print(f"  {row.id} {row.motion.value:.3g} {row.motion.unit}")
 

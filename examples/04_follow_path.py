@@ -10,14 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.arrays import Array, normalized
-from motionkit.control.follow import follow_path
-from motionkit.control.path import PathPart, make_path
-from motionkit.models.bundled import open_model
-from motionkit.motion.bvh import write_bvh
+import motionkit as mk
 
 
-def spiral(turns: float, radius: float) -> Array:
+def spiral(turns: float, radius: float) -> np.ndarray:
     """Points (N, 2) x, z in cm from the origin outwards."""
     share = np.linspace(0.15, 1.0, int(120 * turns) + 2, dtype=np.float32)
     angle = 2 * np.pi * turns * share
@@ -36,12 +32,13 @@ def main() -> None:
 
     # In Python lengths are centimetres; files and options of the command are in metres.
     walk = spiral(arguments.turns, 100.0 * arguments.radius)
-    way = normalized(walk[-1] - walk[-2])
-    run = walk[-1] + way * 100.0 * arguments.run
-    path = make_path([PathPart(walk, "walking", speed=130.0), PathPart(run[None], "running", speed=300.0)])
+    direction = (walk[-1] - walk[-2]) / np.linalg.norm(walk[-1] - walk[-2])
+    run = walk[-1] + 100.0 * arguments.run * direction
+    parts = [mk.PathPart(walk, "walking", speed=130.0), mk.PathPart(run[None], "running", speed=300.0)]
+    path = mk.make_path(parts)
 
-    result = follow_path(open_model(arguments.model), path)
-    write_bvh(arguments.output, result.motion)
+    result = mk.follow_path(path, model=mk.load_model(arguments.model))
+    mk.write_bvh(arguments.output, result.motion)
     end = "reached the end" if result.finished else "did not reach the end"
     print(f"wrote {arguments.output}: {result.motion.seconds:.1f} s along {path.length / 100:.1f} m, {end}")
     print(

@@ -9,14 +9,12 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from motionkit.control.script import TypePart
-from motionkit.control.synthesize import synthesize
-from motionkit.data.preprocess import PreprocessOptions, preprocess
-from motionkit.models.checkpoint import load_model
-from motionkit.motion.bvh import write_bvh
-from motionkit.training.presets import train_options
-from motionkit.training.trainer import TrainEvent, train
+import motionkit as mk
+
+if TYPE_CHECKING:
+    from motionkit.training.trainer import TrainEvent
 
 
 def show(event: TrainEvent) -> None:
@@ -37,10 +35,10 @@ def main() -> None:
     arguments = parser.parse_args()
 
     dataset = arguments.output.with_suffix(".dataset")
-    report = preprocess([arguments.folder], dataset, PreprocessOptions(jobs=1))
+    report = mk.preprocess([arguments.folder], dataset, mk.PreprocessOptions(jobs=1))
     print(f"{report.clips} clips, {report.seconds:.0f} s of motion: {', '.join(report.types)}")
 
-    options = train_options(
+    options = mk.train_options(
         "tiny",
         minutes=arguments.minutes,
         steps=arguments.steps,
@@ -49,11 +47,11 @@ def main() -> None:
         splices=50,
         score_seconds=0.0,  # no roll-out scores
     )
-    train(dataset, arguments.output, options, device="cpu", on_event=show)
+    mk.train(dataset, arguments.output, options, device="cpu", on_event=show)
 
-    model = load_model(arguments.output)
-    motion = synthesize(model, [TypePart(model.types[0], 2.0)]).motions[0].motion
-    write_bvh(arguments.output.with_suffix(".bvh"), motion)
+    model = mk.load_model(arguments.output)
+    motion = mk.synthesize(f"{model.types[0]}:2", model=model).motion
+    mk.write_bvh(arguments.output.with_suffix(".bvh"), motion)
     print(f"wrote {arguments.output} and {arguments.output.with_suffix('.bvh')} ({model.types[0]})")
 
 

@@ -1,3 +1,139 @@
-"""motionkit: BVH recordings in, a controllable real-time motion model, BVH out."""
+"""motionkit: BVH recordings in, a controllable real-time motion model, BVH out.
+
+`import motionkit as mk` imports nothing else: each name below brings its module when it is first used.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from motionkit.api import (
+        evaluate,
+        follow_path,
+        load_model,
+        measure,
+        read_bvh,
+        read_canonical,
+        synthesize,
+        train,
+        write_view,
+    )
+    from motionkit.control.drive import Driver, Wish
+    from motionkit.control.path import Path2D, PathPart, make_path, read_path, shape_path
+    from motionkit.data.dataset import Dataset
+    from motionkit.data.preprocess import PreprocessOptions, preprocess
+    from motionkit.errors import MotionkitError
+    from motionkit.export.onnx_export import export_onnx
+    from motionkit.features.decode import decode_motion as decode
+    from motionkit.features.encode import encode_motion as encode
+    from motionkit.inference.character import CharacterStream
+    from motionkit.inference.rollout import Noise
+    from motionkit.models.checkpoint import MotionModel
+    from motionkit.motion.bvh import write_bvh
+    from motionkit.motion.kinematics import motion_kinematics as kinematics
+    from motionkit.motion.mirror import mirror_motion as mirror
+    from motionkit.motion.motion import Motion, resample
+    from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+    from motionkit.training.presets import train_options
 
 __version__ = "0.1.0"
+
+# Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
+# Python binds motionkit.metrics to the room as soon as anything imports it.
+_HOMES = {
+    "evaluate": "api",
+    "follow_path": "api",
+    "load_model": "api",
+    "measure": "api",
+    "read_bvh": "api",
+    "read_canonical": "api",
+    "synthesize": "api",
+    "train": "api",
+    "write_view": "api",
+    "Driver": "control.drive",
+    "Wish": "control.drive",
+    "Path2D": "control.path",
+    "PathPart": "control.path",
+    "make_path": "control.path",
+    "read_path": "control.path",
+    "shape_path": "control.path",
+    "Dataset": "data.dataset",
+    "PreprocessOptions": "data.preprocess",
+    "preprocess": "data.preprocess",
+    "MotionkitError": "errors",
+    "export_onnx": "export.onnx_export",
+    "decode": "features.decode:decode_motion",
+    "encode": "features.encode:encode_motion",
+    "CharacterStream": "inference.character",
+    "Noise": "inference.rollout",
+    "MotionModel": "models.checkpoint",
+    "write_bvh": "motion.bvh",
+    "kinematics": "motion.kinematics:motion_kinematics",
+    "mirror": "motion.mirror:mirror_motion",
+    "Motion": "motion.motion",
+    "resample": "motion.motion",
+    "Skeleton": "motion.skeleton",
+    "canonical_skeleton": "motion.skeleton",
+    "train_options": "training.presets",
+}
+
+__all__ = [
+    "CharacterStream",
+    "Dataset",
+    "Driver",
+    "Motion",
+    "MotionModel",
+    "MotionkitError",
+    "Noise",
+    "Path2D",
+    "PathPart",
+    "PreprocessOptions",
+    "Skeleton",
+    "Wish",
+    "__version__",
+    "canonical_skeleton",
+    "decode",
+    "encode",
+    "evaluate",
+    "export_onnx",
+    "follow_path",
+    "kinematics",
+    "load_model",
+    "make_path",
+    "measure",
+    "mirror",
+    "preprocess",
+    "read_bvh",
+    "read_canonical",
+    "read_path",
+    "resample",
+    "shape_path",
+    "synthesize",
+    "train",
+    "train_options",
+    "write_bvh",
+    "write_view",
+]
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'motionkit' has no attribute {name!r}")
+    module, _, attribute = _HOMES[name].partition(":")
+    try:
+        value = getattr(import_module(f"motionkit.{module}"), attribute or name)
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        from motionkit.errors import MotionkitError
+
+        raise MotionkitError("training needs torch: pip install 'motionkit[train]'") from None
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -23,8 +23,8 @@ from motionkit.motion.skeleton import leg_length
 PARTS = parse_types("walking:0.6,cartwheel:0.4")
 
 
-def made(model: MotionModel, **options) -> list[Motion]:
-    return [s.motion for s in synthesize(model, PARTS, SynthesisOptions(**options)).motions]
+def made(model: MotionModel, ik: bool = False, **options) -> list[Motion]:
+    return [s.motion for s in synthesize(model, PARTS, SynthesisOptions(ik=ik, **options)).motions]
 
 
 def same(a: Motion, b: Motion) -> bool:
@@ -195,7 +195,7 @@ def test_the_first_frame_goes_on_from_the_start(tiny_model: MotionModel, clips_f
     clip = clips_folder / "idle_01.bvh"
     model = tiny_model
     motion = synthesize(
-        model, parse_types("idle:0.1"), SynthesisOptions(init=clip, noise=Noise("mean"))
+        model, parse_types("idle:0.1"), SynthesisOptions(ik=False, init=clip, noise=Noise("mean"))
     ).motions
     first = motion_kinematics(motion[0].motion)[1][0]
     last = motion_kinematics(bvh_to_motion(read_bvh(clip)))[1][86]
@@ -232,25 +232,27 @@ def test_a_crowd_takes_plans_and_bodies_in_turn(tiny_model: MotionModel) -> None
     tall = {**tiny_model.characters, "tall": 1.2 * tiny_model.characters["default"]}
     model = replace(tiny_model, characters=tall)
     plans = [parse_types("walking:0.5"), parse_types("idle:0.3,cartwheel:0.4")]
-    options = SynthesisOptions(count=5, character="default,tall,default", noise=Noise("mean"))
+    options = SynthesisOptions(ik=False, count=5, character="default,tall,default", noise=Noise("mean"))
     made = synthesize(model, plans, options).motions
     assert [len(one.motion) for one in made] == [30, 42, 30, 42, 30]
     assert [one.types[0].type for one in made] == ["walking", "idle", "walking", "idle", "walking"]
     sizes = [leg_length(one.motion.skeleton) / leg_length(model.character("default")) for one in made]
     assert sizes == pytest.approx([1.0, 1.2, 1.0, 1.0, 1.2])
-    alone = synthesize(model, plans[0], SynthesisOptions(noise=Noise("mean"))).motions[0].motion
+    alone = synthesize(model, plans[0], SynthesisOptions(ik=False, noise=Noise("mean"))).motions[0].motion
     assert np.allclose(alone.root_positions, made[0].motion.root_positions, atol=1e-2)
     # The second of them makes the choice of the second.
-    alone = synthesize(model, plans[1], SynthesisOptions(seed=1, noise=Noise("mean"))).motions[0].motion
+    alone = (
+        synthesize(model, plans[1], SynthesisOptions(ik=False, seed=1, noise=Noise("mean"))).motions[0].motion
+    )
     assert np.allclose(1.2 * alone.root_positions, made[1].motion.root_positions, atol=1e-2)
 
 
 def test_a_crowd_larger_than_a_block_is_every_one_alone(tiny_model: MotionModel) -> None:
     plans = [parse_types("walking:0.2"), parse_types("idle:0.2"), parse_types("running:0.2")]
-    crowd = synthesize(tiny_model, plans, SynthesisOptions(count=40, noise=Noise("mean"))).motions
+    crowd = synthesize(tiny_model, plans, SynthesisOptions(ik=False, count=40, noise=Noise("mean"))).motions
     for index in (0, 1, 2, 17, 39):
         few = [plans[index % 3]] * (index // 3 + 1)
-        options = SynthesisOptions(count=len(few), seed=index - index // 3, noise=Noise("mean"))
+        options = SynthesisOptions(ik=False, count=len(few), seed=index - index // 3, noise=Noise("mean"))
         alone = synthesize(tiny_model, few[0], options)
         expected = alone.motions[-1].motion.root_positions
         assert np.allclose(crowd[index].motion.root_positions, expected, atol=1e-2)

@@ -36,7 +36,7 @@ def positions(motion: Motion) -> np.ndarray:
 
 def synthesized(types: str, **options: object) -> np.ndarray:
     """Positions of one or more synthesized characters, one after another."""
-    made = synthesize(load_bundled_model(), parse_types(types), SynthesisOptions(**options))  # type: ignore[arg-type]
+    made = synthesize(load_bundled_model(), parse_types(types), SynthesisOptions(**({"ik": False} | options)))  # type: ignore[arg-type]
     return np.concatenate([positions(one.motion) for one in made.motions])
 
 

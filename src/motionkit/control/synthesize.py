@@ -41,14 +41,14 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class SynthesisOptions:
-    """How to synthesize; fps None keeps the model's rate."""
+    """How to synthesize: the defaults are those of the command; fps None keeps the model's rate."""
 
     count: int = 1
     seed: int = 0
     noise: Noise = field(default_factory=Noise)
     character: str = "default"
     init: str | Path | None = None
-    ik: bool = False
+    ik: bool = True
     fps: float | None = None
 
 
@@ -58,6 +58,11 @@ class SynthesisResult:
 
     motions: tuple[Synthesis, ...]
     seconds: float
+
+    @property
+    def motion(self) -> Motion:
+        """The first motion, for calls that make one."""
+        return self.motions[0].motion
 
     @property
     def frames(self) -> int:

@@ -1,0 +1,272 @@
+"""The functions behind `import motionkit as mk` that are more than a room's own: the command line's steps, as calls.
+
+Their defaults are those of the commands; a test compares the two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from motionkit.errors import MotionkitError
+
+if TYPE_CHECKING:
+    from motionkit.control.follow import FollowResult
+    from motionkit.control.path import Path2D
+    from motionkit.control.synthesize import SynthesisResult
+    from motionkit.evaluation.report import Scoreboard
+    from motionkit.evaluation.settings import EvaluationSettings
+    from motionkit.inference.rollout import Noise
+    from motionkit.metrics.report import MetricReport
+    from motionkit.metrics.value import MetricSettings
+    from motionkit.models.checkpoint import MotionModel
+    from motionkit.motion.motion import Motion
+    from motionkit.training.options import TrainOptions
+    from motionkit.training.trainer import TrainEvent, TrainResult
+
+TRAIN_MINUTES = 30.0  # where a run is given neither steps nor minutes
+
+
+def read_bvh(path: str | Path, scale: float = 1.0, fps: float | None = None) -> Motion:
+    """The motion in a BVH file, on the file's own joints and in its own unit.
+
+    Args:
+        scale: multiplies every length.
+        fps: the true frame rate, where the file's header is wrong.
+
+    Raises BvhError for a file that cannot be read.
+    """
+    from motionkit.motion import bvh
+
+    return bvh.bvh_to_motion(bvh.read_bvh(path), scale, fps)
+
+
+def read_canonical(path: str | Path, scale: float | None = None, fps: float | None = None) -> Motion:
+    """The motion in a BVH file of any human rig, on the 23 canonical joints, in cm, at the file's own rate.
+
+    Args:
+        scale: centimetres per file unit; guessed from the length of the legs by default.
+        fps: the true frame rate, where the file's header is wrong.
+
+    Raises BvhError for a file that cannot be read, SkeletonError for a rig that is not a human one.
+    """
+    from motionkit.metrics.loading import load_canonical
+
+    return load_canonical(path, scale, fps)[0]
+
+
+def load_model(path: str | Path | None = None) -> MotionModel:
+    """The model in a file; the bundled one by default. Raises ModelError for a file that is no model."""
+    from motionkit.models.bundled import open_model
+
+    return open_model(path)
+
+
+def synthesize(
+    types: str | Sequence[str],
+    *,
+    model: MotionModel | None = None,
+    seconds: float | None = None,
+    count: int = 1,
+    seed: int = 0,
+    noise: Noise | None = None,
+    character: str = "default",
+    init: str | Path | None = None,
+    ik: bool = True,
+    fps: float | None = None,
+) -> SynthesisResult:
+    """Synthesize motion types one after another; the same seed gives the same motion.
+
+    Args:
+        types: motion types in order, such as "running,cartwheel" or "running:4,cartwheel:3" (seconds);
+            several texts are taken in turn by the characters of count.
+        model: the bundled model by default.
+        seconds: length of the whole; by default 4 s for each type, one performance of a flip.
+        count: how many motions, made as one batch.
+        noise: how frames are drawn; correlated noise of temperature 0.05 by default.
+        character: the body to move; several names with commas are taken in turn.
+        init: a BVH file to start from.
+        ik: hold feet still while they touch the floor.
+        fps: rate of the motions; the model's 60 by default.
+
+    Returns:
+        The motions; `motion` is the first one.
+
+    Raises:
+        ControlError: for an unknown type or character, or too many frames.
+    """
+    from motionkit.control.script import parse_types
+    from motionkit.control.synthesize import SynthesisOptions
+    from motionkit.control.synthesize import synthesize as run
+    from motionkit.inference.rollout import Noise
+
+    model = model or load_model()
+    texts = [types] if isinstance(types, str) else list(types)
+    plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
+    options = SynthesisOptions(max(count, len(plans)), seed, noise or Noise(), character, init, ik, fps)
+    return run(model, plans, options)
+
+
+def follow_path(
+    path: Path2D | str | Path,
+    *,
+    model: MotionModel | None = None,
+    types: str = "walking",
+    size: float | None = None,
+    speed: float | None = None,
+    seed: int = 0,
+    noise: Noise | None = None,
+    character: str = "default",
+    init: str | Path | None = None,
+    ik: bool = True,
+    fps: float | None = None,
+) -> FollowResult:
+    """Let a character follow a path on the ground; the same seed gives the same motion.
+
+    Args:
+        path: a path, a JSON or CSV file, or a named shape: line, circle, figure-eight, square, pentagram, u-turn.
+        model: the bundled model by default.
+        types: for a named shape: types that share its length, such as "running,cartwheel,running".
+        size: for a named shape: metres (length, radius or side).
+        speed: for a named shape: metres per second; each type's own by default.
+        seed, noise, character, init, ik, fps: as in synthesize.
+
+    Raises:
+        ControlError: for an unknown type, shape or character, or a path that cannot be read.
+    """
+    from motionkit.control import follow
+    from motionkit.control.path import Path2D, read_path, shape_path
+    from motionkit.control.synthesize import SynthesisOptions
+    from motionkit.inference.rollout import Noise
+
+    if isinstance(path, Path2D):
+        target = path
+    elif Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file():
+        target = read_path(path)
+    else:
+        target = shape_path(str(path), size, [word.strip() for word in types.split(",")], speed)
+    options = SynthesisOptions(1, seed, noise or Noise(), character, init, ik, fps)
+    return follow.follow_path(model or load_model(), target, options)
+
+
+def measure(
+    motion: Motion | str | Path,
+    reference: Motion | str | Path | None = None,
+    *,
+    skip: int = 0,
+    align_start: bool = False,
+    settings: MetricSettings | None = None,
+) -> MetricReport:
+    """The metrics of a motion, alone or beside its ground truth (docs/metrics.md defines each).
+
+    Args:
+        motion: on the 23 canonical joints in cm, or a BVH file of any rig.
+        reference: the ground truth, likewise.
+        skip: frames at 60 fps to leave out at the start.
+        align_start: turn and move the motion to start as the reference does.
+        settings: thresholds; the documented definitions by default.
+
+    Raises:
+        MotionkitError: for a file that cannot be used, or fewer than two common frames.
+    """
+    from motionkit.metrics.report import evaluate_motion
+
+    ground_truth = None if reference is None else _canonical(reference)
+    return evaluate_motion(_canonical(motion), ground_truth, settings, skip, align_start)
+
+
+def _canonical(motion: Motion | str | Path) -> Motion:
+    return read_canonical(motion) if isinstance(motion, (str, Path)) else motion
+
+
+def write_view(
+    path: str | Path, *motions: Motion, names: Sequence[str] = (), width: int | None = None
+) -> None:
+    """Write motions as a page that plays them (.html), a contact sheet (.png), a GIF or a film (.mp4).
+
+    Args:
+        path: the file; its ending says what it is.
+        motions: of any rig and rate.
+        names: what to call them; "motion 1", "motion 2" ... by default.
+        width: in pixels, of a sheet (1800), a GIF (480) or a film (960).
+
+    Raises MotionkitError for another ending, and without Pillow for pictures (`pip install 'motionkit[view]'`).
+    """
+    from motionkit.view.figure_data import Shown
+
+    names = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
+    shown = [Shown(name, motion) for name, motion in zip(names, motions, strict=True)]
+    kind = Path(path).suffix.lower()
+    if kind == ".html":
+        from motionkit.view.viewer import write_viewer
+
+        write_viewer(path, shown)
+    elif kind == ".png":
+        from motionkit.view.contact_sheet import write_contact_sheet
+
+        write_contact_sheet(path, [(one.name, one.motion) for one in shown], width=width or 1800)
+    elif kind in (".gif", ".mp4"):
+        from motionkit.view.film import write_film
+
+        write_film(path, shown, width)
+    else:
+        raise MotionkitError(f"{path}: expected a file that ends with .html, .png, .gif or .mp4")
+
+
+def train(
+    dataset: str | Path,
+    output: str | Path = "model.safetensors",
+    options: TrainOptions | None = None,
+    *,
+    resume: bool = False,
+    run_folder: str | Path | None = None,
+    device: str = "auto",
+    on_event: Callable[[TrainEvent], None] | None = None,
+) -> TrainResult:
+    """Train a motion model on a dataset folder and write one model file. Needs torch.
+
+    Args:
+        dataset: the folder that preprocess wrote.
+        output: the model file; an old one is replaced.
+        options: from train_options; the preset tptn for 30 minutes by default.
+        resume: go on from the checkpoint in the run folder.
+        run_folder: for checkpoint, log and samples; beside the model by default.
+        device: "auto", "cpu", "cuda" or "cuda:1".
+        on_event: called with losses, scores and notes.
+
+    Raises:
+        MotionkitError: without torch, or for a dataset or checkpoint that does not fit.
+    """
+    if find_spec("torch") is None:
+        raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
+    from motionkit.training import trainer
+    from motionkit.training.presets import train_options
+
+    options = options or train_options("tptn", minutes=TRAIN_MINUTES)
+    return trainer.train(dataset, output, options, resume, run_folder, device, on_event)
+
+
+def evaluate(
+    dataset: str | Path,
+    *,
+    model: MotionModel | None = None,
+    only: Sequence[str] = (),
+    settings: EvaluationSettings | None = None,
+) -> Scoreboard:
+    """The scoreboard of a model against the recordings of a dataset folder (docs/evaluation.md).
+
+    Args:
+        model: the bundled model by default.
+        only: names of the sections to measure; all by default.
+        settings: how much is measured; 20 roll-outs of each type by default.
+
+    Raises:
+        ControlError: for an unknown section.
+        DatasetError: for a folder that is no dataset, or does not fit the model.
+    """
+    from motionkit.data.dataset import Dataset
+    from motionkit.evaluation.scoreboard import evaluate_model
+
+    return evaluate_model(model or load_model(), Dataset(dataset), settings, only)

@@ -1,0 +1,190 @@
+"""`import motionkit as mk`: lazy, typed, and the same defaults as the commands."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+
+import click
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.cli.main import COMMANDS, cli
+
+SOURCE = Path(mk.__file__)
+CLIP = SOURCE.parents[2] / "examples" / "data" / "16_45.bvh"
+
+SCRIPT = """
+import motionkit as mk
+
+model: mk.MotionModel = mk.load_model()
+made = mk.synthesize("running:4,cartwheel:3", model=model, seed=1)
+motion: mk.Motion = made.motion
+mk.write_bvh("out.bvh", motion)
+followed: mk.Motion = mk.follow_path("circle", size=2.0).motion
+encoded = mk.encode(mk.read_canonical("out.bvh"))
+back: mk.Motion = mk.decode(encoded.features, motion.skeleton, motion.fps)
+sliding: float | None = mk.measure("out.bvh").value("afs")
+mk.write_view("out.html", motion, back)
+mk.preprocess(["data"], "dataset")
+mk.train("dataset", "model.safetensors", mk.train_options("tiny", steps=2))
+"""
+
+
+def modules_after(code: str) -> set[str]:
+    """The modules a new Python has loaded after some code."""
+    command = [sys.executable, "-c", f"{code}\nimport sys\nprint(*sys.modules)"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    return set(done.stdout.split())
+
+
+def test_the_door_alone_imports_nothing_heavy() -> None:
+    loaded = modules_after("import motionkit as mk; dir(mk); mk.__version__")
+    assert not loaded & {"numpy", "torch", "click", "rich", "bvhio", "safetensors", "motionkit.api"}
+
+
+def test_synthesizing_imports_no_torch() -> None:
+    loaded = modules_after("import motionkit as mk; mk.synthesize('running:0.1'); mk.kinematics, mk.encode")
+    assert "torch" not in loaded and "motionkit.api" in loaded
+
+
+def test_every_public_name_is_there_and_typed() -> None:
+    typed = {
+        name.asname or name.name
+        for block in ast.parse(SOURCE.read_text("utf-8")).body
+        if isinstance(block, ast.If)
+        for line in block.body
+        if isinstance(line, ast.ImportFrom)
+        for name in line.names
+    }
+    assert typed == set(mk.__all__) - {"__version__"}
+    for name in mk.__all__:
+        assert getattr(mk, name) is not None and name in dir(mk)
+    with pytest.raises(AttributeError, match="has no attribute 'synthesise'"):
+        mk.synthesise  # type: ignore[attr-defined]  # noqa: B018
+
+
+def test_no_public_name_is_that_of_a_room() -> None:
+    """Python binds motionkit.metrics to the room as soon as anything imports it."""
+    rooms = {path.stem for path in SOURCE.parent.iterdir() if (path / "__init__.py").exists()}
+    assert not rooms & set(mk.__all__)
+    assert not any(isinstance(getattr(mk, name), ModuleType) for name in mk.__all__)
+
+
+def test_public_functions_say_what_they_do() -> None:
+    for name in mk.__all__:
+        value = getattr(mk, name)
+        if inspect.isfunction(value):
+            assert value.__doc__, name
+            assert "return" in value.__annotations__, name
+
+
+@pytest.mark.skipif(find_spec("mypy") is None, reason="mypy is not installed")
+def test_mypy_sees_the_types(tmp_path: Path) -> None:
+    right, wrong = tmp_path / "right.py", tmp_path / "wrong.py"
+    right.write_text(SCRIPT)
+    wrong.write_text("import motionkit as mk\nmk.synthesize(seeds=1)\nnumber: int = mk.load_model()\n")
+    command = [
+        sys.executable,
+        "-m",
+        "mypy",
+        "--strict",
+        "--config-file=",
+        "--cache-dir",
+        str(tmp_path / "cache"),
+    ]
+    command += ["--ignore-missing-imports", "--follow-imports=silent"]
+    done = subprocess.run([*command, str(right)], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout
+    done = subprocess.run([*command, str(wrong)], capture_output=True, text=True)
+    assert "seeds" in done.stdout and "MotionModel" in done.stdout and "2 errors" in done.stdout, done.stdout
+
+
+# Options that belong to the terminal, and arguments that are named otherwise in Python.
+ONLY_COMMAND = {
+    "output",
+    "list_types",
+    "view",
+    "as_json",
+    "help",
+    "temperature",
+    "noise",
+    "model_path",
+    "path",
+}
+
+
+@pytest.mark.parametrize("words", [("synthesize", "--types", "running"), ("follow-path", "line")])
+def test_defaults_are_those_of_the_command(words: tuple[str, ...]) -> None:
+    name, *arguments = words
+    command = cli.get_command(click.Context(cli), name)
+    assert command is not None and name in COMMANDS
+    signature = inspect.signature(getattr(mk, name.replace("-", "_"))).parameters
+    defaults = {key: parameter.default for key, parameter in signature.items()}
+    for option, value in command.make_context(name, arguments).params.items():
+        if option not in ONLY_COMMAND:
+            assert option in defaults, option
+            assert option == "types" or defaults[option] == value, option
+    assert (mk.Noise().kind, mk.Noise().temperature) == ("correlated", 0.05)
+
+
+def test_the_same_file_as_from_the_command_line(tmp_path: Path) -> None:
+    types = "running:0.5,cartwheel:0.5"
+    mk.write_bvh(tmp_path / "door.bvh", mk.synthesize(types, seed=3).motion)
+    command = [sys.executable, "-m", "motionkit", "synthesize", "--types", types, "--seed", "3"]
+    subprocess.run([*command, "-o", tmp_path / "command.bvh"], check=True, capture_output=True)
+    assert (tmp_path / "door.bvh").read_bytes() == (tmp_path / "command.bvh").read_bytes()
+
+    mk.write_bvh(tmp_path / "door.bvh", mk.follow_path("line", size=1.0).motion)
+    command = [sys.executable, "-m", "motionkit", "follow-path", "line", "--size", "1"]
+    subprocess.run([*command, "-o", tmp_path / "command.bvh"], check=True, capture_output=True)
+    assert (tmp_path / "door.bvh").read_bytes() == (tmp_path / "command.bvh").read_bytes()
+
+
+def test_a_crowd_and_a_path_file(tmp_path: Path) -> None:
+    model = mk.load_model()
+    crowd = mk.synthesize(["walking:0.2", "idle:0.3"], model=model)
+    assert [len(one.motion) for one in crowd.motions] == [12, 18]
+    (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,0.5,walking\n")
+    assert mk.follow_path(tmp_path / "way.csv", model=model).finished
+    with pytest.raises(mk.MotionkitError, match="unknown path shape 'oval'"):
+        mk.follow_path("oval", model=model)
+
+
+def test_features_there_and_back() -> None:
+    motion = mk.read_canonical(CLIP)
+    encoded = mk.encode(motion)
+    back = mk.decode(encoded.features, motion.skeleton, motion.fps, encoded.ground[0])
+    assert np.abs(mk.kinematics(back)[1] - mk.kinematics(motion)[1]).max() < 0.01
+    assert len(mk.read_bvh(CLIP).skeleton) > len(motion.skeleton) == 23
+
+
+def test_measuring_files_and_motions(tmp_path: Path) -> None:
+    report = mk.measure(CLIP)
+    assert report.value("afs") == mk.measure(mk.read_canonical(CLIP)).value("afs")
+    assert mk.measure(CLIP, CLIP).value("mpjpe") == 0.0
+
+
+def test_views(tmp_path: Path) -> None:
+    motion = mk.read_bvh(CLIP).cut(0, 10)
+    for ending in ("html", "png", "gif"):
+        mk.write_view(tmp_path / f"clip.{ending}", motion, motion, width=600 if ending == "png" else 160)
+        assert (tmp_path / f"clip.{ending}").stat().st_size > 100
+    with pytest.raises(mk.MotionkitError, match=r"ends with \.html"):
+        mk.write_view(tmp_path / "clip.avi", motion)
+
+
+def test_training_without_torch_says_what_to_install() -> None:
+    code = (
+        "import sys; sys.modules['torch'] = None\nimport motionkit as mk\n"
+        "try: mk.train_options\n"
+        "except mk.MotionkitError as error: print(error)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout == "training needs torch: pip install 'motionkit[train]'\n", done.stderr
