@@ -6,6 +6,7 @@ python docs/make_commands.py
 from __future__ import annotations
 
 import inspect
+import textwrap
 from pathlib import Path
 
 import click
@@ -30,8 +31,14 @@ def subcommand(name: str) -> click.Command:
 
 
 def help_text(command: click.Command) -> str:
-    """The command's help as Markdown paragraphs."""
-    return inspect.cleandoc(command.help or "").replace("<", "\\<")
+    """Return the command's help as Markdown; a paragraph that click must not wrap becomes a code block."""
+    paragraphs = inspect.cleandoc(command.help or "").split("\n\n")
+    return "\n\n".join(
+        textwrap.indent(text.removeprefix("\b\n"), "    ")
+        if text.startswith("\b")
+        else text.replace("<", "\\<")
+        for text in paragraphs
+    )
 
 
 def usage(name: str, command: click.Command) -> str:

@@ -11,7 +11,7 @@ def evaluate(motionkit, tiny_model_file: Path, dataset_folder: Path):
     return lambda *words: motionkit("evaluate", tiny_model_file, dataset_folder, "--quick", *words)
 
 
-def test_obedience_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
+def test_accuracy_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
     said = evaluate("--only", "accuracy", "--seeds", 1, "--json", "-o", "out.md", "-o", "out.json")
     assert said.code == 0 and said.err == ""
     value = json.loads(said.out)
@@ -20,7 +20,7 @@ def test_obedience_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
     rows = value["sections"][0]["tables"][0]["rows"]
     assert {row["type"] for row in rows} >= {"walking", "running", "idle"}
     text = (tmp_path / "out.md").read_text("utf-8")
-    assert "| accuracy | walking shown |" in text and "## Action accuracy" in text
+    assert "| accuracy | accuracy of walking |" in text and "## Action accuracy" in text
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Each detector answers to a motion made to show it, and not to its neighbours."""
+"""Each detector accepts a motion made to show its type, and rejects similar ones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from motionkit.arrays import Array
 from motionkit.evaluation.body import Body, body_of, spans
-from motionkit.evaluation.detectors import DETECTORS, sign_windows, take_offs, turns
+from motionkit.evaluation.detectors import DETECTORS, detection_windows, take_offs, turns
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, quat_multiply
 from motionkit.motion.skeleton import JOINT_NAMES
@@ -31,7 +31,7 @@ def make_run() -> Motion:
 
 
 def make_backwards() -> Motion:
-    """A walk played from its end."""
+    """A walk played backwards."""
     motion = make_walk(150, turn=0.0)
     return Motion(
         motion.skeleton, np.flip(motion.local_rotations, 0), np.flip(motion.root_positions, 0), motion.fps
@@ -39,7 +39,7 @@ def make_backwards() -> Motion:
 
 
 def make_leap(first: float, second: float) -> Motion:
-    """A flight of half a second; before it the left knee is bent by first, the right one by second."""
+    """A flight of half a second. Before it the left knee is bent by first, the right one by second (radians)."""
     motion = make_idle(90)
     rotations = motion.local_rotations.copy()
     for side, bend in (("Left", first), ("Right", second)):
@@ -62,7 +62,7 @@ def make_flip(axis: int, angle: float, hips: float = 95.0) -> Motion:
 
 
 def make_strike(joint: str, axis: int, angle: float, frames: int = 6) -> Motion:
-    """One joint turned fast and back, standing."""
+    """A standing body that turns one joint fast, and back."""
     motion = make_idle(120)
     share = np.clip((np.arange(120) - 50) / frames, 0, 1) - np.clip((np.arange(120) - 80) / frames, 0, 1)
     rotations = motion.local_rotations.copy()
@@ -72,7 +72,7 @@ def make_strike(joint: str, axis: int, angle: float, frames: int = 6) -> Motion:
 
 
 def make_punch(seconds: float = 0.1, aside: float = 0.0) -> Motion:
-    """The left elbow opens from a right angle and more, the arm held aside (radians) from straight ahead."""
+    """The bent left elbow opens; the arm points forwards, turned aside by an angle in radians."""
     motion = make_idle(120)
     share = np.clip((np.arange(120) - 50) / (60.0 * seconds), 0.0, 1.0)
     rotations = motion.local_rotations.copy()
@@ -82,12 +82,12 @@ def make_punch(seconds: float = 0.1, aside: float = 0.0) -> Motion:
 
 
 def shown(motion: Motion) -> set[str]:
-    """The types whose detectors a motion shows in all of its windows."""
+    """Return the types that are detected in all windows of a motion."""
     body = body_of(motion)
     return {
         kind
         for kind, detector in DETECTORS.items()
-        if all(map(detector.shows, sign_windows(body, detector.window)))
+        if all(map(detector.shows, detection_windows(body, detector.window)))
     }
 
 
@@ -112,17 +112,17 @@ def shown(motion: Motion) -> set[str]:
     ],
 )
 def test_a_motion_shows_its_type_and_no_other(motion: Motion, kinds: set[str]) -> None:
-    # A body that turns over or strikes on the spot may also pass for standing, most of the time.
+    # A flip or strike on the spot may also be detected as standing.
     assert shown(motion) - {"idle"} == kinds
 
 
-def test_standing_is_idle_and_going_is_not() -> None:
+def test_standing_is_idle_and_walking_is_not() -> None:
     assert shown(make_idle()) == {"idle"}
     assert not DETECTORS["idle"].shows(body_of(make_walk(speed=20.0)))
     assert not DETECTORS["idle"].shows(body_of(make_walk(speed=0.0, swing=0.9)))
 
 
-def test_a_cartwheel_is_one_with_hands_on_the_ground() -> None:
+def test_a_cartwheel_needs_hands_on_the_ground() -> None:
     wheel = make_cartwheel(180)
     assert shown(wheel) >= {"cartwheel"} and "side-somersault" not in shown(wheel)
     (turn,) = turns(body_of(wheel))
@@ -131,14 +131,14 @@ def test_a_cartwheel_is_one_with_hands_on_the_ground() -> None:
     assert shown(wheel) >= {"side-somersault"} and "cartwheel" not in shown(wheel)
 
 
-def test_a_turn_that_is_not_recovered_from_does_not_count() -> None:
+def test_a_flip_without_recovery_does_not_count() -> None:
     body = body_of(make_flip(0, -2 * math.pi))
     upside_down = int(np.flatnonzero(body.head_height < 0.0)[-1])
     assert DETECTORS["backflip"].shows(body)
     assert not DETECTORS["backflip"].shows(body.cut(0, upside_down))
 
 
-def test_signs_do_not_depend_on_place_or_heading() -> None:
+def test_detectors_ignore_place_and_heading() -> None:
     for motion in (make_walk(), make_jump(side=1.0), make_flip(2, 2 * math.pi)):
         assert shown(motion) == shown(placed(motion, yaw=-1.2, move=(-500.0, 40.0)))
 
@@ -158,14 +158,14 @@ def test_take_offs_name_the_foot_of_every_long_flight() -> None:
 
 def test_windows_cover_a_motion_and_keep_a_short_one_whole() -> None:
     body = body_of(make_idle(180))
-    windows = sign_windows(body, 2.0)
+    windows = detection_windows(body, 2.0)
     assert [len(w) for w in windows] == [120, 120, 120]
     assert np.array_equal(windows[1].positions, body.positions[30:150])
-    assert [len(w) for w in sign_windows(body, 0.0)] == [180]
-    assert [len(w) for w in sign_windows(body, 9.0)] == [180]
+    assert [len(w) for w in detection_windows(body, 0.0)] == [180]
+    assert [len(w) for w in detection_windows(body, 9.0)] == [180]
 
 
-def test_spans_are_the_stretches_that_hold() -> None:
+def test_spans_are_the_stretches_of_true_flags() -> None:
     assert spans(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
     assert spans(np.zeros(3, bool)) == []
 

@@ -12,7 +12,7 @@ from motionkit.features.decode import decode_motion
 from synthetic_motions import make_walk, placed
 
 
-def test_a_training_pose_is_at_distance_zero_but_without_its_own_clip(
+def test_a_training_pose_is_at_distance_zero_unless_its_clip_is_left_out(
     real: RealMotion, dataset: Dataset
 ) -> None:
     stretch = real.of_type("walking", "train")[0]
@@ -39,7 +39,7 @@ def test_distances_do_not_depend_on_place_or_heading(real: RealMotion) -> None:
     assert np.allclose(real.pose_distances(body_of(walk)), moved, atol=0.1)
 
 
-def test_recordings_are_done_in_their_own_manner(real: RealMotion) -> None:
+def test_recordings_are_within_their_own_motion_profile(real: RealMotion) -> None:
     stretch = real.of_type("walking", "train")[0]
     profile = real.profile("walking")
     assert profile is not None and profile.speeds[0] < profile.joint_speed < profile.speeds[1]
@@ -51,7 +51,7 @@ def test_recordings_are_done_in_their_own_manner(real: RealMotion) -> None:
     assert real.profile("unheard-of") is None
 
 
-def test_every_stretch_counts_once_for_its_own_type(real: RealMotion) -> None:
+def test_calibration_counts_every_stretch_for_its_own_type(real: RealMotion) -> None:
     kinds = ("idle", "walking", "cartwheel")
     found = {c.type: c for c in calibrate(Judge(real), kinds)}
     assert set(found) == set(kinds)

@@ -27,16 +27,16 @@ if TYPE_CHECKING:
 @click.argument("model")
 @click.argument("dataset", type=click.Path(path_type=Path))
 @click.option(
-    "--only", help="Sections to measure, such as accuracy,paths; all by default (see docs/evaluation.md)."
+    "--only", help="Sections to measure, separated by commas, such as accuracy,paths; all by default."
 )
-@click.option("--seeds", type=click.IntRange(1, 1000), help="Roll-outs of each type; 20 by default.")
-@click.option("--quick", is_flag=True, help="A small version: 3 seeds, shorter roll-outs.")
+@click.option("--seeds", type=click.IntRange(1, 1000), help="Roll-outs per type for accuracy; 20 by default.")
+@click.option("--quick", is_flag=True, help="Measure with 3 seeds and shorter roll-outs.")
 @click.option(
     "-o",
     "--output",
     type=click.Path(path_type=Path, dir_okay=False),
     multiple=True,
-    help="Write the report to a .md or .json file; may be given twice.",
+    help="Write the report to a .md or .json file; repeat it for both.",
 )
 @noise_options
 @seed_option()
@@ -53,12 +53,19 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Measure what MODEL does against the recordings of DATASET: the scoreboard.
+    """Measure MODEL against the recordings of DATASET and print its scoreboard.
 
-    MODEL is a model file, or the word bundled; DATASET a folder made by preprocess. Whether types are
-    obeyed, for how long motion lasts, how like recordings it is, how closely it follows paths, how soon
-    it responds, how smooth it is. docs/evaluation.md defines every number. It is a measurement: the exit code is 0
-    whether targets are reached or not.
+    MODEL is a model file, or the word bundled. DATASET is a folder made by preprocess. The sections are:
+
+    \b
+    accuracy        how often the motion shows the type asked for
+    stability       whether long roll-outs keep moving and stay on the floor
+    reconstruction  held-out clips, rolled out from their first frames
+    paths           distance from the paths to follow
+    response        seconds from a command to the response
+    smoothness      fastest joint in transitions that no clip contains
+
+    docs/evaluation.md defines every number. The exit code is 0 whether or not the targets are reached.
     """
     for file in output:
         if file.suffix.lower() not in (".md", ".json"):

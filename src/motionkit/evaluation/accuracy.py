@@ -1,4 +1,4 @@
-"""Action accuracy: does the motion show what was asked for? Of recordings first, then of the model's roll-outs."""
+"""Action accuracy: how often the motion shows the type that was asked for, in recordings and in roll-outs."""
 
 from __future__ import annotations
 
@@ -7,43 +7,43 @@ from dataclasses import dataclass
 
 from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
-from motionkit.evaluation.detectors import DETECTORS, HOLD, LEAST_WINDOW, sign_windows
+from motionkit.evaluation.detectors import DETECTORS, HOLD, LEAST_WINDOW, detection_windows
 from motionkit.evaluation.real import PROFILE_SECONDS, RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, neutral_types, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.models.checkpoint import MotionModel
 
-GRACE = 1.0  # seconds after a command that belong to the transition
-MEASURED_CONFUSION = 0.05  # smaller shares of another type are not listed
-# To reach (share of roll-outs) by a type with several training clips, and by one with a single clip.
+GRACE = 1.0  # seconds after a command that count as the transition
+MEASURED_CONFUSION = 0.05  # the report leaves out smaller shares of other types
+# Target share of roll-outs for a type with several training clips, and for one with a single clip.
 TARGET_MANY, TARGET_ONE = 0.95, 0.8
-TARGET_REAL = 0.95  # of the recorded windows of a type
-# Mean joint speed over the recordings', for types judged by their profile.
+TARGET_REAL = 0.95  # target share of the recorded windows of a type
+# Limits of mean joint speed relative to the recordings, for types judged by their motion profile.
 LIVELY = (0.7, 1.4)
 
 
 class Judge:
-    """Tells whether a stretch of motion shows a type: by the table of detectors, else by the profile of its recordings."""
+    """Decides whether motion shows a type: by the type's detector, else by the motion profile of its recordings."""
 
     def __init__(self, real: RealMotion) -> None:
         self.real = real
 
     def knows(self, kind: str) -> bool:
-        """Whether there is anything to judge a type by."""
+        """Whether a type has a detector or a motion profile."""
         return kind in DETECTORS or (kind in self.real.types and self.real.profile(kind) is not None)
 
     def window(self, kind: str) -> float:
-        """Seconds of the windows a type is judged by; 0 for a type that is performed once."""
+        """Length of a type's detection windows in seconds; 0 for a type that is performed once."""
         return DETECTORS[kind].window if kind in DETECTORS else PROFILE_SECONDS
 
-    def says(self, kind: str) -> str:
-        """The detector in words."""
+    def description(self, kind: str) -> str:
+        """Return the detector in words."""
         profile = None if kind in DETECTORS else self.real.profile(kind)
-        return DETECTORS[kind].says if profile is None else profile.says()
+        return DETECTORS[kind].description if profile is None else profile.description()
 
     def shows(self, kind: str, body: Body, without: int = -1) -> bool:
-        """Whether a window shows a type; without is the number of a clip whose poses do not count."""
+        """Whether a window shows a type. Poses of clip number `without` are left out of the comparison."""
         if kind in DETECTORS:
             return DETECTORS[kind].shows(body)
         profile = self.real.profile(kind)
@@ -51,15 +51,15 @@ class Judge:
         return profile.shows(body, self.real.pose_distances(body, without).mean(axis=0))
 
     def share(self, kind: str, body: Body) -> float:
-        """The share of a motion's windows that show a type."""
-        windows = sign_windows(body, self.window(kind))
+        """Return the share of a motion's windows that show a type."""
+        windows = detection_windows(body, self.window(kind))
         return sum(self.shows(kind, window) for window in windows) / len(windows)
 
-    def obeys(self, kind: str, body: Body) -> bool:
-        """Whether what was done from a command on is what was asked for.
+    def performs(self, kind: str, body: Body) -> bool:
+        """Whether the motion after a command performs the commanded type.
 
-        A type that is performed once has to come at least once. Any other has to show in HOLD of the
-        windows, from GRACE seconds after the command.
+        A type that is performed once must be detected at least once. Any other type must be detected in
+        a share HOLD of the windows, counted from GRACE seconds after the command.
         """
         if self.window(kind) == 0.0:
             return self.shows(kind, body)
@@ -68,12 +68,14 @@ class Judge:
 
 @dataclass(frozen=True)
 class Calibration:
-    """How recordings fare by the detector of a type.
+    """How recordings score on the detector of a type.
 
     Attributes:
-        windows: recorded windows of the type, shown of them that show it.
-        failing: clips with windows that do not.
-        others: for other types the share of their recorded windows that show it, if at least MEASURED_CONFUSION.
+        type: the name of the type.
+        windows: number of recorded windows of the type.
+        shown: number of these windows that the detector accepts.
+        failing: clips with rejected windows.
+        others: share of accepted windows for each other type, where it is at least MEASURED_CONFUSION.
     """
 
     type: str
@@ -84,14 +86,14 @@ class Calibration:
 
     @property
     def share(self) -> float | None:
-        """Of the type's own windows, None without any."""
+        """Share of the type's own windows that the detector accepts; None without windows."""
         return self.shown / self.windows if self.windows else None
 
 
 def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
-    """Hold recordings of all types, training and held-out ones, against the detector of each type.
+    """Run the detector of each type on the recordings of all types, training and held-out.
 
-    A recording is compared with the poses of other clips only. One shorter than half a window is too short to tell.
+    A recording is compared with the poses of other clips only. Recordings shorter than half a window are left out.
     """
     own: dict[str, list[bool]] = defaultdict(list)
     failing: dict[str, list[str]] = defaultdict(list)
@@ -100,7 +102,7 @@ def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
         for window in {judge.window(kind) for kind in kinds}:
             if stretch.body.seconds < LEAST_WINDOW * window:
                 continue
-            for part in sign_windows(stretch.body, window):
+            for part in detection_windows(stretch.body, window):
                 shown = _shown(judge, [k for k in kinds if judge.window(k) == window], part, stretch.clip)
                 for kind, shows in shown.items():
                     if kind != stretch.type:
@@ -128,7 +130,7 @@ def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
 def accuracy_section(
     model: MotionModel, judge: Judge, settings: EvaluationSettings, progress: Progress
 ) -> Section:
-    """The section of the scoreboard: the detectors on recordings, and on the model's roll-outs."""
+    """Measure the section: run the detectors on recordings and on the model's roll-outs."""
     kinds = tuple(kind for kind in model.types if judge.knows(kind))
     found = measure_accuracy(model, judge, settings, kinds, progress)
     real = {c.type: c for c in calibrate(judge, kinds)}
@@ -136,12 +138,19 @@ def accuracy_section(
     for each in found:
         own = real[each.type]
         rows.append((each.type, each.training_clips, each.share, each.joint_speed, own.share, own.windows))
-    columns = ("type", "training clips", "shown", "joint speed / real", "real windows that pass", "windows")
+    columns = (
+        "type",
+        "training clips",
+        "accuracy",
+        "joint speed / real",
+        "real windows detected",
+        "real windows",
+    )
     detectors = [
         (
             kind,
             f"{judge.window(kind):g} s" if judge.window(kind) else "once",
-            judge.says(kind),
+            judge.description(kind),
             ", ".join(f"{k} {v:.0%}" for k, v in sorted(real[kind].others.items(), key=lambda i: -i[1])),
             ", ".join(real[kind].failing),
         )
@@ -149,24 +158,25 @@ def accuracy_section(
     ]
     unknown = [kind for kind in model.types if kind not in kinds]
     notes = [
-        f"{settings.seeds} roll-outs a type: {NEUTRAL_SECONDS:g} s of {' or '.join(neutral_types(model))}, then "
-        f"{settings.seconds:g} s of the type; shown: the share of them that show its detector",
-        f"a lasting detector has to show in {HOLD:.0%} of its windows from {GRACE:g} s after the command, one of a type "
-        "performed once at least once",
-        "recordings of at least half a window are judged by the same detectors, against poses of other clips only",
+        f"{settings.seeds} roll-outs per type: {NEUTRAL_SECONDS:g} s of {' or '.join(neutral_types(model))}, then "
+        f"{settings.accuracy_seconds:g} s of the type; accuracy: share of roll-outs in which the type is detected",
+        f"a lasting type must be detected in {HOLD:.0%} of its windows, counted from {GRACE:g} s after the command; "
+        "a type that is performed once must be detected at least once",
+        "real windows: the same detectors on recordings of at least half a window, compared with poses of other "
+        "clips only",
     ]
     if unknown:
-        notes.append(f"not in the dataset, so not judged: {', '.join(unknown)}")
-    sign_columns = (
+        notes.append(f"not measured, because the dataset has no recordings: {', '.join(unknown)}")
+    detector_columns = (
         "type",
         "window",
         "detector",
-        "other types whose real windows pass",
-        "real clips that fail",
+        "detected in real windows of other types",
+        "real clips it misses",
     )
     tables = [
-        Table("Action accuracy: share of roll-outs that show the type", columns, rows),
-        Table("Detectors", sign_columns, detectors),
+        Table("Action accuracy per type", columns, rows),
+        Table("Detectors", detector_columns, detectors),
     ]
     return Section("accuracy", "Action accuracy", tables, _goals(found, real), notes)
 
@@ -176,22 +186,22 @@ def _goals(found: list[TypeAccuracy], real: dict[str, Calibration]) -> list[Goal
     for each in found:
         target = TARGET_ONE if each.training_clips == 1 else TARGET_MANY
         clips = "one training clip" if each.training_clips == 1 else ""
-        goals.append(Goal(f"{each.type} shown", each.share, f"≥ {target:.0%}", target, None, clips))
+        goals.append(Goal(f"accuracy of {each.type}", each.share, f"≥ {target:.0%}", target, None, clips))
         if each.type not in DETECTORS:
             limits = f"{LIVELY[0]:g} to {LIVELY[1]:g}"
-            goals.append(Goal(f"{each.type} joint speed / real", each.joint_speed, limits, *LIVELY))
+            goals.append(Goal(f"joint speed of {each.type} / real", each.joint_speed, limits, *LIVELY))
     shares = {kind: own.share for kind, own in real.items() if own.share is not None}
     failing = [kind for kind, share in shares.items() if share < TARGET_REAL]
     if shares:
         good = 1.0 - len(failing) / len(shares)
-        note = f"fewer: {', '.join(failing)}" if failing else ""
-        what = f"types whose detector ≥ {TARGET_REAL:.0%} of the real windows show"
+        note = f"below: {', '.join(failing)}" if failing else ""
+        what = f"types detected in ≥ {TARGET_REAL:.0%} of their real windows"
         goals.append(Goal(what, good, "all", 1.0, None, note))
     return goals
 
 
 def _shown(judge: Judge, kinds: list[str], body: Body, clip: int) -> dict[str, bool]:
-    """Which types a recorded window shows; the distances to poses are measured once for all."""
+    """Return which types a recorded window shows. One measurement of pose distances serves all types."""
     out = {kind: DETECTORS[kind].shows(body) for kind in kinds if kind in DETECTORS}
     profiles = {kind: judge.real.profile(kind) for kind in kinds if kind not in DETECTORS}
     if profiles:
@@ -202,12 +212,14 @@ def _shown(judge: Judge, kinds: list[str], body: Body, clip: int) -> dict[str, b
 
 @dataclass(frozen=True)
 class TypeAccuracy:
-    """How a model obeys a type.
+    """Action accuracy of one type.
 
     Attributes:
-        rollouts, shown: roll-outs, and those that show the detector.
-        joint_speed: mean joint speed over that of the recordings, None without any.
-        training_clips: recordings the type was learnt from.
+        type: the name of the type.
+        rollouts: number of roll-outs.
+        shown: number of roll-outs in which the type is detected.
+        joint_speed: mean joint speed divided by that of the recordings; None without recordings.
+        training_clips: number of training clips of the type.
     """
 
     type: str
@@ -218,7 +230,7 @@ class TypeAccuracy:
 
     @property
     def share(self) -> float:
-        """Of the roll-outs that show the type."""
+        """Share of the roll-outs in which the type is detected."""
         return self.shown / self.rollouts
 
 
@@ -229,17 +241,24 @@ def measure_accuracy(
     kinds: tuple[str, ...] | None = None,
     progress: Progress | None = None,
 ) -> list[TypeAccuracy]:
-    """Ask for every type in turn, from standing and from walking, and see how often it comes.
+    """Command every type in turn, from standing and from walking, and count how often it is performed.
 
-    Each roll-out starts with NEUTRAL_SECONDS of a neutral type, then is asked for its type for some
-    seconds, with the phase and the recorded track `synthesize` gives it.
+    Each roll-out performs a neutral type for NEUTRAL_SECONDS and is then commanded its own type for
+    settings.accuracy_seconds, with the phase and the reference poses of `synthesize`.
+
+    Args:
+        kinds: the types to measure; all types of the model if None.
     """
     kinds = tuple(k for k in (kinds or model.types) if judge.knows(k))
     neutral = neutral_types(model)
     seeds = settings.seeds
     plans = [
         Plan(
-            (TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS), TypePart(kind, settings.seconds)), seed
+            (
+                TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS),
+                TypePart(kind, settings.accuracy_seconds),
+            ),
+            seed,
         )
         for kind in kinds
         for seed in range(seeds)
@@ -256,7 +275,7 @@ def measure_accuracy(
             TypeAccuracy(
                 kind,
                 seeds,
-                sum(judge.obeys(kind, body) for body in bodies),
+                sum(judge.performs(kind, body) for body in bodies),
                 sum(speeds) / len(speeds) / profile.joint_speed if profile else None,
                 len(clips),
             )

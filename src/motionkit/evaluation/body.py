@@ -1,7 +1,6 @@
-"""What a body does, frame by frame: the tracks that the kinematic signs of motion types are read from.
+"""Kinematic measures of a body per frame, from which the detectors of motion types are computed.
 
-Inside this room tracks are in metres and seconds where a sign is about speed over the ground, as people
-speak of it; heights stay in cm, as everywhere in motionkit.
+Speed over the ground is in m/s here, as gait studies give it. Heights are in cm, as elsewhere in motionkit.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ ARMS = tuple((_AT(f"{s}Arm"), _AT(f"{s}ForeArm"), _AT(f"{s}Hand")) for s in ("Le
 HANDS = tuple(hand for _, _, hand in ARMS)
 
 STANDING_ANKLE, STANDING_TOE = STANDING_HEIGHTS[:2]
-OFF_GROUND = 1.5  # cm that both feet are lifted by in a jump
-# In the flight of a run both feet are this far (cm) above where the lower one is otherwise, and move
-# along the ground at least this fast (cm/s). The clip's own level counts: runs are short and their floors uncertain.
+OFF_GROUND = 1.5  # cm; in a jump both feet are at least this high
+# In the flight phase of a run both feet are this far (cm) above the usual height of the lower foot and move at
+# least this fast (cm/s). The height is relative to the clip, because runs are short and their floor is uncertain.
 RUN_LIFT, RUN_FOOT_SPEED = 2.0, 80.0
-SPEED_SPAN = 0.2  # seconds over which speed over the ground is taken
+SPEED_SPAN = 0.2  # seconds over which ground speed is measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +40,7 @@ class Body:
 
     Attributes:
         rotations: (T, 23, 4) local rotations.
-        positions: (T, 23, 3) joints in cm, the floor at height zero.
+        positions: (T, 23, 3) global joint positions in cm; the floor is at height zero.
         heading: (T,) radians.
         fps: frames per second.
     """
@@ -56,23 +55,23 @@ class Body:
 
     @property
     def seconds(self) -> float:
-        """Duration."""
+        """Duration in seconds."""
         return len(self) / self.fps
 
     def cut(self, start: int, end: int) -> Body:
-        """Frames start to end (exclusive)."""
+        """Return frames start to end (exclusive)."""
         part = slice(start, end)
         return Body(self.rotations[part], self.positions[part], self.heading[part], self.fps)
 
     def every(self, step: int) -> Body:
-        """Every step-th frame."""
+        """Return every step-th frame."""
         return Body(self.rotations[::step], self.positions[::step], self.heading[::step], self.fps / step)
 
     # ---- over the ground ----
 
     @cached_property
     def velocity(self) -> Array:
-        """(T, 2) m/s of the root over the ground: to its left and ahead, each over SPEED_SPAN."""
+        """(T, 2) velocity of the root over the ground in m/s, to its left and ahead, measured over SPEED_SPAN."""
         span = min(max(1, round(SPEED_SPAN * self.fps)), len(self) - 1)
         ground = self.positions[:, HIPS, [0, 2]]
         steps = (ground[span:] - ground[:-span]) * (self.fps / span / 100.0)
@@ -84,14 +83,14 @@ class Body:
 
     @cached_property
     def speed(self) -> Array:
-        """(T,) m/s of the root over the ground."""
+        """(T,) speed of the root over the ground in m/s."""
         return np.linalg.norm(self.velocity, axis=-1)
 
     # ---- feet ----
 
     @cached_property
     def lifts(self) -> Array:
-        """(T, 2) cm by which the left and the right foot are off the ground, its lower end counting."""
+        """(T, 2) height of the left and right foot above the ground in cm, at the lower of ankle and toe."""
         feet = self.positions[..., 1]
         left = np.minimum(feet[:, LEFT_FOOT] - STANDING_ANKLE, feet[:, LEFT_TOE] - STANDING_TOE)
         right = np.minimum(feet[:, RIGHT_FOOT] - STANDING_ANKLE, feet[:, RIGHT_TOE] - STANDING_TOE)
@@ -99,15 +98,15 @@ class Body:
 
     @cached_property
     def flights(self) -> list[tuple[int, int]]:
-        """Stretches (start, end) of frames with both feet off the ground."""
+        """Stretches (start, end) of frames in which both feet are off the ground."""
         return spans(self.lifts.min(axis=-1) > OFF_GROUND)
 
     def flight_seconds(self) -> float:
-        """The longest flight."""
+        """Return the length of the longest flight in seconds."""
         return max((end - start for start, end in self.flights), default=0) / self.fps
 
     def stride_flight_frames(self) -> int:
-        """The longest stretch in which both feet swing, as between the steps of a run."""
+        """Return the longest stretch, in frames, in which both feet swing, as between the steps of a run."""
         feet = self.positions[:, [LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE]][..., [0, 2]]
         speeds = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * self.fps
         lower = self.lifts.min(axis=-1)
@@ -117,7 +116,7 @@ class Body:
 
     @cached_property
     def foot_lead(self) -> Array:
-        """(T,) cm by which the left ankle is ahead of the right one."""
+        """(T,) distance of the left ankle ahead of the right one in cm."""
         difference = self.positions[:, LEFT_FOOT] - self.positions[:, RIGHT_FOOT]
         return difference[:, 0] * np.sin(self.heading) + difference[:, 2] * np.cos(self.heading)
 
@@ -125,32 +124,32 @@ class Body:
 
     @cached_property
     def turned(self) -> Array:
-        """(T, 3) radians the hips have turned about their own axes: forwards, about the spine, to the right."""
+        """(T, 3) angle in radians the hips have turned about their axes: forwards, about the spine, to the right."""
         hips = self.rotations[:, HIPS]
         steps = quat_to_expmap(quat_multiply(quat_inverse(hips[:-1]), hips[1:]))
         return np.concatenate([np.zeros((1, 3), np.float32), np.cumsum(steps, axis=0)])
 
     @cached_property
     def head_height(self) -> Array:
-        """(T,) cm of the head above the hips."""
+        """(T,) height of the head above the hips in cm."""
         return self.positions[:, HEAD, 1] - self.positions[:, HIPS, 1]
 
     @cached_property
     def ankle_height(self) -> Array:
-        """(T,) cm of the higher ankle above the hips."""
+        """(T,) height of the higher ankle above the hips in cm."""
         ankles = self.positions[:, [LEFT_FOOT, RIGHT_FOOT], 1]
         return ankles.max(axis=-1) - self.positions[:, HIPS, 1]
 
     @cached_property
     def hand_heights(self) -> Array:
-        """(T, 2) cm of the hands above the floor."""
+        """(T, 2) height of the hands above the floor in cm."""
         return self.positions[:, list(HANDS), 1]
 
     # ---- arms ----
 
     @cached_property
     def arm_extension(self) -> Array:
-        """(T, 2) distance from shoulder to hand as a share of the straight arm's."""
+        """(T, 2) distance from shoulder to hand divided by the length of the arm."""
         out = []
         for shoulder, elbow, hand in ARMS:
             joints = self.positions[:, [shoulder, elbow, hand]]
@@ -160,7 +159,7 @@ class Body:
 
     @cached_property
     def arm_ahead(self) -> Array:
-        """(T, 2) cosine of the angle between the way the body faces and that from each shoulder to its hand."""
+        """(T, 2) cosine of the angle between the facing direction and the direction from each shoulder to its hand."""
         facing = np.stack([np.sin(self.heading), np.cos(self.heading)], axis=-1)
         out = []
         for shoulder, _, hand in ARMS:
@@ -172,7 +171,7 @@ class Body:
 
     @cached_property
     def arm_thrust(self) -> Array:
-        """(T, 2) cm/s at which each hand moves away from its shoulder."""
+        """(T, 2) speed at which each hand moves away from its shoulder in cm/s."""
         reach = np.stack(
             [np.linalg.norm(self.positions[:, h] - self.positions[:, s], axis=-1) for s, _, h in ARMS],
             axis=-1,
@@ -183,15 +182,15 @@ class Body:
     # ---- the whole body ----
 
     def joint_speed(self) -> float:
-        """Mean speed in rad/s at which the joints but the root turn."""
+        """Return the mean angular speed of all joints but the root in rad/s."""
         return float(geodesic_movement(self.rotations)[:, 1:].mean() * (np.pi / 180.0) * self.fps)
 
     def body_movement(self) -> float:
-        """BM in degrees per frame (metric bm-euler), extreme frames included."""
+        """Return body movement in degrees per frame (metric bm-euler), extreme frames included."""
         return float(euler_movement(self.rotations).sum(axis=-1).mean())
 
     def poses(self, every: int = 1) -> Array:
-        """(T', 69) joints in cm relative to the root's place on the ground, turned to the heading."""
+        """Return (T', 69) joint positions in cm relative to the ground below the root, turned to its heading."""
         positions = self.positions[::every]
         root = positions[:, HIPS] * np.array([1.0, 0.0, 1.0], np.float32)
         turn = quat_from_yaw(-self.heading[::every])
@@ -199,18 +198,18 @@ class Body:
 
 
 def body_of(motion: Motion) -> Body:
-    """The body of a motion on the canonical joints."""
+    """Return the body of a motion on the canonical joints."""
     return bodies(motion.local_rotations[None], motion.root_positions[None], motion.skeleton, motion.fps)[0]
 
 
 def bodies(rotations: Array, root_positions: Array, skeleton: Skeleton, fps: float) -> list[Body]:
-    """Bodies of B motions of equal length: local rotations (B, T, 23, 4), root positions (B, T, 3)."""
+    """Return bodies of B motions of equal length: local rotations (B, T, 23, 4), root positions (B, T, 3) in cm."""
     _, positions = forward_kinematics(rotations, root_positions, skeleton.offsets, skeleton.parents)
     return [Body(r, p, heading_angles(p, fps), fps) for r, p in zip(rotations, positions, strict=True)]
 
 
 def spans(flags: Array) -> list[tuple[int, int]]:
-    """Stretches (start, end) in which flags (T,) hold."""
+    """Return the stretches (start, end) of frames in which flags (T,) are true."""
     edges = np.diff(np.pad(flags.astype(np.int8), 1))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

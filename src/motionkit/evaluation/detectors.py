@@ -1,7 +1,7 @@
-"""The kinematic detectors of the motion types: one table. By them a motion is told to be what was asked for.
+"""Kinematic detectors of the motion types, in one table: does a motion show the type that was asked for?
 
-Every threshold stands in the row of its type. They are calibrated on real clips (docs/evaluation.md
-shows how many of them pass, and what else each sign answers to).
+The thresholds are calibrated on recordings. `motionkit evaluate` reports how many recordings each detector
+accepts, and recordings of which other types.
 """
 
 from __future__ import annotations
@@ -15,29 +15,29 @@ from numpy.lib.stride_tricks import sliding_window_view
 from motionkit.arrays import lower_median
 from motionkit.evaluation.body import Body, spans
 
-HOLD = 0.8  # share of the windows that must show a lasting sign
-STRIDE = 0.25  # of a window, from one to the next
-LEAST_WINDOW = 0.5  # of a window: what is shorter is too short to tell
+HOLD = 0.8  # share of the windows in which a lasting type must be detected
+STRIDE = 0.25  # of a window, between the starts of two windows
+LEAST_WINDOW = 0.5  # of a window; shorter recordings are not judged
 
 
 @dataclass(frozen=True)
 class Detector:
-    """How a type shows.
+    """The detector of one type.
 
     Attributes:
-        says: the sign in words, thresholds included.
-        shows: whether a stretch of motion shows it.
-        window: seconds of the windows that are looked at one by one, for a type that lasts; 0 for a
-            type that is performed once, for which all the time is looked at together.
+        description: the condition in words, with its thresholds.
+        shows: whether a stretch of motion shows the type.
+        window: length in seconds of the windows that are judged one by one, for a lasting type; 0 for a
+            type that is performed once, which is judged over the whole motion.
     """
 
-    says: str
+    description: str
     shows: Callable[[Body], bool]
     window: float = 0.0
 
 
-def sign_windows(body: Body, window: float) -> list[Body]:
-    """The windows of a motion: all of it if it is shorter than a window or window is 0."""
+def detection_windows(body: Body, window: float) -> list[Body]:
+    """Return the windows of a motion; the whole motion if it is shorter than a window or if window is 0."""
     size = round(window * body.fps)
     if size <= 0 or len(body) <= size:
         return [body]
@@ -45,11 +45,11 @@ def sign_windows(body: Body, window: float) -> list[Body]:
     return [body.cut(start, start + size) for start in starts]
 
 
-# ---- standing and going ----
+# ---- standing and locomotion ----
 
 
 def _steps(body: Body) -> bool:
-    """Whether the legs swing against each other."""
+    """Whether the legs swing alternately."""
     return float(body.foot_lead.max() - body.foot_lead.min()) > 25.0
 
 
@@ -58,9 +58,9 @@ def _idle(body: Body) -> bool:
     return float(body.speed.mean()) < 0.15 and standing and body.joint_speed() < 1.0
 
 
-def _goes(body: Body, slowest: float, fastest: float, way: float) -> bool:
+def _goes(body: Body, slowest: float, fastest: float, direction: float) -> bool:
     speed, ahead = float(body.speed.mean()), float(body.velocity[:, 1].mean())
-    return slowest <= speed <= fastest and way * ahead >= 0.5 * speed and _steps(body)
+    return slowest <= speed <= fastest and direction * ahead >= 0.5 * speed and _steps(body)
 
 
 def _walking(body: Body) -> bool:
@@ -78,12 +78,12 @@ def _running(body: Body) -> bool:
 # ---- jumps ----
 
 JUMP_SECONDS = 0.2
-TAKE_OFF_SECONDS = 0.15  # before a flight, in which the foot that pushes is told
-ONE_FOOT = 5.0  # cm by which the other foot is higher, then
+TAKE_OFF_SECONDS = 0.15  # before a flight, in which the take-off foot is found
+ONE_FOOT = 5.0  # cm; in a take-off from one foot the other is at least this much higher
 
 
 def take_offs(body: Body) -> list[str]:
-    """The feet that each flight of at least JUMP_SECONDS starts from: "l", "r" or "b"."""
+    """Return the take-off foot of each flight of at least JUMP_SECONDS: "l", "r" or "b" for both."""
     out = []
     before = round(TAKE_OFF_SECONDS * body.fps)
     for start, end in body.flights:
@@ -141,11 +141,17 @@ def _punching(body: Body) -> bool:
 
 @dataclass(frozen=True)
 class Turn:
-    """One time that the head is below the hips.
+    """One turn of the body with the head below the hips.
 
-    forwards, spin, sideways: radians the hips turn about their own axes, from 0.75 s before to 0.75 s
-    after; sideways without its sign. hands, hips: lowest heights in cm meanwhile. seconds: for how long.
-    recovers: whether the head is up again within 1.5 s.
+    Attributes:
+        forwards, spin, sideways: angles in radians the hips turn about their own axes, from 0.75 s before to
+            0.75 s after the head is below them. Only forwards has a sign.
+        hands: lowest height of a hand above the floor in cm while the head is below the hips.
+        hips: lowest height of the hips above the floor in cm.
+        ankles: largest height of an ankle above the hips in cm.
+        flight: longest flight in seconds.
+        seconds: time for which the head is below the hips.
+        recovers: whether the head is up again within 1.5 s.
     """
 
     forwards: float
@@ -160,7 +166,7 @@ class Turn:
 
 
 def turns(body: Body) -> list[Turn]:
-    """Every time the body turns over, pauses of less than 0.2 s not counting."""
+    """Return every turn of the body with the head below the hips; pauses below 0.2 s do not separate two turns."""
     found: list[tuple[int, int]] = []
     for start, end in spans(body.head_height < 0.0):
         if found and start - found[-1][1] < 0.2 * body.fps:
@@ -174,7 +180,7 @@ def turns(body: Body) -> list[Turn]:
         turned = body.turned[near]
         reach = turned.max(axis=0) - turned.min(axis=0)
         forwards = turned[:, 0]
-        # Forwards keeps its sign: that of the larger way.
+        # The sign of forwards is that of the larger deviation.
         ahead = float(forwards.max() - forwards[0]) > float(forwards[0] - forwards.min())
         out.append(
             Turn(
@@ -209,18 +215,16 @@ def _duck(body: Body) -> bool:
 
 DETECTORS: dict[str, Detector] = {
     "idle": Detector(
-        "slower than 0.15 m/s, joints slower than 1 rad/s, both feet mostly within 10 cm of the ground",
+        "root below 0.15 m/s, joints below 1 rad/s, both feet mostly within 10 cm of the ground",
         _idle,
         2.0,
     ),
     "walking": Detector(
-        "0.4 to 2 m/s, mostly the way it faces, legs swing, no flight of 0.05 s", _walking, 2.0
+        "0.4 to 2 m/s, mostly in the facing direction, legs swing, no flight of 0.05 s", _walking, 2.0
     ),
-    "b-walking": Detector(
-        "0.3 to 2 m/s, mostly against the way it faces, legs swing, no flight of 0.05 s", _backwards, 2.0
-    ),
+    "b-walking": Detector("0.3 to 2 m/s, mostly backwards, legs swing, no flight of 0.05 s", _backwards, 2.0),
     "running": Detector(
-        "1.4 to 8 m/s, mostly the way it faces, legs swing, a flight of 2 frames", _running, 2.0
+        "1.4 to 8 m/s, mostly in the facing direction, legs swing, a flight of 2 frames", _running, 2.0
     ),
     "jumping-b": Detector("at least half of the flights of 0.2 s start from both feet", _jumps("b"), 3.0),
     "jumping-l": Detector("at least half of the flights of 0.2 s start from the left foot", _jumps("l"), 3.0),
@@ -229,12 +233,12 @@ DETECTORS: dict[str, Detector] = {
     ),
     "kicking": Detector("an ankle above the hips, head up, hands 40 cm off the ground", _kicking, 4.0),
     "punching": Detector(
-        "a bent arm thrusts at 0.65 m/s and is straight to 90 % within 0.5 s, ahead and 20 cm above the hips",
+        "a bent arm extends at 0.65 m/s to 90 % of its length within 0.5 s, forwards and 20 cm above the hips",
         _punching,
         6.0,
     ),
     "w-kicking": Detector(
-        "an ankle 30 cm above the hips, a flight of 0.2 s and a spin of 4 rad around it", _whirl_kick
+        "an ankle 30 cm above the hips, with a flight of 0.2 s and a spin of 4 rad within 0.75 s", _whirl_kick
     ),
     "cartwheel": Detector(
         "head below hips and up again, hands within 25 cm of the ground, turned sideways by 3 rad, hips above 50 cm",
@@ -259,10 +263,8 @@ DETECTORS: dict[str, Detector] = {
         _turns_over(lambda t: t.forwards > 2.5 and t.hips < 40.0),
     ),
     "twist": Detector(
-        "head below hips and up again, a flight of 0.3 s, spun about the spine by 4 rad",
+        "head below hips and up again, a flight of 0.3 s, a spin of 4 rad about the spine",
         _turns_over(lambda t: t.spin > 4.0 and t.flight > 0.3),
     ),
-    "duck": Detector(
-        "at least 1 m/s; head down to 5 cm above the hips or lower and up again, feet staying down", _duck
-    ),
+    "duck": Detector("at least 1 m/s; head below 5 cm above the hips and up again, feet low", _duck),
 }

@@ -1,4 +1,4 @@
-"""How closely the model follows paths (paper 5.2), several characters on each."""
+"""Path following (paper 5.2): the distance of the root from each path, for several characters."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from motionkit.inference.rollout import FrameControls
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.checkpoint import MotionModel
 
-PATIENCE = 1.6  # times the expected duration, after which the end is given up
+PATIENCE = 1.6  # times the expected duration, after which a character gives up
 
 
 @dataclass(frozen=True)
 class PathTrial:
-    """A path to follow: its name, the types on it, and the largest mean distance (cm a frame) to reach."""
+    """A path with its name and its target: the largest mean distance in cm."""
 
     name: str
     path: Path2D
@@ -30,7 +30,7 @@ class PathTrial:
 
 
 def path_trials() -> list[PathTrial]:
-    """The paths of the scoreboard."""
+    """Return the paths of the scoreboard."""
     corner = SHAPES["pentagram"](6.0 * METRE)[:3]
     return [
         PathTrial("line 10 m, walking", shape_path("line", 10.0, ["walking"], None), 0.8),
@@ -51,7 +51,7 @@ def path_trials() -> list[PathTrial]:
 
 
 def _line(*parts: tuple[str, float]) -> Path2D:
-    """A straight path with types on stretches of some metres."""
+    """Return a straight path of stretches, each with a type and a length in metres."""
     out, at = [], 0.0
     for kind, metres in parts:
         ends = np.array([[0.0, at], [0.0, at + metres * METRE]], np.float32)
@@ -61,7 +61,7 @@ def _line(*parts: tuple[str, float]) -> Path2D:
 
 
 class _Walker:
-    """One character on a path: a Controller that remembers when it reached the end."""
+    """A controller of one character on a path; it remembers when the end was reached."""
 
     def __init__(self, model: MotionModel, trial: PathTrial) -> None:
         self.follower = PathFollower(model, trial.path)
@@ -70,7 +70,7 @@ class _Walker:
         self._asked: FrameControls | None = None
 
     def __call__(self, frame: int, ground: Array) -> FrameControls:
-        if self._asked is not None and self.over:  # it waits for the others
+        if self._asked is not None and self.over:  # waits for the other characters
             return self._asked
         self._asked = self.follower(frame, ground)
         self.frames = frame + 1
@@ -79,18 +79,18 @@ class _Walker:
 
     @property
     def over(self) -> bool:
-        """Whether the end is reached or given up."""
+        """Whether the character reached the end or gave up."""
         return self.finished or self.frames >= self.limit
 
 
 def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Progress) -> Section:
-    """The section of the scoreboard: mean and largest distance from each path, and whether its end was reached."""
+    """Measure the section: mean and largest distance from each path, and how often its end was reached."""
     trials = [t for t in path_trials() if {p.type for p in t.path.parts} <= set(model.types)]
-    table_columns = ("path", "cm a frame", "largest, cm", "finished", "seconds")
+    table_columns = ("path", "mean distance, cm", "largest distance, cm", "finished", "seconds")
     if not trials:
-        note = "the model knows the types of none of the paths"
-        return Section("paths", "Paths", [], [], [note])
-    walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.few)]
+        note = "not measured: every path needs a type the model does not have"
+        return Section("paths", "Path following", [], [], [note])
+    walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.repeats)]
     starts = np.stack([_start(walker.follower) for walker in walkers])
     kinds = [walker.follower.path.parts[0].type for walker in walkers]
     performed = roll_controlled(
@@ -106,7 +106,7 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
     )
     rows, goals = [], []
     for number, trial in enumerate(trials):
-        mine = range(number * settings.few, (number + 1) * settings.few)
+        mine = range(number * settings.repeats, (number + 1) * settings.repeats)
         means, largest, finished, seconds = [], [], 0, []
         for i in mine:
             track = performed[i].body.positions[: walkers[i].frames, 0, [0, 2]]
@@ -119,17 +119,21 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
         ends = f"{finished} of {len(means)}"
         rows.append((trial.name, mean, max(largest), ends, sum(seconds) / len(seconds)))
         note = "" if finished == len(means) else f"finished {ends}"
-        goals.append(Goal(f"{trial.name}, cm a frame", mean, f"≤ {trial.target:g}", None, trial.target, note))
+        goals.append(
+            Goal(f"{trial.name}: mean distance, cm", mean, f"≤ {trial.target:g}", None, trial.target, note)
+        )
     notes = [
-        f"{settings.few} characters a path, at each type's usual speed; nearest distance of the root's track to the "
-        "path (path-mean, path-max), over all frames until the end; means over characters, the largest of all",
-        f"an end not reached in {PATIENCE:g} times the expected time and 3 s is given up",
+        f"{settings.repeats} characters per path, each type at its usual speed; distance: from the root to the nearest "
+        "point of the path (path-mean, path-max), over all frames until the end; mean over characters, and the largest",
+        f"a character gives up after {PATIENCE:g} times the expected time plus 3 s",
     ]
-    return Section("paths", "Paths", [Table("Distance from paths", table_columns, rows)], goals, notes)
+    return Section(
+        "paths", "Path following", [Table("Distance from the path", table_columns, rows)], goals, notes
+    )
 
 
 def _start(follower: PathFollower) -> Array:
-    """Root x, z and heading (3,) at the start of a path."""
+    """Return root x, z and heading (3,) at the start of a path."""
     tangent = follower.path.tangents[0]
     heading = math.atan2(float(tangent[0]), float(tangent[1])) - float(follower.facings[0])
     return np.array([*follower.path.points[0], heading], np.float32)

@@ -1,4 +1,4 @@
-"""Reconstruction to held-out recordings (the paper's tables): their first frames and controls in, the rest rolled out."""
+"""Reconstruction of held-out clips (the paper's tables): roll out a clip from its first frames and its controls."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion
 
-SHORTEST_REST = 30  # frames after the first INIT_FRAMES that a clip needs to be compared
+SHORTEST_REST = 30  # frames a clip needs after its first INIT_FRAMES
 METRICS = ("bm-euler", "afs", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
-MATCH_FRAMES = (0, 10, 20, 30)  # before the roll-out begins: poses the nearest clip is sought by
-# What the recording itself would get if it were played so many frames too late: what a score of similarity asks for.
-LATE = {"3 frames late": 3, "20 frames late": 20}
-WAYS = ("ground truth", "model", "model with IK", *LATE, "last frame", "nearest clip")
+MATCH_FRAMES = (0, 10, 20, 30)  # frames before the roll-out whose poses the nearest clip must match
+# The recording itself, delayed by this many frames: a scale for the other scores.
+DELAYS = {"3 frames late": 3, "20 frames late": 20}
+VARIANTS = ("ground truth", "model", "model with IK", *DELAYS, "last frame", "nearest clip")
 
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A held-out clip: its data, and its motion on the default body."""
+    """A held-out clip: its main type, data, motion on the default body, and the number of frames to roll out."""
 
     type: str
     data: ClipData
@@ -45,12 +45,12 @@ class HeldOut:
 
     @property
     def rest(self) -> Motion:
-        """What is to be rolled out."""
+        """The recorded motion of the frames to roll out."""
         return self.motion.cut(INIT_FRAMES, INIT_FRAMES + self.frames)
 
 
 def held_out_clips(model: MotionModel, dataset: Dataset, longest: float) -> list[HeldOut]:
-    """The test clips that are long enough and of types the model knows, the rest cut to longest seconds."""
+    """Return the test clips that are long enough and whose types the model has; roll-outs last at most `longest` s."""
     out = []
     limit = round(longest * model.fps)
     for clip in dataset.select("test"):
@@ -58,7 +58,7 @@ def held_out_clips(model: MotionModel, dataset: Dataset, longest: float) -> list
             continue
         data = dataset.read(clip)
         frames = min(limit, clip.frames - INIT_FRAMES)
-        # The kind of most frames that are rolled out.
+        # The type of most of the frames to roll out.
         kinds = data.types[INIT_FRAMES : INIT_FRAMES + frames]
         if set(dataset.types[k] for k in np.unique(data.types).tolist()) <= set(model.types):
             kind = dataset.types[int(np.bincount(kinds).argmax())]
@@ -86,12 +86,12 @@ def roll_like(
 ) -> list[Performance]:
     """Roll out every clip from its first INIT_FRAMES with its own types, trajectory and phase.
 
-    Guided as along a path: gaits not at all, other types by recordings of the training clips.
+    Reference poses are those of path following: none for gaits, poses of training clips for the other types.
     """
     frames = max(clip.frames for clip in clips)
     places = np.array([model.type_id(k) if k in model.types else 0 for k in dataset.types])
     weights, trajectories, clocks = [], [], []
-    # A clip that is rolled out several times has its references once.
+    # A clip that is rolled out several times needs its reference poses once.
     references_of = {clip: clip_references(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
     references = [references_of[clip] for clip in clips]
     for clip in clips:
@@ -102,12 +102,12 @@ def roll_like(
     first = np.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
     weight, trajectory, clock = (np.stack(v, axis=1) for v in (weights, trajectories, clocks))
     given = np.ones(len(clips), np.float32)
-    reference, reference_gain, phase, way = (
+    reference, reference_gain, phase, reference_trajectory = (
         np.stack([getattr(g, name) for g in references], axis=1)
         for name in ("reference", "reference_gain", "phase", "trajectory")
     )
     clock = np.where(reference_gain > 0.0, phase, clock)
-    trajectory = np.where(reference_gain[..., None] > 0.0, way, trajectory)
+    trajectory = np.where(reference_gain[..., None] > 0.0, reference_trajectory, trajectory)
 
     def controls(frame: int, ground: Array) -> FrameControls:
         return FrameControls(
@@ -126,7 +126,7 @@ def roll_like(
 
 
 def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Signals:
-    """Guides for the types a clip shows after its first INIT_FRAMES, the last type to the end."""
+    """Return reference poses for the types of a clip after its first INIT_FRAMES; the last type lasts to the end."""
     types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
     player = ReferencePlayer(model)
     near: Array | None = last_poses(model, clip.data.features[:INIT_FRAMES])
@@ -135,28 +135,28 @@ def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames:
     for start, end, kind in type_stretches(types):
         name = dataset.types[kind]
         ahead = np.minimum(np.arange(start, frames if end == len(types) else end) + INIT_FRAMES, last)
-        ways = future_trajectory(clip.data.ground, ahead)
-        player.begin(name, near, trajectory=ways[0])
+        trajectories = future_trajectory(clip.data.ground, ahead)
+        player.begin(name, near, trajectory=trajectories[0])
         near = None
-        asked = player.play(len(ways), ways)
+        asked = player.play(len(trajectories), trajectories)
         steered = name in STEERED_TYPES or name not in model.types
         parts.append(replace(asked, reference_gain=np.zeros_like(asked.reference_gain)) if steered else asked)
     return Signals.joined(parts)
 
 
 class NearestClip:
-    """A floor to beat: the training clip that begins most alike, played on."""
+    """A baseline: the continuation of the training clip whose poses match the first frames best."""
 
     def __init__(self, model: MotionModel, dataset: Dataset, real: RealMotion) -> None:
         self.model, self.dataset, self.real = model, dataset, real
 
     def continues(self, clip: HeldOut, body: Body) -> Motion:
-        """Training motion as long as the clip's rest, placed and turned to go on where the clip stands."""
+        """Return training motion as long as the roll-out, moved and turned to continue the clip's first frames."""
         recent = [INIT_FRAMES - 1 - back for back in MATCH_FRAMES]
         wanted = body.poses()[recent]
         best: tuple[float, int, int] = (float("inf"), 0, 0)
         for number, found in self.real.training.items():
-            # The end of a clip that is too short is held; a whole second has to be left.
+            # A clip that ends early holds its last frame. At least one second must remain.
             usable = len(found) - round(self.real.fps)
             if usable <= MATCH_FRAMES[-1]:
                 continue
@@ -178,7 +178,7 @@ class NearestClip:
 
 
 def _frozen(clip: HeldOut) -> Motion:
-    """The last given frame, held."""
+    """Return the last given frame, held."""
     still = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES)
     return Motion(
         still.skeleton,
@@ -191,43 +191,43 @@ def _frozen(clip: HeldOut) -> Motion:
 def reconstruction_section(
     model: MotionModel, dataset: Dataset, real: RealMotion, settings: EvaluationSettings, progress: Progress
 ) -> Section:
-    """The section of the scoreboard: the model beside ground truth and floors, per type and overall."""
-    clips = held_out_clips(model, dataset, settings.reconstruction)
+    """Measure the section: the model beside ground truth and baselines, per type and overall."""
+    clips = held_out_clips(model, dataset, settings.reconstruction_seconds)
     if not clips:
-        note = f"left out: the dataset has no held-out clips of at least {INIT_FRAMES + SHORTEST_REST} frames"
-        return Section("reconstruction", "Reconstruction to held-out clips", [], [], [note])
-    drawn = clips * settings.few
-    rolled = roll_like(model, dataset, drawn, settings, lambda share: progress(0.5 * share))
+        note = f"not measured: the dataset has no held-out clips of at least {INIT_FRAMES + SHORTEST_REST} frames"
+        return Section("reconstruction", "Reconstruction of held-out clips", [], [], [note])
+    repeated = clips * settings.repeats
+    rolled = roll_like(model, dataset, repeated, settings, lambda share: progress(0.5 * share))
     nearest = NearestClip(model, dataset, real)
     sums: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
-    for number, (clip, made) in enumerate(zip(drawn, rolled, strict=True)):
+    for number, (clip, made) in enumerate(zip(repeated, rolled, strict=True)):
         motion = made.motion(model).cut(0, clip.frames)
         candidates = {"model": motion, "model with IK": lock_feet(motion, made.contacts[: clip.frames])}
         if number < len(clips):
             candidates |= {
-                way: clip.motion.cut(INIT_FRAMES - late, INIT_FRAMES - late + clip.frames)
-                for way, late in LATE.items()
+                name: clip.motion.cut(INIT_FRAMES - delay, INIT_FRAMES - delay + clip.frames)
+                for name, delay in DELAYS.items()
             }
             candidates["last frame"] = _frozen(clip)
             candidates["nearest clip"] = nearest.continues(clip, body_of(clip.motion.cut(0, INIT_FRAMES)))
-        for way, candidate in candidates.items():
+        for variant, candidate in candidates.items():
             report = evaluate_motion(candidate, clip.rest)
             for row in report.rows:
                 if row.id not in METRICS or row.motion.value is None or row.ground_truth is None:
                     continue
                 for group in (clip.type, "all"):
-                    sums[group, way][row.id].append((row.motion.value, float(clip.frames)))
-                    if way == "model" and row.ground_truth.value is not None:
+                    sums[group, variant][row.id].append((row.motion.value, float(clip.frames)))
+                    if variant == "model" and row.ground_truth.value is not None:
                         sums[group, "ground truth"][row.id].append(
                             (row.ground_truth.value, float(clip.frames))
                         )
-        progress(0.5 + 0.5 * (number + 1) / len(drawn))
+        progress(0.5 + 0.5 * (number + 1) / len(repeated))
     groups = ["all", *sorted({clip.type for clip in clips})]
     means = {key: {m: _mean(values) for m, values in found.items()} for key, found in sums.items()}
     rows = [
-        (group, way, *(means.get((group, way), {}).get(m) for m in METRICS))
+        (group, variant, *(means.get((group, variant), {}).get(m) for m in METRICS))
         for group in groups
-        for way in WAYS
+        for variant in VARIANTS
     ]
     columns = ("type", "motion", *METRICS)
     counts = [
@@ -235,31 +235,32 @@ def reconstruction_section(
         for group in groups
     ]
     tables = [
-        Table("Reconstruction", columns, rows),
+        Table("Metrics per type", columns, rows),
         Table("Held-out clips", ("type", "clips", "seconds compared"), counts),
     ]
     notes = [
-        f"the first {INIT_FRAMES} frames of each held-out clip, then its types, trajectory and phase as controls; at "
-        f"most {settings.reconstruction:g} s of the rest are rolled out, {settings.few} times; means over frames; metrics: "
-        "docs/metrics.md, cm and degrees a frame at 60 fps",
-        "late: the recording itself, played so many frames too late",
-        "floors: the last given frame held, and the training clip whose last half second is nearest, played on",
-        "with IK: foot locks at the predicted contacts (`--ik`)",
+        f"{settings.repeats} roll-outs per held-out clip start from its first {INIT_FRAMES} frames, use its types, "
+        f"trajectory and phase, and last at most {settings.reconstruction_seconds:g} s; metrics (docs/metrics.md) are "
+        "means over frames, in cm, and in degrees per frame at 60 fps",
+        "frames late: the recording itself, delayed by this many frames",
+        "baselines: the last given frame, held, and the continuation of the training clip whose half second before is "
+        "nearest",
+        "with IK: feet locked at the predicted contacts (`--ik`)",
     ]
-    return Section("reconstruction", "Reconstruction to held-out clips", tables, _goals(means), notes)
+    return Section("reconstruction", "Reconstruction of held-out clips", tables, _goals(means), notes)
 
 
 def _goals(means: dict[tuple[str, str], dict[str, float]]) -> list[Goal]:
-    truth, model, locked = (means.get(("all", way), {}) for way in WAYS[:3])
+    truth, model, locked = (means.get(("all", variant), {}) for variant in VARIANTS[:3])
 
     def ratio(metric: str, of: dict[str, float]) -> float | None:
         base = truth.get(metric)
         return of[metric] / base if base and metric in of else None
 
     return [
-        Goal("BM / real (bm-euler)", ratio("bm-euler", model), "0.95 to 1.05", 0.95, 1.05),
-        Goal("AFS / real", ratio("afs", model), "≤ 1.2", None, 1.2),
-        Goal("AFS / real with IK", ratio("afs", locked), "≤ 1", None, 1.0),
+        Goal("body movement / real (bm-euler)", ratio("bm-euler", model), "0.95 to 1.05", 0.95, 1.05),
+        Goal("foot sliding / real (afs)", ratio("afs", model), "≤ 1.2", None, 1.2),
+        Goal("foot sliding / real with IK (afs)", ratio("afs", locked), "≤ 1", None, 1.0),
         Goal("SSIM (ssim-window)", model.get("ssim-window"), "≥ 0.992", 0.992),
     ]
 

@@ -1,4 +1,4 @@
-"""What a measurement looks like on paper: tables, goals reached or missed, as JSON and as Markdown."""
+"""The report of an evaluation: tables and goals, written as JSON or Markdown."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ Cell = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of plain values under headings."""
+    """A title, column headings and rows of plain values."""
 
     title: str
     columns: tuple[str, ...]
     rows: Sequence[tuple[Cell, ...]]
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON: a row is an object."""
+        """Return plain values for JSON; each row is an object."""
         return {
             "title": self.title,
             "rows": [dict(zip(self.columns, row, strict=True)) for row in self.rows],
@@ -27,14 +27,14 @@ class Table:
 
 @dataclass(frozen=True)
 class Goal:
-    """A measured value beside what it is to reach.
+    """A measured value and its target.
 
     Attributes:
         what: what was measured.
-        value: None where it could not be.
-        target: what to reach, in words.
-        lowest, highest: the target as limits, None where it has none.
-        note: what the value leaves out, or why there is none.
+        value: the measured value; None if it could not be measured.
+        target: the target in words.
+        lowest, highest: the target as limits; None for no limit.
+        note: what the value leaves out, or why it is missing.
     """
 
     what: str
@@ -46,28 +46,28 @@ class Goal:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the value is within the limits, None without a value."""
+        """Whether the value is within the limits; None without a value."""
         if self.value is None:
             return None
         above = self.lowest is None or self.value >= self.lowest
         return above and (self.highest is None or self.value <= self.highest)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         out: dict[str, Any] = {"what": self.what, "value": self.value, "target": self.target}
         return out | {"reached": self.reached} | ({"note": self.note} if self.note else {})
 
 
 @dataclass(frozen=True)
 class Section:
-    """One part of the scoreboard.
+    """One section of the scoreboard.
 
     Attributes:
-        name: as --only takes it.
+        name: the name --only takes.
         title: the heading.
-        tables, goals: what was measured.
-        notes: definitions and settings the numbers depend on, and what was left out.
-        seconds: how long it took.
+        tables, goals: the measured values.
+        notes: definitions and settings behind the numbers, and what was left out.
+        seconds: time the measurement took.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Section:
     seconds: float = 0.0
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return {
             "name": self.name,
             "title": self.title,
@@ -91,13 +91,13 @@ class Section:
 
 @dataclass(frozen=True)
 class Scoreboard:
-    """All sections of an evaluation; about names model, dataset and settings."""
+    """All sections of an evaluation. about holds the model, the dataset and the settings."""
 
     about: dict[str, Any]
     sections: list[Section]
 
     def summary(self) -> Table:
-        """Every goal in one table."""
+        """Return every goal in one table."""
         rows: list[tuple[Cell, ...]] = [
             (section.name, goal.what, goal.value, goal.target, verdict(goal), goal.note)
             for section in self.sections
@@ -106,11 +106,11 @@ class Scoreboard:
         return Table("Targets", ("section", "what", "measured", "target", "result", "note"), rows)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON."""
+        """Return plain values for JSON."""
         return {**self.about, "sections": [section.as_dict() for section in self.sections]}
 
     def markdown(self) -> str:
-        """The whole scoreboard as Markdown."""
+        """Return the whole scoreboard as Markdown."""
         lines = ["# Scoreboard", ""]
         lines += [f"- {name}: {show(value)}" for name, value in self.about.items()]
         lines += ["", "## Targets", "", *markdown_table(self.summary())]
@@ -124,12 +124,12 @@ class Scoreboard:
 
 
 def verdict(goal: Goal) -> str:
-    """How a goal came out, in a word."""
+    """Return the result of a goal: reached, missed or not measured."""
     return {True: "reached", False: "missed", None: "not measured"}[goal.reached]
 
 
 def show(value: Cell) -> str:
-    """A value as people read it: three digits, nothing for none."""
+    """Format a value for people: three digits; an empty string for None."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -140,7 +140,7 @@ def show(value: Cell) -> str:
 
 
 def markdown_table(table: Table) -> list[str]:
-    """The lines of a table in Markdown."""
+    """Return the lines of a table in Markdown."""
 
     def line(cells: Sequence[str]) -> str:
         return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"

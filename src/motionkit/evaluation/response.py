@@ -1,8 +1,8 @@
-"""Response: seconds from a command until the motion shows it (the responsiveness of Starke et al. 2020).
+"""Response time: seconds from a command until the motion shows it (the responsiveness of Starke et al. 2020).
 
-Characters are driven as a user drives them: a Driver turns the wish of the moment into controls. A command has been
-answered at the first frame from which its condition holds for HELD_SECONDS. Velocities are read from windows
-around a frame; the answer counts from the end of the window, so that no look ahead makes it seem sooner.
+Characters are driven as in live control: a Driver turns the current wish into controls. The response is the first
+frame from which the command's condition holds for HELD_SECONDS. Velocities are measured over windows around a
+frame. The response counts from the end of the window, so that looking ahead cannot shorten it.
 """
 
 from __future__ import annotations
@@ -28,16 +28,23 @@ HELD_SECONDS = 0.25
 DIRECTION_LIMIT = math.radians(15.0)
 SPEED_SHARE = 0.15
 TARGET_SECONDS = 0.5
-STEADY_SECONDS = 1 / 3  # over which a speed is taken: a step's own ups and downs are no answer
-DEFAULT_SPEED = 1.3  # m/s of a type whose speed the model does not know
+STEADY_SECONDS = 1 / 3  # over which a speed is averaged, because it varies within a step
+DEFAULT_SPEED = 1.3  # m/s, for a type without a measured speed
 
-# Called with the motion from the command on; (T,) whether each frame answers it.
+# Takes a body and returns flags (T,): whether each frame meets the command.
 Answer = Callable[[Body], Array]
 
 
 @dataclass(frozen=True, eq=False)
 class Command:
-    """One change of wish: what is wanted before and after it, what answers it, and seconds that looks ahead."""
+    """A change of wish.
+
+    Attributes:
+        name, group: the command, and the kind of change: type, direction or speed.
+        before, after: the wish before and after the command.
+        answers: the condition that the motion must meet.
+        looks_ahead: seconds by which the condition looks ahead.
+    """
 
     name: str
     group: str
@@ -47,7 +54,7 @@ class Command:
     looks_ahead: float = SPEED_SPAN / 2
 
 
-# What shows a type at once: speed over the ground (m/s), and its part along the facing.
+# Conditions for a change of type: speed over the ground in m/s, and its forward component.
 _SHOWS: dict[str, Answer] = {
     "idle": lambda body: body.speed < 0.25,
     "walking": lambda body: (body.speed > 0.4) & (body.speed < 2.0) & (body.velocity[:, 1] > 0.0),
@@ -57,7 +64,7 @@ _SHOWS: dict[str, Answer] = {
 
 
 def commands(model: MotionModel) -> list[Command]:
-    """The commands of the scoreboard, those with types the model knows."""
+    """Return the commands of the scoreboard whose types the model has."""
 
     def ahead(kind: str, angle: float = 0.0, share: float = 1.0) -> Wish:
         gait = model.gaits.get(kind)
@@ -89,10 +96,10 @@ def commands(model: MotionModel) -> list[Command]:
 
 def _goes_towards(angle: float) -> Answer:
     def answers(body: Body) -> Array:
-        # Back from facing to the world: velocity turned by the heading.
+        # The direction of the velocity in the world.
         left, forward = np.moveaxis(body.velocity, -1, 0)
-        way = body.heading + np.arctan2(left, forward)
-        off = np.remainder(way - angle + math.pi, 2 * math.pi) - math.pi
+        direction = body.heading + np.arctan2(left, forward)
+        off = np.remainder(direction - angle + math.pi, 2 * math.pi) - math.pi
         return (np.abs(off) < DIRECTION_LIMIT) & (body.speed > 0.3)
 
     return answers
@@ -109,13 +116,13 @@ def _goes_at(speed: float) -> Answer:
 
 
 def response_seconds(answered: Array, fps: float) -> float | None:
-    """Seconds until flags (T,) hold for HELD_SECONDS, None if they never do."""
+    """Return the seconds until flags (T,) hold for HELD_SECONDS; None if they never do."""
     held = round(HELD_SECONDS * fps)
     return next((start / fps for start, end in spans(answered) if end - start >= held), None)
 
 
 class _Commanded:
-    """A character whose wish changes at one frame; a Controller."""
+    """A controller of one character whose wish changes at one frame."""
 
     def __init__(self, model: MotionModel, command: Command) -> None:
         self.driver, self.command = Driver(model, command.before.type), command
@@ -129,10 +136,11 @@ class _Commanded:
 
 
 def response_section(model: MotionModel, settings: EvaluationSettings, progress: Progress) -> Section:
-    """The section of the scoreboard: seconds to each answer; no answer at all counts as AFTER_SECONDS."""
-    wanted = [c for c in commands(model) for _ in range(settings.few)]
+    """Measure the section: the response time of each command; no response counts as AFTER_SECONDS."""
+    wanted = [c for c in commands(model) for _ in range(settings.repeats)]
     if not wanted:
-        return Section("response", "Response", [], [], ["the model has none of the types that are driven"])
+        note = "not measured: every command needs a type the model does not have"
+        return Section("response", "Response time", [], [], [note])
     frames = round((BEFORE_SECONDS + AFTER_SECONDS) * model.fps)
     performed = roll_controlled(
         model,
@@ -147,11 +155,11 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
     held = round(HELD_SECONDS * model.fps)
     rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
-    for number in range(0, len(wanted), settings.few):
+    for number in range(0, len(wanted), settings.repeats):
         command = wanted[number]
         seconds: list[float] = []
         unanswered = already = 0
-        for made in performed[number : number + settings.few]:
+        for made in performed[number : number + settings.repeats]:
             flags = command.answers(made.body)
             if bool(flags[change - held : change].all()):
                 already += 1
@@ -164,7 +172,7 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
         rows.append((command.group, command.name, mean, max(seconds, default=None), unanswered, already))
     goals = [
         Goal(
-            f"response to a change of {group}, s",
+            f"mean response time to a change of {group}, s",
             sum(seconds) / len(seconds) if seconds else None,
             f"≤ {TARGET_SECONDS:g}",
             None,
@@ -172,12 +180,15 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
         )
         for group, seconds in groups.items()
     ]
-    columns = ("change of", "command", "seconds, mean", "slowest", "never answered", "so already")
+    columns = ("change of", "command", "mean, s", "slowest, s", "no response", "met before")
     notes = [
-        f"{settings.few} characters a command, driven by the live Driver for {BEFORE_SECONDS:g} s before; answered: "
-        f"from the first frame from which it holds for {HELD_SECONDS:g} s; never counts as {AFTER_SECONDS:g} s; who "
-        "did so already before the command does not count",
-        "type: idle below 0.25 m/s, walking 0.4 to 2 m/s ahead, running above 1.8 m/s ahead, b-walking 0.3 m/s "
-        "backwards; direction: root within 15° of the asked way; speed: within 15 % of the asked, over 1/3 s",
+        f"{settings.repeats} characters per command, driven as in live control from {BEFORE_SECONDS:g} s before it; "
+        f"response: the first frame from which the condition holds for {HELD_SECONDS:g} s; no response counts as "
+        f"{AFTER_SECONDS:g} s; characters that met the condition before the command are left out",
+        "conditions: idle below 0.25 m/s, walking 0.4 to 2 m/s forwards, running above 1.8 m/s forwards, b-walking "
+        "0.3 m/s backwards; direction: root within 15° of the commanded one; speed: within 15 % of the commanded one, "
+        "averaged over 1/3 s",
     ]
-    return Section("response", "Response", [Table("Seconds to an answer", columns, rows)], goals, notes)
+    return Section(
+        "response", "Response time", [Table("Response time per command", columns, rows)], goals, notes
+    )

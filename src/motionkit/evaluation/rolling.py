@@ -1,7 +1,6 @@
-"""Many characters asked for motion at once: plans in, what each body did out.
+"""Roll-outs of many characters at once: plans or controllers in, the motion of each body out.
 
-Everything the scoreboard measures is rolled out here, as many characters side by side as there are
-seeds and types, since a batch costs little more than one character.
+The scoreboard rolls out all seeds and types as one batch, because a batch takes little longer than one character.
 """
 
 from __future__ import annotations
@@ -31,17 +30,17 @@ from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 
-BATCH = 128  # characters a network step takes; more gain nothing and cost memory
-NEUTRAL = ("idle", "walking")  # what characters do before they are asked for a type
+BATCH = 128  # characters per network step; more need memory and save no time
+NEUTRAL = ("idle", "walking")  # types that characters perform before a command
 NEUTRAL_SECONDS = 0.5
 
-# Called with the share of the work that is done.
+# Called with the share of the work that is done (0 to 1).
 Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What one character is asked for: types one after another; choice picks among starts and recorded tracks."""
+    """The types one character performs in turn; choice selects among start poses and reference clips."""
 
     parts: tuple[TypePart, ...]
     choice: int = 0
@@ -49,20 +48,20 @@ class Plan:
 
 @dataclass(frozen=True, eq=False)
 class Performance:
-    """What one character did: its body, and the contacts (T, 4) the network predicted."""
+    """The motion of one character: its body, and the contacts (T, 4) the network predicted."""
 
     body: Body
     contacts: Array
 
     def motion(self, model: MotionModel) -> Motion:
-        """As a motion to write or to lock the feet of."""
+        """Return the motion, for writing or foot locking."""
         return Motion(
             model.character("default"), self.body.rotations, self.body.positions[:, 0], self.body.fps
         )
 
 
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
-    """The types characters start from: those of NEUTRAL the model knows, else its first."""
+    """Return the types characters start from: those of NEUTRAL the model has, else its first type."""
     return tuple(kind for kind in NEUTRAL if kind in model.types) or model.types[:1]
 
 
@@ -73,10 +72,10 @@ def roll_plans(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> list[Performance]:
-    """Let a character perform each plan; all plans are to take the same time.
+    """Roll out each plan with one character. All plans must have the same length.
 
-    A plan starts from seed frames of its first type. Phases and recorded tracks are those `synthesize`
-    gives. The same seed gives the same motion.
+    A plan starts from start poses of its first type. Phases and reference poses are those of `synthesize`.
+    The same seed gives the same motion.
     """
     out: list[Performance] = []
     for first in range(0, len(plans), BATCH):
@@ -99,7 +98,7 @@ def _roll_batch(
     features, contacts = start_batch(
         [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
     )
-    # Who starts with a performance has its first frames behind, as in synthesize.
+    # The start poses of a performance are its first frames, as in synthesize.
     lengths = [model.phase_seconds(plan.parts[0].type) * model.fps for plan in plans]
     asked = [
         plan_signals(model, plan.parts, last_poses(model, seen), len(seen) if length else 0, plan.choice)
@@ -127,12 +126,12 @@ def roll_controlled(
     ground: Array | None = None,
     done: Callable[[], bool] | None = None,
 ) -> list[Performance]:
-    """Let each character be controlled by its own controller for some frames, or until done.
+    """Roll out each character with its own controller for `frames` frames, or until done.
 
     Args:
-        kinds: the type whose seed frames each character starts from.
-        ground: (B, 3) where they start; the origin facing +Z if not given.
-        done: asked after every frame whether all may stop.
+        kinds: for each character the type whose start poses it starts from.
+        ground: (B, 3) root x and z in cm and heading at the start; the origin facing +Z if None.
+        done: called after every frame; true ends the roll-out.
     """
     seeds = [model.start_poses[kind] for kind in kinds]
     features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(seeds)])
@@ -152,14 +151,14 @@ def roll_controlled(
 
 
 def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:
-    """What the characters of a roll-out did, on the default body."""
+    """Return the motions of the characters of a roll-out, on the default body."""
     rotations, roots = rollout_pose(model, rollout)
     found = bodies(rotations, roots, model.character("default"), model.fps)
     return [Performance(body, contacts) for body, contacts in zip(found, rollout.contacts, strict=True)]
 
 
 def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Array, Array]:
-    """Local rotations (B, T, 23, 4) and root positions (B, T, 3) in the world of a roll-out."""
+    """Return local rotations (B, T, 23, 4) and global root positions (B, T, 3) in cm of a roll-out."""
     layout = model.config.layout
     rotations = decode_rotations(rollout.features, model.reference_rotations, layout)
     root = quat_multiply(quat_from_yaw(rollout.ground[..., 2]), rotations[..., 0, :])

@@ -1,7 +1,4 @@
-"""The scoreboard: everything that is measured of a model, section by section.
-
-The library call behind `motionkit evaluate`.
-"""
+"""The scoreboard of a model, section by section: the library call behind `motionkit evaluate`."""
 
 from __future__ import annotations
 
@@ -22,13 +19,13 @@ from motionkit.evaluation.smoothness import smoothness_section
 from motionkit.evaluation.stability import stability_section
 from motionkit.models.checkpoint import MotionModel, unknown_name
 
-# Called with the name of a section and the share of it that is done.
+# Called with the name of a section and the share of it that is done (0 to 1).
 SectionProgress = Callable[[str, float], None]
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """What every section measures: a model against recordings."""
+    """What every section measures: a model, the recordings to compare it with, and the settings."""
 
     model: MotionModel
     dataset: Dataset
@@ -60,12 +57,13 @@ def evaluate_model(
     """Measure a model against the recordings of a dataset.
 
     Args:
-        only: names of the sections to measure; all of them if none is given.
-        progress: called again and again while it lasts.
+        settings: how many roll-outs to make, and how long; the defaults if None.
+        only: names of the sections to measure; all sections if empty.
+        progress: called with the section's name and the share of it that is done.
 
     Raises:
-        ControlError: for an unknown section.
-        DatasetError: if the dataset knows none of the model's types, or has another rate.
+        ControlError: if a section is unknown.
+        DatasetError: if the dataset has none of the model's types, or another frame rate.
     """
     settings = settings or EvaluationSettings()
     wanted = list(only) or list(SECTIONS)
@@ -73,7 +71,7 @@ def evaluate_model(
         if name not in SECTIONS:
             raise ControlError(unknown_name("section", name, tuple(SECTIONS)))
     if not set(model.types) & set(dataset.types):
-        raise DatasetError(f"{dataset.folder}: the dataset has none of the model's types")
+        raise DatasetError(f"{dataset.folder}: the dataset has none of the model's motion types")
     if abs(dataset.fps - model.fps) > 1e-6:
         raise DatasetError(f"{dataset.folder}: {dataset.fps:g} fps, expected the model's {model.fps:g}")
     trial = Trial(model, dataset, Judge(RealMotion(dataset)), settings)

@@ -1,4 +1,4 @@
-"""How much is measured."""
+"""How many roll-outs an evaluation makes, and how long they are."""
 
 from __future__ import annotations
 
@@ -10,24 +10,25 @@ from motionkit.inference.rollout import Noise
 
 @dataclass(frozen=True)
 class EvaluationSettings:
-    """How much is measured; the defaults are what the model card quotes.
+    """How many roll-outs an evaluation makes, and how long they are. The model card quotes the defaults.
 
     Attributes:
-        seeds: roll-outs of each type (accuracy).
-        seconds: that each of them lasts from the command on.
-        few: roll-outs of each path, response, transition and held-out clip.
-        stability: seconds of one type, mixed: seconds of random changes of type.
-        reconstruction: seconds of a held-out clip that are compared at most.
-        seed: of all random numbers; the same seed, model and dataset give the same scoreboard.
-        noise: how frames are drawn.
+        seeds: roll-outs per type for action accuracy.
+        accuracy_seconds: length of each of these roll-outs, counted from the command.
+        repeats: roll-outs per path, response, transition and held-out clip.
+        stability_seconds: length of the roll-out of each type.
+        mixed_seconds: length of the roll-out with random changes of type.
+        reconstruction_seconds: longest stretch of a held-out clip to compare.
+        seed: random seed. The same seed, model and dataset give the same scoreboard.
+        noise: how frames are sampled.
     """
 
     seeds: int = 20
-    seconds: float = 8.0
-    few: int = 3
-    stability: float = 60.0
-    mixed: float = 300.0
-    reconstruction: float = 10.0
+    accuracy_seconds: float = 8.0
+    repeats: int = 3
+    stability_seconds: float = 60.0
+    mixed_seconds: float = 300.0
+    reconstruction_seconds: float = 10.0
     seed: int = 0
     noise: Noise = field(default_factory=Noise)
 
@@ -37,4 +38,11 @@ class EvaluationSettings:
         return {**asdict(self), "noise": noise}
 
 
-QUICK = EvaluationSettings(seeds=3, seconds=5.0, few=1, stability=10.0, mixed=20.0, reconstruction=3.0)
+QUICK = EvaluationSettings(
+    seeds=3,
+    accuracy_seconds=5.0,
+    repeats=1,
+    stability_seconds=10.0,
+    mixed_seconds=20.0,
+    reconstruction_seconds=3.0,
+)

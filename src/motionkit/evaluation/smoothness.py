@@ -1,7 +1,7 @@
-"""Transitions that are in no clip: does a joint turn faster than joints do in the recordings?
+"""Smoothness of transitions that no clip contains: does a joint turn faster than in the recordings?
 
-A few recorded frames hold leaps of one joint (up to half a turn between two frames), by which anything would
-pass for smooth. The measure is therefore the speed that all but one in a thousand recorded frames keep below.
+A few recorded frames contain jumps of one joint by up to half a turn. Compared with them every motion would be
+smooth. The limit is therefore the joint speed that 99.9 % of the recorded frames stay below.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from motionkit.metrics.body_movement import geodesic_movement
 from motionkit.models.checkpoint import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES
 
-REAL_SHARE = 0.999  # of the recorded frames have no faster joint than the limit
-LASTING_SECONDS = 3.0  # of a type without a length of its own
+REAL_SHARE = 0.999  # of the recorded frames are below the limit
+LASTING_SECONDS = 3.0  # for types that have no length of their own
 SEQUENCES = (
     ("running", "twist", "cartwheel", "kicking"),
     ("running", "side-somersault", "cartwheel", "running"),
@@ -29,14 +29,14 @@ SEQUENCES = (
 
 
 def fastest_turn(body: Body) -> tuple[float, str]:
-    """Degrees per second of the fastest joint between two frames, and its name."""
+    """Return the speed in degrees per second of the fastest joint between two frames, and its name."""
     speeds = geodesic_movement(body.rotations).max(axis=0) * body.fps
     joint = int(speeds.argmax())
     return float(speeds[joint]), JOINT_NAMES[joint]
 
 
 def recorded_limit(real: RealMotion) -> tuple[float, float]:
-    """Degrees per second the fastest joint keeps below in REAL_SHARE of the recorded frames, and its largest."""
+    """Return the limit and the largest speed of the fastest joint over the recorded frames, in degrees per second."""
     frames = np.concatenate(
         [geodesic_movement(s.body.rotations).max(axis=1) * s.body.fps for s in real.stretches]
     )
@@ -47,25 +47,29 @@ def recorded_limit(real: RealMotion) -> tuple[float, float]:
 def smoothness_section(
     model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
 ) -> Section:
-    """The section of the scoreboard: the fastest joint of each sequence against that of all recordings."""
+    """Measure the section: the fastest joint of each sequence, relative to the recordings."""
     limit, largest = recorded_limit(real)
     rows, goals = [], []
     known = [s for s in SEQUENCES if set(s) <= set(model.types)]
     for number, sequence in enumerate(known):
         parts = tuple(TypePart(k, model.phase_seconds(k) or LASTING_SECONDS) for k in sequence)
-        plans = [Plan(parts, seed) for seed in range(settings.few)]
+        plans = [Plan(parts, seed) for seed in range(settings.repeats)]
         performed = roll_plans(model, plans, settings.noise, settings.seed)
         fastest, where = max(fastest_turn(p.body) for p in performed)
         name = " → ".join(sequence)
         rows.append((name, fastest, where, fastest / limit))
-        goals.append(Goal(f"{name}, fastest joint / real", fastest / limit, "≤ 1", None, 1.0))
+        goals.append(Goal(f"{name}: fastest joint / real", fastest / limit, "≤ 1", None, 1.0))
         progress((number + 1) / len(known))
     columns = ("sequence", "fastest joint, degrees/s", "joint", "/ real")
     notes = [
-        f"the largest of {settings.few} characters, each type for its own length or {LASTING_SECONDS:g} s",
-        f"real: {limit:.0f} degrees/s, which the fastest joint of {REAL_SHARE:.1%} of the recorded frames keeps below; "
-        f"the largest single step in the recordings is {largest:.0f} degrees/s, a leap no motion should be measured by",
+        f"the largest value of {settings.repeats} characters; each type lasts its own length or {LASTING_SECONDS:g} s",
+        f"real: {limit:.0f} degrees/s; the fastest joint is slower in {REAL_SHARE:.1%} of the recorded frames; the "
+        f"largest recorded value, {largest:.0f} degrees/s, is not used",
     ]
     return Section(
-        "smoothness", "Transitions in no clip", [Table("Fastest joint", columns, rows)], goals, notes
+        "smoothness",
+        "Smoothness of transitions",
+        [Table("Fastest joint per sequence", columns, rows)],
+        goals,
+        notes,
     )

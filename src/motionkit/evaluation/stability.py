@@ -1,4 +1,4 @@
-"""Stability: does the motion go on as it began, alive, on its feet and near the data?"""
+"""Stability: whether long roll-outs keep moving, keep their feet on the floor and stay close to recorded poses."""
 
 from __future__ import annotations
 
@@ -17,38 +17,38 @@ from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.checkpoint import MotionModel
 
 FREEZE_SECONDS = 5.0
-# Frozen: joints slower over FREEZE_SECONDS than this share of the slowest recorded windows of the type.
+# Frozen: over FREEZE_SECONDS the joints are slower than this share of the lower speed limit of the type's profile.
 FROZEN_SHARE = 0.5
-EDGE_SHARE = 1 / 3  # of the time: the first and last part between which the feet's height must not drift
+EDGE_SHARE = 1 / 3  # of the roll-out: foot height is compared between its first and last part
 DRIFT_LIMIT = 5.0  # cm
-FLOAT_LIMIT = 3.0  # cm that feet may be higher or lower over the floor than recorded ones
-DISTANCE_LIMIT, JERK_LIMIT = 1.5, 1.5  # times real
-CHANGE_SECONDS = (3.0, 8.0)  # a type of the mixed run lasts so long
+FLOAT_LIMIT = 3.0  # cm between the foot height of the roll-out and of the recordings
+DISTANCE_LIMIT, JERK_LIMIT = 1.5, 1.5  # relative to the recordings
+CHANGE_SECONDS = (3.0, 8.0)  # shortest and longest time of a type in the mixed roll-out
 
 
 def frozen_seconds(body: Body, slowest: float) -> float:
-    """Seconds of the windows of FREEZE_SECONDS in which the joints are slower than slowest (rad/s)."""
+    """Return the seconds in windows of FREEZE_SECONDS whose mean joint speed is below `slowest` (rad/s)."""
     size = min(len(body), round(FREEZE_SECONDS * body.fps))
     starts = range(0, len(body) - size + 1, size)
     return sum(body.cut(s, s + size).joint_speed() < slowest for s in starts) * size / body.fps
 
 
 def foot_height(bodies: list[Body]) -> float:
-    """How far the lower foot is off the floor in cm: the lower quartile of all frames, in which who jumps stands."""
+    """Return the height of the lower foot above the floor in cm: the lower quartile over frames, without jumps."""
     return float(np.quantile(np.concatenate([body.lifts.min(axis=-1) for body in bodies]), 0.25))
 
 
 def height_drift(body: Body) -> float:
-    """Change in cm of foot_height from the first third of the time to the last.
+    """Return the change of foot_height in cm from the first third of the roll-out to the last third.
 
-    The mean height of the root would tell squats from drift as little as recordings in random order do.
+    Foot height is used because the mean height of the root also changes with squats.
     """
     edge = max(1, int(EDGE_SHARE * len(body)))
     return foot_height([body.cut(len(body) - edge, len(body))]) - foot_height([body.cut(0, edge)])
 
 
 def _floating(body: Body, real: RealMotion, parts: tuple[TypePart, ...]) -> float | None:
-    """foot_height over that of a type's recordings; None for a mixture, whose stretches go over into one another."""
+    """Return foot_height minus that of the type's recordings in cm; None for a plan of several types."""
     kinds = {part.type for part in parts}
     if len(kinds) > 1:
         return None
@@ -57,9 +57,10 @@ def _floating(body: Body, real: RealMotion, parts: tuple[TypePart, ...]) -> floa
 
 
 def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
-    """Mean distance (cm a joint) of a type's recordings to the nearest training pose, and their mean jerk (m/s^3).
+    """Return the mean distance (cm per joint) of a type's recordings to the nearest training pose, and their mean jerk.
 
-    The distance is that of held-out recordings, or without any of the training ones to poses of other clips.
+    The distance is that of the held-out recordings. Without any it is that of the training recordings to the
+    poses of other clips.
     """
     found = real.of_type(kind)
     held_out = real.of_type(kind, "test")
@@ -76,13 +77,13 @@ def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
 
 
 def _mixed(recorded: dict[str, tuple[float, float]], parts: tuple[TypePart, ...]) -> tuple[float, float]:
-    """real_measures, given for each type, of recordings mixed as the types of a plan are, by their seconds."""
+    """Return the average of real_measures over the types of a plan, weighted by their seconds."""
     seconds: dict[str, float] = defaultdict(float)
     for part in parts:
         seconds[part.type] += part.seconds
     measures = np.array([recorded[kind] for kind in seconds])
     shares = np.array(list(seconds.values()))[:, None]
-    # A type without a distance to measure (one clip) counts in the jerk alone.
+    # A type with one clip has no distance and counts for the jerk only.
     known = shares * np.isfinite(measures)
     distance, jerk = (np.nan_to_num(measures) * known).sum(axis=0) / known.sum(axis=0)
     return float(distance), float(jerk)
@@ -95,7 +96,7 @@ def _row(
     recorded: dict[str, tuple[float, float]],
     parts: tuple[TypePart, ...],
 ) -> dict[str, float | str | bool | None]:
-    """What a body did for a plan's parts, against recordings of the same types in the same shares."""
+    """Return one row of the table: a roll-out compared with recordings of the same types in the same shares."""
     profiles: list[MotionProfile] = [m for m in (real.profile(part.type) for part in parts) if m is not None]
     slowest = min((m.speeds[0] for m in profiles), default=0.0) * FROZEN_SHARE
     finite = bool(np.isfinite(body.positions).all())
@@ -108,18 +109,18 @@ def _row(
         "type": name,
         "finite": True,
         "frozen, s": frozen_seconds(body, slowest),
-        "height drift, cm": height_drift(body),
-        "feet over recorded, cm": _floating(body, real, parts),
+        "foot height drift, cm": height_drift(body),
+        "foot height − real, cm": _floating(body, real, parts),
         "lowest root, cm": float(heights.min()),
         "highest root, cm": float(heights.max()),
         "pose distance, cm": near,
-        "/ held-out real": near / distance if distance > 0 else None,
+        "pose distance / real": near / distance if distance > 0 else None,
         "jerk / real": (mean_jerk(body.positions, body.fps).value or 0.0) / jerk if jerk > 0 else None,
     }
 
 
 def random_plan(model: MotionModel, kinds: list[str], seconds: float, seed: int) -> Plan:
-    """Types in random order, each for a random time or a whole performance, for some seconds in all."""
+    """Return a plan of types in random order, each for a random time or one whole performance, for `seconds` in all."""
     chance = random.Random(seed)
     parts, total = [], 0.0
     while total < seconds:
@@ -137,12 +138,12 @@ def random_plan(model: MotionModel, kinds: list[str], seconds: float, seed: int)
 def stability_section(
     model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
 ) -> Section:
-    """The section of the scoreboard: one long roll-out of every type, and one of random changes of type."""
+    """Measure the section: one long roll-out of every type, and one with random changes of type."""
     kinds = [kind for kind in model.types if kind in real.types and real.profile(kind) is not None]
-    plans = [Plan((TypePart(kind, settings.stability),), 0) for kind in kinds]
-    first = settings.stability / (settings.stability + settings.mixed)
+    plans = [Plan((TypePart(kind, settings.stability_seconds),), 0) for kind in kinds]
+    first = settings.stability_seconds / (settings.stability_seconds + settings.mixed_seconds)
     single = roll_plans(model, plans, settings.noise, settings.seed, lambda x: progress(first * x))
-    wild = random_plan(model, kinds, settings.mixed, settings.seed)
+    wild = random_plan(model, kinds, settings.mixed_seconds, settings.seed)
     mixed = roll_plans(
         model, [wild], settings.noise, settings.seed, lambda x: progress(first + (1 - first) * x)
     )
@@ -151,39 +152,40 @@ def stability_section(
         _row(kind, p.body, real, recorded, plan.parts)
         for kind, p, plan in zip(kinds, single, plans, strict=True)
     ]
-    rows.append(_row("random changes", mixed[0].body, real, recorded, wild.parts))
+    rows.append(_row("random type changes", mixed[0].body, real, recorded, wild.parts))
     columns = max((tuple(row) for row in rows), key=len)
     tables = [
         Table(
-            f"{settings.stability:g} s of every type, {settings.mixed:g} s of random changes",
+            f"{settings.stability_seconds:g} s per type, {settings.mixed_seconds:g} s of random type changes",
             columns,
             [tuple(row.get(column) for column in columns) for row in rows],
         )
     ]
     notes = [
-        f"frozen: seconds in windows of {FREEZE_SECONDS:g} s with joints slower than {FROZEN_SHARE:g} times the lower "
-        "limit of the type's profile; how far the lower foot is off the floor (lower quartile): height drift, last "
-        "third of the time against the first; feet over recorded, against the type's recordings",
-        "pose distance: mean distance a joint to the nearest training pose of any type, over the same figure for "
-        "held-out recordings of the type (without any: of training recordings against other clips)",
-        "jerk: of 60 fps positions, over that of the type's recordings; of the random changes: over that of recordings "
-        "of their types, each for as long as it was asked for",
+        f"frozen: seconds in windows of {FREEZE_SECONDS:g} s whose joints are slower than {FROZEN_SHARE:g} times the "
+        "lower speed limit of the type's motion profile",
+        "foot height: height of the lower foot above the floor, lower quartile over frames; drift: last third of the "
+        "roll-out minus the first; − real: minus that of the type's recordings",
+        "pose distance: mean distance per joint to the nearest training pose of any type; / real: divided by that of "
+        "the type's held-out recordings, or of its training recordings to other clips if none is held out",
+        "jerk / real: jerk of 60 fps positions divided by that of the type's recordings; for random type changes the "
+        "recordings of its types are weighted by their seconds",
     ]
     return Section("stability", "Stability", tables, _goals(rows, settings), notes)
 
 
 def _goals(rows: list[dict], settings: EvaluationSettings) -> list[Goal]:
     checks = [
-        ("no NaN", "finite", 1.0, None),
+        ("finite", "finite", 1.0, None),
         ("not frozen", "frozen, s", None, 0.0),
-        (f"height drift within {DRIFT_LIMIT:g} cm", "height drift, cm", -DRIFT_LIMIT, DRIFT_LIMIT),
+        (f"foot height drift within {DRIFT_LIMIT:g} cm", "foot height drift, cm", -DRIFT_LIMIT, DRIFT_LIMIT),
         (
-            f"feet within {FLOAT_LIMIT:g} cm of recorded height",
-            "feet over recorded, cm",
+            f"foot height within {FLOAT_LIMIT:g} cm of real",
+            "foot height − real, cm",
             -FLOAT_LIMIT,
             FLOAT_LIMIT,
         ),
-        (f"pose distance ≤ {DISTANCE_LIMIT:g} times real", "/ held-out real", None, DISTANCE_LIMIT),
+        (f"pose distance ≤ {DISTANCE_LIMIT:g} times real", "pose distance / real", None, DISTANCE_LIMIT),
         (f"jerk ≤ {JERK_LIMIT:g} times real", "jerk / real", None, JERK_LIMIT),
     ]
     goals = []
@@ -192,20 +194,20 @@ def _goals(rows: list[dict], settings: EvaluationSettings) -> list[Goal]:
             row["type"] for row in rows[:-1] if not _within(row.get(column), lowest, highest, row["finite"])
         ]
         share = 1.0 - len(bad) / max(1, len(rows) - 1)
-        note = f"not: {', '.join(bad)}" if bad else ""
-        name = f"{settings.stability:g} s, {what}: share of types"
+        note = f"failed by: {', '.join(bad)}" if bad else ""
+        name = f"{settings.stability_seconds:g} s per type, {what}: share of types"
         goals.append(Goal(name, share, "all", 1.0, None, note))
     last = rows[-1]
     good = [_within(last.get(column), low, high, last["finite"]) for _, column, low, high in checks]
     failed = ", ".join(what for (what, *_), ok in zip(checks, good, strict=True) if not ok)
-    note = f"not: {failed}" if failed else ""
-    name = f"{settings.mixed:g} s of random changes: share of the same checks"
+    note = f"failed: {failed}" if failed else ""
+    name = f"{settings.mixed_seconds:g} s of random type changes: share of these checks"
     goals.append(Goal(name, sum(good) / len(good), "all", 1.0, None, note))
     return goals
 
 
 def _within(value: float | None, lowest: float | None, highest: float | None, finite: bool) -> bool:
-    """Whether a value keeps its limits; one that could not be measured does, unless the motion is not finite."""
+    """Whether a value is within its limits. A value that could not be measured passes if the motion is finite."""
     if value is None:
         return finite
     return (lowest is None or value >= lowest) and (highest is None or value <= highest)

@@ -5,7 +5,7 @@ import numpy as np
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.evaluation.accuracy import Judge, measure_accuracy
-from motionkit.evaluation.body import body_of
+from motionkit.evaluation.body import Body, body_of
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.rolling import Plan, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
@@ -33,7 +33,7 @@ def test_plans_differ_in_what_is_asked(tiny_model: MotionModel) -> None:
     assert not np.allclose(found[0].body.positions, found[2].body.positions)
 
 
-def test_lasting_types_have_to_last_and_others_to_come_once(real: RealMotion) -> None:
+def test_lasting_types_must_last_and_others_occur_once(real: RealMotion) -> None:
     judge = Judge(real)
     walk, stand = make_walk(300, turn=0.0), make_idle(300)
     both = Motion(
@@ -42,16 +42,24 @@ def test_lasting_types_have_to_last_and_others_to_come_once(real: RealMotion) ->
         np.concatenate([walk.root_positions, stand.root_positions + walk.root_positions[-1]]),
         60.0,
     )
-    assert judge.obeys("walking", body_of(walk))
-    assert not judge.obeys("walking", body_of(both))
+    assert judge.performs("walking", body_of(walk))
+    assert not judge.performs("walking", body_of(both))
     assert judge.window("cartwheel") == 0.0
     wheel = real.of_type("cartwheel")[0].body
-    assert judge.obeys("cartwheel", wheel) and not judge.obeys("cartwheel", body_of(stand))
+    assert judge.performs("cartwheel", wheel) and not judge.performs("cartwheel", body_of(stand))
 
 
-def test_every_type_is_asked_for_with_every_seed(tiny_model: MotionModel, real: RealMotion) -> None:
-    settings = EvaluationSettings(seeds=2, seconds=1.5)
-    found = measure_accuracy(tiny_model, Judge(real), settings, ("walking", "cartwheel"))
+def test_every_type_is_commanded_with_every_seed(tiny_model: MotionModel, real: RealMotion) -> None:
+    settings = EvaluationSettings(seeds=2, accuracy_seconds=1.5)
+    lengths = []
+
+    class OnlyWalking(Judge):
+        def performs(self, kind: str, body: Body) -> bool:
+            lengths.append(len(body))
+            return kind == "walking"
+
+    found = measure_accuracy(tiny_model, OnlyWalking(real), settings, ("walking", "cartwheel"))
     assert [each.type for each in found] == ["walking", "cartwheel"]
-    assert all(each.rollouts == 2 and 0 <= each.shown <= 2 for each in found)
+    assert lengths == 4 * [round(1.5 * tiny_model.fps)], "only what follows the command is judged"
+    assert [(each.rollouts, each.shown, each.share) for each in found] == [(2, 2, 1.0), (2, 0, 0.0)]
     assert found[0].training_clips == 2 and found[1].training_clips == 1
