@@ -28,7 +28,7 @@ from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.bundled import open_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead, None: as recorded
 

@@ -38,7 +38,7 @@ from motionkit.evaluation.response import (
     response_seconds,
 )
 from motionkit.models.bundled import open_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.play.requests import Request
 from motionkit.play.session import Session
 

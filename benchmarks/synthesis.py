@@ -31,7 +31,7 @@ from motionkit.inference.step_kernel import StepKernel, kernel_library
 from motionkit.inference.step_weights import StepWeights, pack
 from motionkit.inference.stepping import TorchStep
 from motionkit.models.bundled import open_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.models.weights import NetworkWeights
 
 Step = Callable[[], object]

@@ -13,7 +13,7 @@ from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.evaluation.paths import path_trials
 from motionkit.models.bundled import BUNDLED, open_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.view.contact_sheet import write_contact_sheet
 
@@ -25,9 +25,7 @@ POSES, WIDTH = 10, 1100
 
 def type_motions(model: MotionModel) -> list[tuple[str, Motion]]:
     """Six seconds of every type; what is performed once, between two walks."""
-    performed = {
-        kind for kind in model.types if any(outline.performed for outline in model.reference_clips[kind])
-    }
+    performed = {name for name, kind in model.types.items() if kind.performed}
     out = []
     for kind in model.types:
         once = f"walking:1.5,{kind}:{model.phase_seconds(kind):.2f},walking:1.5"

@@ -50,9 +50,10 @@ def main() -> None:
     mk.train(dataset, arguments.output, options, device="cpu", on_event=show)
 
     model = mk.load_model(arguments.output)
-    motion = mk.synthesize(f"{model.types[0]}:2", model=model).motion
+    kind = model.type_names[0]
+    motion = mk.synthesize(f"{kind}:2", model=model).motion
     mk.write_bvh(arguments.output.with_suffix(".bvh"), motion)
-    print(f"wrote {arguments.output} and {arguments.output.with_suffix('.bvh')} ({model.types[0]})")
+    print(f"wrote {arguments.output} and {arguments.output.with_suffix('.bvh')} ({kind})")
 
 
 if __name__ == "__main__":

@@ -14,7 +14,8 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
-from motionkit.models.checkpoint import MotionModel, load_model
+from motionkit.models.checkpoint import load_model
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton

@@ -16,7 +16,8 @@ import pytest
 
 from motionkit.errors import MotionkitError
 from motionkit.export.onnx_export import OnnxStep, export_onnx
-from motionkit.models.checkpoint import MotionModel, save_model
+from motionkit.models.checkpoint import save_model
+from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 

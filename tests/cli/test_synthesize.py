@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.models.checkpoint import MotionModel, save_model
+from motionkit.models.checkpoint import save_model
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
 from .conftest import page_data

@@ -1,11 +1,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from model_changes import with_clips
 from motionkit.arrays import Array
 from motionkit.control.drive import DriveOptions, Driver, Wish, together
 from motionkit.control.follow import PathFollower
@@ -14,7 +14,8 @@ from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, reference_signal
 from motionkit.inference.rollout import FrameControls
-from motionkit.models.checkpoint import MotionModel, ReferenceClip
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import ReferenceClip
 from motionkit.motion.rotations import rotate_ground
 
 AT_ORIGIN = np.zeros((1, 3), np.float32)
@@ -102,7 +103,7 @@ def test_no_velocity_gives_no_trajectory(tiny_model: MotionModel) -> None:
 def test_a_performance_runs_once_along_its_track(tiny_model: MotionModel) -> None:
     blend = 10
     driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=blend))
-    reference_clip = tiny_model.reference_clips["cartwheel"][0]
+    reference_clip = tiny_model.types["cartwheel"].reference_clips[0]
     track = future_trajectory(reference_clip.ground, np.arange(len(reference_clip)))
     driver.perform("cartwheel")
     asked = play(driver, len(track) + 40)[0]
@@ -121,7 +122,7 @@ def test_a_performance_runs_once_along_its_track(tiny_model: MotionModel) -> Non
 
 def test_a_second_performance_waits_for_the_first(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
-    length = len(tiny_model.reference_clips["cartwheel"][0])
+    length = len(tiny_model.types["cartwheel"].reference_clips[0])
     driver.perform("cartwheel")
     play(driver, 5)
     driver.perform("cartwheel", choice=1)
@@ -130,14 +131,14 @@ def test_a_second_performance_waits_for_the_first(tiny_model: MotionModel) -> No
     assert len(starts) == 2 and starts[1] - starts[0] == length
     references = [asked[start].reference for start in starts]
     for reference, reference_clip in zip(
-        references, tiny_model.reference_clips["cartwheel"][:2], strict=True
+        references, tiny_model.types["cartwheel"].reference_clips[:2], strict=True
     ):
         assert np.array_equal(reference, reference_signal(reference_clip.poses, np.array([0])))
 
 
 def test_a_type_with_a_phase_that_is_held_is_repeated(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
-    length = len(tiny_model.reference_clips["cartwheel"][0])
+    length = len(tiny_model.types["cartwheel"].reference_clips[0])
     driver.set_wish(Wish(type="cartwheel"))
     asked = play(driver, 3 * length)[0]
     starts = [i for i, a in enumerate(asked) if float(a.phase[0]) == 0.0]
@@ -174,9 +175,7 @@ def test_a_strike_takes_its_own_time(tiny_model: MotionModel) -> None:
     phases = np.full((300,), -1.0, np.float32)
     phases[100:140] = np.arange(40) / 40.0
     kick = ReferenceClip(np.zeros((330, EMBEDDING_COUNT), np.float32), np.zeros((300, 3), np.float32), phases)
-    driver = Driver(
-        replace(tiny_model, reference_clips={"running": [kick]}), "idle", DriveOptions(blend_frames=10)
-    )
+    driver = Driver(with_clips(tiny_model, {"running": [kick]}), "idle", DriveOptions(blend_frames=10))
     driver.perform("running", seconds=5.0)
     asked = play(driver, 120)[0]
     phase = [float(a.phase[0]) for a in asked]

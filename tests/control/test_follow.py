@@ -11,7 +11,7 @@ from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_p
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
 from motionkit.metrics.trajectory import trajectory_distance
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.rotations import rotate_ground
 
 
@@ -83,8 +83,9 @@ def test_samples_are_in_the_heading_frame(tiny_model: MotionModel) -> None:
 def test_a_type_that_goes_backwards_faces_against_its_way(tiny_model: MotionModel) -> None:
     from dataclasses import replace
 
-    gait = replace(tiny_model.gaits["walking"], facing=math.pi)
-    model = replace(tiny_model, gaits={**tiny_model.gaits, "walking": gait})
+    gait = tiny_model.types["walking"].gait
+    assert gait is not None
+    model = tiny_model.with_types({"walking": {"gait": replace(gait, facing=math.pi)}})
     path = shape_path("line", 5.0, ["walking"], 1.2)
     track, asked = walk_obediently(PathFollower(model, path), path, 400)
     facing = np.remainder(track[:, 2] + math.pi, 2 * math.pi)
@@ -109,7 +110,7 @@ def test_types_blend_over_40_frames_between_parts(tiny_model: MotionModel) -> No
 def test_a_type_goes_at_its_own_speed_unless_told(tiny_model: MotionModel) -> None:
     path = shape_path("line", 10.0, ["running"], None)
     follower = PathFollower(tiny_model, path)
-    assert float(follower.speeds[0]) == pytest.approx(tiny_model.gaits["running"].speed, rel=1e-3)
+    assert float(follower.speeds[0]) == pytest.approx(tiny_model.types["running"].gait.speed, rel=1e-3)
     slow = PathFollower(tiny_model, shape_path("line", 10.0, ["idle"], None))
     assert float(slow.speeds[0]) == 20.0, "one who stands would never arrive"
     assert slow.expected_seconds == pytest.approx(50.0, rel=0.01)

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
+from model_changes import with_clips
 from motionkit.arrays import Array
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
 from motionkit.control.reference_player import CLEARLY, RECONSIDERED, ReferencePlayer
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT
-from motionkit.models.checkpoint import MotionModel, ReferenceClip
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import ReferenceClip
 
 
 def walk(speed: float, frames: int = 200) -> ReferenceClip:
@@ -61,7 +61,7 @@ def test_a_player_goes_over_to_what_suits_the_way(
     assert CLEARLY < 1.0
     for number, reference_clip in enumerate(reference_clips):
         reference_clip.poses[:, 0] = 0.01 * number
-    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": reference_clips}))
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": reference_clips}))
     player.begin(
         "walking",
         np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32),
@@ -82,7 +82,7 @@ def test_strikes_are_not_left_for_a_better_way(
     tiny_model: MotionModel, reference_clips: list[ReferenceClip]
 ) -> None:
     reference_clips[1].phases[:100] = np.arange(100) / 100.0
-    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": reference_clips}))
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": reference_clips}))
     player.kind, player.clip, player.at = "walking", reference_clips[1], 1
     fast = np.tile(way_of(reference_clips[2]), (RECONSIDERED + 60, 1))
     player.play(len(fast), fast)
@@ -93,7 +93,7 @@ def test_the_same_second_is_not_played_again_and_again(tiny_model: MotionModel) 
     """Poses that hardly differ on a way that suits none: every place is as good as the last."""
     slow = walk(0.0, 600)
     slow.poses[:, 0] = 1e-3 * np.arange(630)
-    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": [slow]}))
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [slow]}))
     player.kind, player.clip, player.at = "walking", slow, 0
     way = np.tile(way_of(walk(0.5)), (400, 1))
     player.play(400, way)

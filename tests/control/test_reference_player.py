@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from model_changes import with_clips
 from motionkit.arrays import Array, lerp
 from motionkit.control.motion_index import STATE_FRAMES
 from motionkit.control.reference_player import (
@@ -20,14 +21,15 @@ from motionkit.control.reference_player import (
 from motionkit.control.script import TypePart, plan_signals
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
-from motionkit.models.checkpoint import MotionModel, ReferenceClip
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import ReferenceClip
 
 NEAR = np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32)
 
 
 @pytest.fixture
 def flips(tiny_model: MotionModel) -> MotionModel:
-    assert tiny_model.performed("cartwheel"), "the tiny dataset has a type that turns over"
+    assert tiny_model.types["cartwheel"].performed, "the tiny dataset has a type that turns over"
     return tiny_model
 
 
@@ -48,9 +50,9 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
     assert asked.trajectory.shape == (120, 24) and asked.reference.shape == (120, REFERENCE_COUNT)
     assert asked.trajectory_mask.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
     assert asked.reference_gain.tolist() == pytest.approx(
-        [1.0] * 60 + [flips.reference_gain["cartwheel"]] * 30 + [1.0] * 30
+        [1.0] * 60 + [flips.types["cartwheel"].preset.reference_gain] * 30 + [1.0] * 30
     )
-    reference_clip = flips.reference_clips["cartwheel"][0]
+    reference_clip = flips.types["cartwheel"].reference_clips[0]
     frames = np.arange(30)
     assert np.array_equal(asked.trajectory[60:90], future_trajectory(reference_clip.ground, frames))
     assert np.array_equal(asked.reference[60:90], reference_signal(reference_clip.poses, frames))
@@ -59,7 +61,7 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
 
 def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
     far = recording(300, first=1000.0)
-    model = replace(tiny_model, reference_clips={"walking": [recording(300)], "running": [far]})
+    model = with_clips(tiny_model, {"walking": [recording(300)], "running": [far]})
     asked = plan_signals(model, [TypePart("walking", 1.0), TypePart("running", 1.0)], NEAR)
     steps = np.diff(asked.reference[58 : 60 + BLEND + 2, 0])
     leap = float(asked.reference[60 + BLEND, 0] - asked.reference[59, 0])
@@ -67,7 +69,7 @@ def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
 
 
 def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: MotionModel) -> None:
-    length = len(flips.reference_clips["cartwheel"][0])
+    length = len(flips.types["cartwheel"].reference_clips[0])
     asked = plan_signals(flips, [TypePart("cartwheel", (2 * length + PAUSE) / flips.fps)], NEAR)
     second = slice(length + PAUSE, None)
     for signal in (asked.reference, asked.trajectory, asked.phase):
@@ -81,7 +83,7 @@ def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: Motio
 
 
 def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: MotionModel) -> None:
-    reference_clips, parts = flips.reference_clips["cartwheel"], [TypePart("cartwheel", 10 / flips.fps)]
+    reference_clips, parts = flips.types["cartwheel"].reference_clips, [TypePart("cartwheel", 10 / flips.fps)]
     asked = plan_signals(flips, parts, NEAR, behind=5)
     assert np.array_equal(asked.phase, reference_clips[0].phases[5:15])
     other = plan_signals(flips, parts, NEAR, choice=1)
@@ -93,18 +95,18 @@ def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: Mo
 def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
     asked = plan_signals(replace(flips, uses_references=False), [TypePart("walking", 1.0)], NEAR)
     assert not asked.reference_gain.any()
-    unknown = replace(flips, reference_clips={})
+    unknown = with_clips(flips, {})
     asked = plan_signals(unknown, [TypePart("walking", 1.0)], NEAR)
     assert not asked.reference_gain.any() and not asked.reference.any() and float(asked.phase.max()) == -1.0
 
 
 def test_a_recording_is_entered_where_its_pose_is_most_alike(tiny_model: MotionModel) -> None:
-    model = replace(tiny_model, reference_clips={"walking": [recording(200), recording(200, first=1000.0)]})
+    model = with_clips(tiny_model, {"walking": [recording(200), recording(200, first=1000.0)]})
     player = ReferencePlayer(model, choice=3)
     near = NEAR.copy()
     near[:, 0] = 1050.0 - np.array(STATE_FRAMES)
     player.begin("walking", near)
-    assert player.clip is model.reference_clips["walking"][1]
+    assert player.clip is model.types["walking"].reference_clips[1]
     assert abs(player.at - 50) < 20, "one of a few places drawn"
     at = player.at
     first = player.play(40)
@@ -117,7 +119,7 @@ def test_what_stands_is_not_entered(tiny_model: MotionModel) -> None:
     """Whoever asks for a dance and stands would find a dancer who stands most alike."""
     dance = recording(400)
     dance.poses[:200, 0] = 0.0
-    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": [dance]}), choice=1)
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [dance]}), choice=1)
     player.begin("walking", NEAR)
     assert player.at > 100
 
@@ -125,9 +127,9 @@ def test_what_stands_is_not_entered(tiny_model: MotionModel) -> None:
 def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
     phases = np.full((300,), -1.0, np.float32)
     phases[100:140] = np.arange(40) / 40.0
-    model = replace(tiny_model, reference_clips={"kicking": [recording(300, phases)]})
+    model = with_clips(tiny_model, {"walking": [recording(300, phases)]})
     player = ReferencePlayer(model)
-    player.begin("kicking")
+    player.begin("walking")
     assert player.at == 100 - BEFORE_EVENT
     assert player.event_frames() == BEFORE_EVENT + 40
     asked = player.play(BEFORE_EVENT + 41)
@@ -143,7 +145,7 @@ def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
 
 
 def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> None:
-    features = tiny_model.start_poses["walking"][0].features
+    features = tiny_model.types["walking"].start_poses[0].features
     features = np.concatenate([features, np.flip(features, 0)])
     before = [-1 - frames for frames in STATE_FRAMES]
     assert np.allclose(last_poses(tiny_model, features), tiny_model.pose_embedding.of(features[before]))
@@ -155,7 +157,7 @@ def test_last_poses_are_those_of_the_last_frames(tiny_model: MotionModel) -> Non
 def test_recordings_of_a_few_frames_are_entered_too(tiny_model: MotionModel, frames: int) -> None:
     reference_clip = recording(frames)
     reference_clip.poses[:, 0] = reference_clip.poses[:, 0] ** 2  # no two places move as much
-    player = ReferencePlayer(replace(tiny_model, reference_clips={"walking": [reference_clip]}))
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [reference_clip]}))
     player.begin("walking", NEAR)
     assert player.clip is reference_clip and 0 <= player.at < frames
     assert len(player.play(10).phase) == 10
@@ -168,9 +170,7 @@ def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, s
     asked = np.zeros((40, 24), np.float32)
     asked[:, 12:] = np.tile(np.float32([0.0, 1.0]), 6)
     asked[:, 0:12:2] = np.arange(10.0, 70.0, 10.0, dtype=np.float32)  # to the side
-    player = ReferencePlayer(
-        replace(tiny_model, reference_clips={"walking": [reference_clip]}), own_share=share
-    )
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [reference_clip]}), own_share=share)
     player.begin("walking", NEAR, trajectory=asked[0])
     shown = player.play(40, asked)
     own = future_trajectory(reference_clip.ground, np.arange(player.at - 40, player.at))
@@ -182,7 +182,7 @@ def test_a_way_asked_for_is_met_by_the_recordings_own(tiny_model: MotionModel, s
 def test_a_performance_goes_the_way_asked_for(flips: MotionModel) -> None:
     player = ReferencePlayer(flips)
     player.begin("cartwheel")
-    length = len(flips.reference_clips["cartwheel"][0])
+    length = len(flips.types["cartwheel"].reference_clips[0])
     asked = np.random.default_rng(0).random((2 * length, 24), np.float32)
     shown = player.play(2 * length, asked)
     assert float(shown.trajectory_mask.min()) == 1.0

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -15,7 +16,8 @@ from motionkit.control.steering import (
     spring_travel,
     steered_type,
 )
-from motionkit.models.checkpoint import Gait, MotionModel
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import Gait, MotionType
 
 FPS = 60.0
 
@@ -132,18 +134,15 @@ def test_facing_turns_the_short_way() -> None:
 def test_type_by_velocity_and_facing(
     tiny_model: MotionModel, velocity: tuple[float, float], facing: float | None, kind: str
 ) -> None:
-    from dataclasses import replace
-
     gaits = {"idle": Gait(4.0, 0.0), "walking": Gait(116.0, 0.0), "running": Gait(312.0, 0.0)}
     gaits["b-walking"] = Gait(103.0, math.pi)
-    model = replace(tiny_model, types=(*gaits, "cartwheel"), gaits=gaits)
+    types = {name: MotionType(gait=gait, steered=True) for name, gait in gaits.items()}
+    model = replace(tiny_model, types=types | {"cartwheel": tiny_model.types["cartwheel"]})
     assert steered_type(model, velocity, facing) == kind
 
 
 def test_a_model_without_the_usual_types_still_moves(tiny_model: MotionModel) -> None:
-    from dataclasses import replace
-
     gaits = {"limp": Gait(50.0, 0.0), "flip": Gait(50.0, 0.0, 2.0), "sprint": Gait(700.0, 0.0)}
-    model = replace(tiny_model, types=tuple(gaits), gaits=gaits, reference_clips={})
+    model = replace(tiny_model, types={name: MotionType(gait=gait) for name, gait in gaits.items()})
     assert steered_type(model, (0.0, 0.0), None) == "limp"
     assert steered_type(model, (600.0, 0.0), None) == "sprint"

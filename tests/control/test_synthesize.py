@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from model_changes import with_preset
 from motionkit.arrays import Array
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, on_character, synthesize
@@ -14,7 +15,7 @@ from motionkit.features.decode import decode_motion
 from motionkit.inference.rollout import FrameControls, Noise, RolloutState, run, start_batch
 from motionkit.inference.start import clip_start, type_start
 from motionkit.inference.step import NetworkStep
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -108,7 +109,7 @@ def test_several_at_once_differ_and_each_equals_its_own_stream(tiny_model: Motio
 
 
 def test_characters_in_a_batch_do_not_touch_each_other(tiny_model: MotionModel) -> None:
-    seeds = [tiny_model.start_poses[kind][0] for kind in ("walking", "idle")]
+    seeds = [tiny_model.types[kind].start_poses[0] for kind in ("walking", "idle")]
     features, contacts = start_batch(seeds)
     weights = np.eye(len(tiny_model.types), dtype=np.float32)[
         [tiny_model.type_id("walking"), tiny_model.type_id("idle")]
@@ -163,7 +164,7 @@ def test_foot_locks_move_feet_only(tiny_model: MotionModel) -> None:
 
 
 def test_seeds_are_taken_in_turn(tiny_model: MotionModel) -> None:
-    count = len(tiny_model.start_poses["walking"])
+    count = len(tiny_model.types["walking"].start_poses)
     assert count > 1
     start = type_start(tiny_model, "walking", count + 1)
     assert np.array_equal(start.features[0], start.features[count])
@@ -172,7 +173,7 @@ def test_seeds_are_taken_in_turn(tiny_model: MotionModel) -> None:
 
 def test_a_type_without_seeds(tiny_model: MotionModel) -> None:
     with pytest.raises(ControlError, match="no frames to start 'walking' from"):
-        type_start(replace(tiny_model, start_poses={}), "walking", 1)
+        type_start(tiny_model.with_types({"walking": {"start_poses": ()}}), "walking", 1)
 
 
 def test_start_frames_are_the_clips(tiny_model: MotionModel, clips_folder: Path) -> None:
@@ -272,14 +273,14 @@ def test_a_network_is_packed_once(tiny_model: MotionModel) -> None:
 
 def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
     """With no share the draw is the mean, with twice the share it is twice as far from it."""
-    seed = tiny_model.start_poses["walking"][0]
+    seed = tiny_model.types["walking"].start_poses[0]
     weights = np.eye(len(tiny_model.types), dtype=np.float32)[[tiny_model.type_id("walking")]]
     asked = FrameControls(
         weights, np.zeros((1, 24), np.float32), np.zeros(1, np.float32), np.full((1,), -1.0, np.float32)
     )
     made = []
     for share in (0.0, 1.0, 2.0):
-        state = RolloutState(replace(tiny_model, noise={"walking": share}), 1, Noise("sample"), seed=5)
+        state = RolloutState(with_preset(tiny_model, noise_scale=share), 1, Noise("sample"), seed=5)
         state.start(seed.features[None], seed.contacts[None], weights)
         state.step(asked)
         made.append(state.normalised.copy())

@@ -10,7 +10,7 @@ from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.rolling import Plan, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.inference.rollout import Noise
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from synthetic_motions import make_idle, make_walk

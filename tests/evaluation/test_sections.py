@@ -24,7 +24,7 @@ from motionkit.evaluation.stability import (
     random_plan,
     stability_section,
 )
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from synthetic_motions import make_idle, make_walk
 

@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 import torch
 
+from model_changes import with_preset
 from motionkit.errors import ModelError
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
-from motionkit.models.checkpoint import MotionModel, load_model
+from motionkit.models.checkpoint import load_model
+from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 
@@ -68,18 +70,18 @@ def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None
 
 
 def test_feet_hold_the_root_as_in_motionkit(tiny_model: MotionModel, tmp_path: Path) -> None:
-    model = replace(tiny_model, slip_correction=dict.fromkeys(tiny_model.types, 0.6))
+    model = with_preset(tiny_model, slip_correction=0.6)
     path = tmp_path / "model.onnx"
     path.write_bytes(build_graph(model).SerializeToString())
     assert check_export(model, path, "default", frames=120).positions < 0.05
     # The same graph beside a roll-out without a slip_correction is somewhere else.
-    assert check_export(replace(model, slip_correction={}), path, "default", frames=120).positions > 1.0
+    assert check_export(with_preset(model, slip_correction=0.0), path, "default", frames=120).positions > 1.0
 
 
 def test_the_grip_counts_as_much_as_is_asked_for(tiny_model: MotionModel, tmp_path: Path) -> None:
     def features(share: float, asked: float) -> np.ndarray:
         path = tmp_path / f"{share}.onnx"
-        export_onnx(replace(tiny_model, slip_correction=dict.fromkeys(tiny_model.types, share)), path)
+        export_onnx(with_preset(tiny_model, slip_correction=share), path)
         graph = OnnxStep(path)
         graph.values["type_weights"][0, 0], graph.values["phase"][:] = 1.0, -1.0
         graph.values["slip_correction"][:] = asked
@@ -104,7 +106,7 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     import onnx
 
     # Without a slip_correction, which sums up over 600 frames where feet stand.
-    check = export_onnx(replace(tiny_model, slip_correction={}), tmp_path / "small.onnx", weights="int8")
+    check = export_onnx(with_preset(tiny_model, slip_correction=0.0), tmp_path / "small.onnx", weights="int8")
     assert check is not None and 1e-4 < check.features < 0.05
     assert (tmp_path / "small.onnx").stat().st_size < 0.7 * exported.stat().st_size
     assert json.loads((tmp_path / "small.json").read_text())["weights"] == "int8"

@@ -96,7 +96,7 @@ def model_case(
             before = files_below(folder)
             try:
                 model = load_model(path)
-                parts = [TypePart(kind, 3.0 / model.fps) for kind in model.types[:2]]
+                parts = [TypePart(kind, 3.0 / model.fps) for kind in model.type_names[:2]]
                 result = synthesize(model, parts, SynthesisOptions(count=2, ik=True))
                 write_bvh(made, result.motions[0].motion)
             except MotionkitError:

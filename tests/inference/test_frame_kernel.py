@@ -17,7 +17,7 @@ from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import FrameControls, Noise
 from motionkit.inference.step_kernel import load_library
 from motionkit.models.bundled import load_bundled_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 pytestmark = pytest.mark.skipif(
     frame_library() is None, reason="motionkit was installed without its C kernels"

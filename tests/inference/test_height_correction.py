@@ -113,7 +113,7 @@ def test_whole_motions_are_raised_as_live_characters_are() -> None:
 
 def test_recorded_motion_stays_where_it_is() -> None:
     for kind in MODEL.types:
-        seed = MODEL.start_poses[kind][0]
+        seed = MODEL.types[kind].start_poses[0]
         rollout = Rollout(seed.features[None], seed.contacts[None], seed.ground[None])
         motion = rollout_motion(MODEL, rollout, 0, MODEL.character("default"))
         rise = motion.root_positions[:, 1] - root_height(seed.features, LAYOUT)

@@ -7,12 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from model_changes import with_presets
 from motionkit.arrays import Array, lerp
 from motionkit.inference import slip_correction
 from motionkit.inference.rollout import FrameControls, Noise, RolloutState, blended_columns
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.models.bundled import load_bundled_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.rotations import rotate_ground
 
 KINDS = ("walking", "cartwheel")
@@ -32,8 +33,8 @@ def started(
     model: MotionModel, velocity_blend: dict[str, float], compiled: bool, noise: Noise | None = None
 ) -> tuple[RolloutState, Array]:
     """Two walkers and their normalised seed frames, the second of them half asked for a cartwheel."""
-    model = replace(model, velocity_blend=velocity_blend, slip_correction={})
-    seed = model.start_poses["walking"][0]
+    model = with_presets(model, "velocity_blend", velocity_blend)
+    seed = model.types["walking"].start_poses[0]
     state = RolloutState(model, 2, noise or Noise("mean"), compiled=compiled)
     features = np.stack([seed.features, seed.features])
     weights = np.zeros((2, len(model.types)), np.float32)
@@ -95,8 +96,8 @@ def test_inertia_makes_motion_smoother() -> None:
 
 def standing_walk(model: MotionModel, share: float, compiled: bool, drift: float = 0.0) -> tuple[Array, ...]:
     """Ground (60, 3) and feet (60, 4, 3) in the world of one who walks; drift is added to the root's speed."""
-    model = replace(model, slip_correction={"walking": share}, velocity_blend={})
-    seed = model.start_poses["walking"][0]
+    model = with_presets(model, "slip_correction", {"walking": share})
+    seed = model.types["walking"].start_poses[0]
     state = RolloutState(model, 1, Noise("mean"), compiled=compiled)
     weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id("walking")] = 1.0
@@ -197,7 +198,7 @@ def test_controls_say_how_much_of_the_grip_counts() -> None:
     model = load_bundled_model()
     weights = np.zeros((2, len(model.types)), np.float32)
     weights[:, model.type_id("dance-salsa")] = 1.0
-    state, _ = started(replace(model, slip_correction={"dance-salsa": 0.5}), {}, True)
+    state, _ = started(with_presets(model, "slip_correction", {"dance-salsa": 0.5}), {}, True)
     free, _ = started(model, {}, True)
     free._slip_corrections[:] = 0.0
     state._slip_corrections[model.type_id("dance-salsa")] = 0.5

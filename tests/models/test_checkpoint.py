@@ -13,7 +13,8 @@ from motionkit.errors import ControlError, ModelError
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
 from motionkit.models.bundled import open_model
-from motionkit.models.checkpoint import MotionModel, load_model, model_arrays, read_header, save_model
+from motionkit.models.checkpoint import load_model, model_arrays, read_header, save_model
+from motionkit.models.model import MotionModel
 
 
 def predict(model: MotionModel) -> Array:
@@ -39,21 +40,20 @@ def test_what_is_saved_is_what_is_loaded(tiny_model: MotionModel, tmp_path: Path
     save_model(tmp_path / "copy.safetensors", tiny_model)
     copy = load_model(tmp_path / "copy.safetensors")
     assert np.array_equal(predict(copy), predict(tiny_model))
-    assert copy.types == tiny_model.types and copy.fps == tiny_model.fps
+    assert copy.type_names == tiny_model.type_names and copy.fps == tiny_model.fps
     assert copy.config == tiny_model.config and copy.card == tiny_model.card
-    assert copy.gaits == tiny_model.gaits and list(copy.characters) == list(tiny_model.characters)
-    for kind, seeds in tiny_model.start_poses.items():
-        for a, b in zip(seeds, copy.start_poses[kind], strict=True):
+    assert list(copy.characters) == list(tiny_model.characters)
+    for name, kind in tiny_model.types.items():
+        other = copy.types[name]
+        assert (other.gait, other.preset, other.steered) == (kind.gait, kind.preset, kind.steered)
+        assert len(other.reference_clips) == len(kind.reference_clips)
+        for a, b in zip(kind.start_poses, other.start_poses, strict=True):
             assert np.array_equal(a.features, b.features) and np.array_equal(a.contacts, b.contacts)
             assert np.array_equal(a.ground, b.ground)
     for name in ("scaling", "trajectory_scaling"):
         assert np.array_equal(getattr(copy, name).mean, getattr(tiny_model, name).mean)
         assert np.array_equal(getattr(copy, name).std, getattr(tiny_model, name).std)
     assert np.array_equal(copy.reference_rotations, tiny_model.reference_rotations)
-    for name in ("reference_gain", "noise", "velocity_blend", "slip_correction"):
-        assert getattr(copy, name) == getattr(tiny_model, name) and set(getattr(copy, name)) == set(
-            copy.types
-        )
 
 
 def test_the_same_model_gives_the_same_bytes(tiny_model: MotionModel, tmp_path: Path) -> None:
@@ -69,8 +69,9 @@ def test_half_precision_is_half_the_size_and_close(tiny_model: MotionModel, tmp_
     half = load_model(tmp_path / "half")
     assert np.abs(predict(half) - predict(tiny_model)).max() < 0.02
     assert half.network["aggregate.weight"].dtype == np.float32
-    for kind, seeds in tiny_model.start_poses.items():
-        assert np.allclose(half.start_poses[kind][0].features, seeds[0].features, rtol=1e-3, atol=1e-2)
+    for name, kind in tiny_model.types.items():
+        start = half.types[name].start_poses[0]
+        assert np.allclose(start.features, kind.start_poses[0].features, rtol=1e-3, atol=1e-2)
 
 
 def test_consistency_modules_are_not_in_the_file(tiny_model: MotionModel) -> None:
@@ -82,10 +83,9 @@ def test_consistency_modules_are_not_in_the_file(tiny_model: MotionModel) -> Non
 
 
 def test_every_type_has_seed_frames_of_its_own(tiny_model: MotionModel) -> None:
-    assert set(tiny_model.start_poses) == set(tiny_model.types)
-    for seeds in tiny_model.start_poses.values():
-        assert 1 <= len(seeds) <= 3
-        for seed in seeds:
+    for kind in tiny_model.types.values():
+        assert 1 <= len(kind.start_poses) <= 3
+        for seed in kind.start_poses:
             assert seed.features.shape[1] == 276 and len(seed.features) == len(seed.contacts) >= 2
 
 
@@ -196,4 +196,4 @@ def test_saving_into_what_is_no_folder_is_told_in_a_line(tiny_model: MotionModel
 
 
 def test_open_model_takes_the_file_given(tiny_model_file: Path) -> None:
-    assert open_model(tiny_model_file).types[0] == "cartwheel"
+    assert open_model(tiny_model_file).type_names[0] == "cartwheel"

@@ -16,8 +16,9 @@ from safetensors.torch import save_file
 
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
-from motionkit.models.checkpoint import MotionModel, load_model, save_model
+from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.file_check import weight_shapes
+from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import PRESETS, preset
 

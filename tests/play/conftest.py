@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 from websockets.sync.client import ClientConnection, connect
 
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.play.limits import Limits
 from motionkit.play.server import Addresses, PlayServer, ServerOptions
 from motionkit.play.session import Session

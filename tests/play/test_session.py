@@ -15,7 +15,7 @@ import pytest
 from motionkit.errors import ControlError
 from motionkit.inference.character import CharacterFrame
 from motionkit.inference.rollout import FrameControls
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.rotations import quat_angle
 from motionkit.play.frames import WorldFrame
@@ -107,10 +107,10 @@ def test_frames_carry_what_was_asked(session: Session, tiny_model: MotionModel) 
     assert character is not None
     ask(session, 1, "wish", velocity=[0, 300], type="running", seq=77)
     shown = play(session, 30)[-1].characters[0]
-    assert (shown.seq, tiny_model.types[shown.type]) == (77, "running")
+    assert (shown.seq, tiny_model.type_names[shown.type]) == (77, "running")
     ask(session, 1, "perform", type="cartwheel", seq=78)
     shown = play(session, 30)[-1].characters[0]
-    assert shown.performing and shown.seq == 78 and tiny_model.types[shown.type] == "cartwheel"
+    assert shown.performing and shown.seq == 78 and tiny_model.type_names[shown.type] == "cartwheel"
     assert shown.rotations.shape == (23, 4) and shown.positions.shape == (23, 3)
     assert np.allclose(np.linalg.norm(shown.rotations, axis=-1), 1.0, atol=1e-4)
     assert np.allclose(shown.positions[0], shown.root, atol=1e-3)
@@ -311,7 +311,7 @@ def soak(session: Session, seconds: float) -> int:
         for client in (1, 2):
             if generator.random() < 0.05:
                 try:
-                    session.obey(client, random_request(generator, session.model.types))
+                    session.obey(client, random_request(generator, session.model.type_names))
                 except ControlError:
                     pass
         if generator.random() < 0.005:

@@ -23,7 +23,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from motionkit.inference.character import CharacterStream
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.rotations import quat_angle
 from motionkit.play.client import Client, TooManyMessages

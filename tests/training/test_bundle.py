@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import math
+import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +13,8 @@ from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.features.control import ControlLayout
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
-from motionkit.models.checkpoint import MOVEMENT_FRAMES, ReferenceClip
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MOVEMENT_FRAMES, MotionType, ReferenceClip
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
@@ -25,7 +28,7 @@ from motionkit.training.bundle import (
     bundle_model,
     measure_gaits,
     recorded_references,
-    sampling_presets,
+    sampling_preset,
     start_poses_of,
     typical_first,
 )
@@ -94,24 +97,35 @@ def test_a_type_that_goes_backwards_has_the_angle_of_its_way(tmp_path: Path) -> 
 def test_a_bundle_holds_what_synthesis_needs(dataset: Dataset) -> None:
     network = PartTransformer(preset("tiny"), ControlLayout(dataset.types).size)
     model = bundle_model(network, dataset, {"note": "for a test"})
-    assert model.types == dataset.types and model.fps == 60.0
+    assert model.type_names == dataset.types and model.fps == 60.0
     assert "default" in model.characters
-    assert set(model.start_poses) == set(model.gaits) == set(dataset.types)
+    assert all(kind.start_poses and kind.gait is not None for kind in model.types.values())
     assert model.card == {"note": "for a test"}
     assert np.array_equal(model.reference_rotations, dataset.reference_rotations)
 
 
-def test_who_stands_takes_more_noise(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
-    def noise() -> dict[str, float]:
-        return {kind: preset.noise for kind, preset in sampling_presets(dataset).items()}
+def test_what_is_steered_is_found_from_the_motion(dataset: Dataset) -> None:
+    network = PartTransformer(preset("tiny"), ControlLayout(dataset.types).size)
+    model = bundle_model(network.weights(), dataset, {})
+    assert {name for name, kind in model.types.items() if kind.steered} == {"idle", "walking", "running"}
+    assert [name for name, kind in model.types.items() if kind.stands] == ["idle"]
+    noise = {name: kind.preset.noise_scale for name, kind in model.types.items()}
+    assert noise["idle"] > noise["running"] == noise["cartwheel"], "a standing body needs noise to sway"
 
-    shares = noise()
-    assert set(shares) == set(dataset.types)
-    assert shares["idle"] > shares["running"] == shares["cartwheel"]
-    monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
-    assert len(set(noise().values())) == 1
-    monkeypatch.setattr("motionkit.training.bundle.QUIET", float("inf"))
-    assert noise()["walking"] == shares["idle"] and noise()["cartwheel"] == shares["cartwheel"]
+
+def test_names_do_not_matter_to_what_is_steered(clips_folder: Path, tmp_path: Path) -> None:
+    """The same recordings under names nobody knows give the same model."""
+    shutil.copytree(clips_folder, tmp_path / "clips")
+    labels = tmp_path / "clips" / "labels.csv"
+    text = labels.read_text()
+    for old, new in (("walking", "Lauf_02"), ("running", "zombie"), ("idle", "warten")):
+        text = text.replace(f",{old}", f",{new}")
+    labels.write_text(text)
+    preprocess([tmp_path / "clips"], tmp_path / "ds", PreprocessOptions(jobs=1))
+    other = Dataset(tmp_path / "ds")
+    network = PartTransformer(preset("tiny"), ControlLayout(other.types).size)
+    model = bundle_model(network.weights(), other, {})
+    assert {name for name, kind in model.types.items() if kind.steered} == {"warten", "Lauf_02", "zombie"}
 
 
 def test_outlines_end_where_bodies_come_to_rest() -> None:
@@ -162,41 +176,15 @@ def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
     assert reference_clip.movement[-1] == 0.0 and len(reference_clip.movement) == 300
 
 
-def test_what_moves_sharply_is_guided_and_carried_on_in_its_own_way(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # What a type is follows from its events alone: types that the dataset has stand for others.
-    events = {"cartwheel": "", "running": "jump", "walking": "kick"}
-    monkeypatch.setattr(Dataset, "phase_events", events)
-    monkeypatch.setattr("motionkit.training.bundle.STEERED_TYPES", ("idle",))
-    monkeypatch.setattr("motionkit.training.bundle.QUIET", 0.0)
-    kinds = ("idle", "running", "walking", "cartwheel")
-    steered, jumping, kicking, cartwheel = (sampling_presets(dataset)[kind] for kind in kinds)
-    monkeypatch.setattr(Dataset, "phase_events", {})
-    dance = sampling_presets(dataset)["cartwheel"]
-    assert (
-        1.0
-        == steered.reference_gain
-        < kicking.reference_gain
-        == cartwheel.reference_gain
-        < dance.reference_gain
-        < jumping.reference_gain
+def test_sharp_types_follow_references_more(tiny_model: MotionModel) -> None:
+    gait, other = replace(tiny_model.types["walking"], steered=True), MotionType()
+    steered, kicking, jumping, cartwheel, dance = (
+        sampling_preset(kind, event)
+        for kind, event in ((gait, None), (other, "kick"), (other, "jump"), (other, ""), (other, None))
     )
-    assert (
-        0.0
-        < steered.velocity_blend
-        < jumping.velocity_blend
-        < kicking.velocity_blend
-        < dance.velocity_blend
-        < cartwheel.velocity_blend
-        < 1.0
-    )
-    assert (
-        0.0
-        < steered.slip_correction
-        < jumping.slip_correction
-        == cartwheel.slip_correction
-        < kicking.slip_correction
-        < dance.slip_correction
-        < 1.0
-    )
+    gains = [p.reference_gain for p in (steered, kicking, cartwheel, dance, jumping)]
+    assert gains == sorted(gains) and gains[0] == 1.0 < gains[1] and gains[-2] < gains[-1]
+    blends = [p.velocity_blend for p in (steered, jumping, kicking, dance, cartwheel)]
+    assert blends == sorted(blends) and 0.0 < blends[0]
+    slips = [p.slip_correction for p in (steered, kicking, dance)]
+    assert slips == sorted(slips) and 0.0 < slips[0]

@@ -8,7 +8,7 @@ import pytest
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.inference.rollout import Noise
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import read_bvh
 from motionkit.training import scores
 from motionkit.training.scores import rollout_types, score_rollouts

@@ -66,7 +66,7 @@ def test_the_loss_falls_and_the_model_file_is_whole(
     totals = [line["total"] for line in losses_of(path)]
     assert sum(totals[-5:]) < 0.9 * sum(totals[:5])
     model = load_model(path)
-    assert model.types == Dataset(dataset_folder).types
+    assert model.type_names == Dataset(dataset_folder).types
     assert model.card["steps"] == 30 and model.card["options"]["preset"] == "tiny"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["m.run", "m.safetensors"]
     assert sorted(p.name for p in (tmp_path / "m.run").iterdir()) == ["checkpoint.safetensors", "log.jsonl"]

@@ -13,7 +13,6 @@ from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer, Signals
 from motionkit.control.steering import (
     STANDS_BELOW,
-    STEERED_TYPES,
     Steering,
     SteeringOptions,
     steered_type,
@@ -21,7 +20,7 @@ from motionkit.control.steering import (
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.inference.rollout import FrameControls
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
 AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
@@ -175,7 +174,7 @@ class Driver:
         length = round(self.model.phase_seconds(kind) * self.model.fps)
         player = ReferencePlayer(self.model, choice)
         player.begin(kind)
-        if not self.model.performed(kind):
+        if not self.model.types[kind].performed:
             event = player.event_frames()
             length = event + AFTER_EVENT if event else 0
         # Weights cross the middle of their blend as the first frame is due, as they do in training.
@@ -190,10 +189,10 @@ class Driver:
         kind = wish.type or steered_type(self.model, wish.velocity, wish.facing)
         facing = wish.facing
         if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
-            gait = self.model.gaits.get(kind)
+            gait = self.model.types[kind].gait
             facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
         trajectory = np.array([self.steering.trajectory(wish.velocity, facing)], np.float32)
-        if kind in STEERED_TYPES:
+        if self.model.types[kind].steered:
             self._played = ""
             return _Asked(kind, trajectory)
         return self._with_reference(kind, trajectory)
@@ -252,7 +251,7 @@ class Driver:
         share = min(1.0, self._blended / max(1, self.options.blend_frames))
         goal = self._one(kind) if weights is None else weights
         self._weights = self._from + share * (goal - self._from)
-        self.type = kind or self.model.types[int(goal.argmax())]
+        self.type = kind or self.model.type_names[int(goal.argmax())]
         return self._weights
 
     def _one(self, kind: str) -> Array:

@@ -12,14 +12,13 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
-from motionkit.control.steering import STEERED_TYPES
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motion
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
 from motionkit.inference.rollout import FrameControls, Noise, Rollout, RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import rotate_ground
 
@@ -63,11 +62,11 @@ class PathFollower:
 
     def __init__(self, model: MotionModel, path: Path2D, choice: int = 0, behind: int = 0) -> None:
         """behind: frames of the first part's performance that lie behind already."""
-        self.path, self.fps = path, model.fps
+        self.model, self.path, self.fps = model, path, model.fps
         self.player, self.behind = ReferencePlayer(model, choice, own_share=0.0), behind
         self.types = np.array([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
-        gaits = [model.gaits.get(part.type) for part in path.parts]
+        gaits = [model.types[part.type].gait for part in path.parts]
         self.speeds = part_speeds(model, path)
         self.facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
         self.entered = -1  # the part the character is on
@@ -94,7 +93,7 @@ class PathFollower:
         kind = self.path.parts[part].type
         # On a path the way comes first, wherever feet stand or those of a recording went.
         loose = np.zeros(1, np.float32)
-        if kind in STEERED_TYPES:
+        if self.model.types[kind].steered:
             self.entered = part
             no_phase = np.full((1,), -1.0, np.float32)
             return FrameControls(
@@ -140,7 +139,8 @@ class PathFollower:
 
 def part_speeds(model: MotionModel, path: Path2D) -> Array:
     """Speed (N,) in cm/s on each part of the path: what is asked for, else what is usual for its type."""
-    gaits = [model.gaits.get(part.type) for part in path.parts]
+    known = [model.types.get(part.type) for part in path.parts]
+    gaits = [None if kind is None else kind.gait for kind in known]
     typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
     wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
     return np.maximum(np.array(wanted, np.float32), 20.0)

@@ -6,11 +6,13 @@ Animation"), here only to choose what a reference shows: the body itself is the 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from motionkit.arrays import Array, lower_median
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
-from motionkit.models.checkpoint import ReferenceClip
+from motionkit.models.motion_type import ReferenceClip
 
 NEARBY = 90  # frames
 # A state is the pose now and so many frames before: how it moves, and what it has just done.
@@ -28,7 +30,7 @@ class MotionIndex:
         moves: (P,) whether at least the type's usual movement follows.
     """
 
-    def __init__(self, reference_clips: list[ReferenceClip]) -> None:
+    def __init__(self, reference_clips: Sequence[ReferenceClip]) -> None:
         self.reference_clips = reference_clips
         lengths = [len(reference_clip) for reference_clip in reference_clips]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]

@@ -191,7 +191,7 @@ def shape_path(name: str, size: float | None, types: list[str], speed: float | N
     Raises ControlError for an unknown shape, or a size or speed that is no positive number.
     """
     if name not in SHAPES:
-        from motionkit.models.checkpoint import unknown_name
+        from motionkit.models.model import unknown_name
 
         raise ControlError(unknown_name("path shape", name, tuple(SHAPES)))
     metres = DEFAULT_SIZES[name] if size is None else size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +13,8 @@ from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.reference import REFERENCE_COUNT, reference_signal
 from motionkit.inference.rollout import FrameControls
-from motionkit.models.checkpoint import MotionModel, ReferenceClip
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionType, ReferenceClip
 
 # MotionIndex a recording may be entered at, of which the one most like the present pose is taken. Few at a change of
 # type, for of many the most alike to one who stands is one where nothing happens; many to go on within a type.
@@ -102,13 +104,13 @@ class ReferencePlayer:
         """
         if near is None:
             near = self._present()
-        reference_clips = self.model.reference_clips.get(kind, [])
         count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
         left, place = self.clip, self.at
         self.kind, self.clip, self.at, self.left, self._since = kind, None, 0, None, 0
+        reference_clips = self._type.reference_clips
         if not reference_clips:
             return
-        if self.model.performed(kind):
+        if self._type.performed:
             self.clip = reference_clips[self.choice % len(reference_clips)]
             self.at = behind % len(self.clip)
         elif trajectory is not None and near is not None:
@@ -182,14 +184,11 @@ class ReferencePlayer:
 
     def _strikes(self) -> bool:
         """Whether the type is a performance or made of strikes or jumps."""
-        return any(
-            bool((reference_clip.phases >= 0.0).any())
-            for reference_clip in self.model.reference_clips.get(self.kind, [])
-        )
+        return self._type.has_phase
 
     def _sought(self) -> MotionIndex:
         if self.kind not in self._places:
-            self._places[self.kind] = MotionIndex(self.model.reference_clips[self.kind])
+            self._places[self.kind] = MotionIndex(self._type.reference_clips)
         return self._places[self.kind]
 
     def _stretch(self, count: int, trajectories: Array | None) -> Signals:
@@ -247,14 +246,18 @@ class ReferencePlayer:
         return Signals(reference, self._strength() * ones, trajectory, ones, -ones)
 
     def _strength(self) -> float:
-        """How much larger than it is the reference is shown."""
-        return self.model.reference_gain.get(self.kind, 1.0) if self.model.uses_references else 0.0
+        """The reference gain of the type; 0 for models without references."""
+        return self._type.preset.reference_gain if self.model.uses_references else 0.0
+
+    @property
+    def _type(self) -> MotionType:
+        return self.model.types.get(self.kind, MotionType())
 
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))
 
     def _drawn(
-        self, reference_clips: list[ReferenceClip], count: int, near: Array | None
+        self, reference_clips: Sequence[ReferenceClip], count: int, near: Array | None
     ) -> tuple[ReferenceClip, int]:
         """Of some places drawn the one most like the pose."""
         places = self._events(reference_clips) or self._anywhere(reference_clips, count)
@@ -263,7 +266,7 @@ class ReferencePlayer:
         states = np.stack([pose_state(reference_clip, at) for reference_clip, at in places])
         return places[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
 
-    def _events(self, reference_clips: list[ReferenceClip]) -> list[tuple[ReferenceClip, int]]:
+    def _events(self, reference_clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, int]]:
         """Some places shortly before a strike or jump; none for types without."""
         found = []
         for reference_clip in reference_clips:
@@ -273,7 +276,9 @@ class ReferencePlayer:
             found += [(reference_clip, max(0, int(at) - BEFORE_EVENT)) for at in begins]
         return self.random.sample(found, min(EVENT_CANDIDATES, len(found)))
 
-    def _anywhere(self, reference_clips: list[ReferenceClip], count: int) -> list[tuple[ReferenceClip, int]]:
+    def _anywhere(
+        self, reference_clips: Sequence[ReferenceClip], count: int
+    ) -> list[tuple[ReferenceClip, int]]:
         """Some places that are followed by at least the usual movement, though not the liveliest.
 
         Who stands is most like those who stand, in any type: he would be reference_gain to go on standing.

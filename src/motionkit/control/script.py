@@ -12,7 +12,7 @@ from motionkit.control.reference_player import ReferencePlayer, Signals
 from motionkit.errors import ControlError
 from motionkit.features.control import blend_types
 from motionkit.inference.rollout import Controller, FrameControls
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 DEFAULT_SECONDS = 4.0
 MAX_SECONDS = 3600.0

@@ -11,10 +11,8 @@ import math
 from dataclasses import dataclass
 
 from motionkit.features.control import TRAJECTORY_OFFSETS
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
-# Types a character that is only steered goes over between, by its speed and by how it faces its way.
-STEERED_TYPES = ("idle", "walking", "running", "b-walking")
 TURN_COST = 3.0  # of a radian between wanted and usual facing, in roots of cm/s
 BACKWARDS_SHARE = 0.2
 STANDS_BELOW = 15.0  # cm/s; who is asked for less stands
@@ -70,20 +68,20 @@ def nearest_turn(angle: float) -> float:
 
 
 def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> str:
-    """The type of STEERED_TYPES for a wanted velocity (x, z in cm/s) and facing (radians, None for any).
+    """The steered type for a wanted velocity (x, z in cm/s) and facing (radians, None for any).
 
-    The one whose usual speed is nearest (in roots, so that slow types have narrow bands) and whose body
-    faces its way as wanted. A model without these types chooses among all that have no phase.
+    Its usual speed is nearest (in square roots, so that slow types have narrow bands) and its body faces the
+    direction of motion as wanted. A model without steered types chooses among all that have no phase.
     """
-    known = [kind for kind in STEERED_TYPES if kind in model.types]
-    names = known or [kind for kind in model.types if not model.phase_seconds(kind)] or list(model.types)
-    speed, way = math.hypot(*velocity), math.atan2(*velocity)
+    known = [name for name, kind in model.types.items() if kind.steered]
+    names = known or [name for name in model.types if not model.phase_seconds(name)] or list(model.types)
+    speed, direction = math.hypot(*velocity), math.atan2(*velocity)
 
     def cost(kind: str) -> float:
-        gait = model.gaits.get(kind)
+        gait = model.types[kind].gait
         if gait is None:
             return math.inf
-        wanted = 0.0 if facing is None else way - facing
+        wanted = 0.0 if facing is None else direction - facing
         if speed < STANDS_BELOW:
             return abs(math.sqrt(speed) - math.sqrt(gait.speed))
         # Sideways is nearer to forwards than to backwards: those types count a little more turned.

@@ -15,7 +15,7 @@ from motionkit.control.script import TypePart, crowd_controller, plan_weights
 from motionkit.errors import ControlError
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_start, type_start
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length

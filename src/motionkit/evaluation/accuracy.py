@@ -12,7 +12,7 @@ from motionkit.evaluation.real import PROFILE_SECONDS, RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, neutral_types, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 GRACE = 1.0  # seconds after a command that count as the transition
 MEASURED_CONFUSION = 0.05  # the report leaves out smaller shares of other types

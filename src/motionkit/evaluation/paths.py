@@ -15,7 +15,7 @@ from motionkit.evaluation.rolling import Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.inference.rollout import FrameControls
 from motionkit.metrics.trajectory import trajectory_distance
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 PATIENCE = 1.6  # times the expected duration, after which a character gives up
 

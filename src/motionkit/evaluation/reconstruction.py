@@ -9,7 +9,6 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.reference_player import ReferencePlayer, Signals, last_poses
-from motionkit.control.steering import STEERED_TYPES
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.evaluation.body import Body, body_of
@@ -22,7 +21,7 @@ from motionkit.features.decode import decode_motion
 from motionkit.inference.rollout import FrameControls, RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
 from motionkit.metrics.report import evaluate_motion, placed_like
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion
 
@@ -139,7 +138,7 @@ def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames:
         player.begin(name, near, trajectory=trajectories[0])
         near = None
         asked = player.play(len(trajectories), trajectories)
-        steered = name in STEERED_TYPES or name not in model.types
+        steered = name not in model.types or model.types[name].steered
         parts.append(replace(asked, reference_gain=np.zeros_like(asked.reference_gain)) if steered else asked)
     return Signals.joined(parts)
 

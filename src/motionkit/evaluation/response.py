@@ -21,7 +21,7 @@ from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.inference.rollout import FrameControls
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
 HELD_SECONDS = 0.25
@@ -67,7 +67,7 @@ def commands(model: MotionModel) -> list[Command]:
     """Return the commands of the scoreboard whose types the model has."""
 
     def ahead(kind: str, angle: float = 0.0, share: float = 1.0) -> Wish:
-        gait = model.gaits.get(kind)
+        gait = model.types[kind].gait if kind in model.types else None
         speed = share * (100.0 * DEFAULT_SPEED if gait is None else gait.speed)
         velocity = (0.0, 0.0) if kind == "idle" else (speed * math.sin(angle), speed * math.cos(angle))
         return Wish(velocity, None if gait is None or kind == "idle" else angle - gait.facing, kind)

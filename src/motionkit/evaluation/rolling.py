@@ -26,7 +26,7 @@ from motionkit.inference.rollout import (
     run,
     start_batch,
 )
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 
@@ -62,7 +62,7 @@ class Performance:
 
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
     """Return the types characters start from: those of NEUTRAL the model has, else its first type."""
-    return tuple(kind for kind in NEUTRAL if kind in model.types) or model.types[:1]
+    return tuple(kind for kind in NEUTRAL if kind in model.types) or model.type_names[:1]
 
 
 def roll_plans(
@@ -94,7 +94,7 @@ def _roll_batch(
 ) -> list[Performance]:
     weights = np.stack([plan_weights(model, plan.parts) for plan in plans], axis=1)
     frames = len(weights)
-    starts = [model.start_poses[plan.parts[0].type] for plan in plans]
+    starts = [model.types[plan.parts[0].type].start_poses for plan in plans]
     features, contacts = start_batch(
         [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
     )
@@ -133,7 +133,7 @@ def roll_controlled(
         ground: (B, 3) root x and z in cm and heading at the start; the origin facing +Z if None.
         done: called after every frame; true ends the roll-out.
     """
-    seeds = [model.start_poses[kind] for kind in kinds]
+    seeds = [model.types[kind].start_poses for kind in kinds]
     features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(seeds)])
     weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(kind) for kind in kinds]]
     made: list[tuple[Array, Array, Array]] = []

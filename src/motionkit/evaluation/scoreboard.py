@@ -17,7 +17,7 @@ from motionkit.evaluation.response import response_section
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.smoothness import smoothness_section
 from motionkit.evaluation.stability import stability_section
-from motionkit.models.checkpoint import MotionModel, unknown_name
+from motionkit.models.model import MotionModel, unknown_name
 
 # Called with the name of a section and the share of it that is done (0 to 1).
 SectionProgress = Callable[[str, float], None]

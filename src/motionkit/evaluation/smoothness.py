@@ -15,7 +15,7 @@ from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Plan, Progress, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.metrics.body_movement import geodesic_movement
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES
 
 REAL_SHARE = 0.999  # of the recorded frames are below the limit

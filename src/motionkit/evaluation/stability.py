@@ -14,7 +14,7 @@ from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Plan, Progress, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.metrics.smoothness import mean_jerk
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 FREEZE_SECONDS = 5.0
 # Frozen: over FREEZE_SECONDS the joints are slower than this share of the lower speed limit of the type's profile.

@@ -14,7 +14,7 @@ from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.inference import height_correction
 from motionkit.inference.pose import FROM_CONSTANT, FROM_MATRIX, LEFT, TO_MATRIX, BodyKinematics
 from motionkit.inference.slip_correction import foot_columns
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS, leg_length
 
 QUARTER = 0.5 * np.pi

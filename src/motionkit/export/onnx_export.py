@@ -37,7 +37,7 @@ from motionkit.inference.rollout import FrameControls, Noise, RolloutState
 from motionkit.inference.start import type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
 
 if TYPE_CHECKING:
@@ -127,12 +127,17 @@ def metadata(
         "offsets": _rounded(skeleton.offsets, 4),
         "types": list(model.types),
         "phase_seconds": {kind: model.phase_seconds(kind) for kind in model.types},
-        "gaits": {kind: {"speed": g.speed, "facing": g.facing} for kind, g in model.gaits.items()},
+        "gaits": {
+            name: {"speed": kind.gait.speed, "facing": kind.gait.facing}
+            for name, kind in model.types.items()
+            if kind.gait is not None
+        },
+        "steered": [name for name, kind in model.types.items() if kind.steered],
         "trajectory_frames": list(TRAJECTORY_OFFSETS),
         "reference_frames": list(REFERENCE_OFFSETS),
         "uses_references": model.uses_references,
-        "reference_gain": model.reference_gain,
-        "noise": model.noise,
+        "reference_gain": {name: kind.preset.reference_gain for name, kind in model.types.items()},
+        "noise_scale": {name: kind.preset.noise_scale for name, kind in model.types.items()},
         "controls": {
             "type_weights": {
                 "shape": [1, len(model.types)],
@@ -147,12 +152,12 @@ def metadata(
     }
     if starts:
         described["starts"] = {
-            kind: {
-                "pose": _rounded(model.scaling.normalize(seeds[0].features), 4),
-                "contacts": _rounded(seeds[0].contacts, 0),
+            name: {
+                "pose": _rounded(model.scaling.normalize(kind.start_poses[0].features), 4),
+                "contacts": _rounded(kind.start_poses[0].contacts, 0),
             }
-            for kind, seeds in model.start_poses.items()
-            if seeds
+            for name, kind in model.types.items()
+            if kind.start_poses
         }
         described["reference_clips"] = {kind: _reference_clips(model, kind) for kind in model.types}
     return described
@@ -162,7 +167,7 @@ def _reference_clips(model: MotionModel, kind: str) -> list[dict[str, list]]:
     """Pose embeddings of a type's recordings, from which references are cut; the ground track of performances."""
     out: list[dict[str, list]] = []
     frames = 0
-    for reference_clip in model.reference_clips.get(kind, []):
+    for reference_clip in model.types[kind].reference_clips:
         if frames >= REFERENCE_SECONDS * model.fps:
             break
         frames += len(reference_clip)

@@ -25,7 +25,7 @@ from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.rollout import blended_columns
 from motionkit.inference.step_weights import NORM_EPS, StepWeights
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import canonical_skeleton
 
 INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
@@ -99,11 +99,10 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     if weights.momentum is not None:
         terms.append(g.add("Mul", moved, weights.momentum))
     drawn = g.add("Sum", *terms)
-    velocity_blends = np.array([[model.velocity_blend.get(kind, 0.0)] for kind in model.types], np.float32)
-    velocity_blends = velocity_blends * blended_columns(config.layout)
+    velocity_blends = model.presets("velocity_blend")[:, None] * blended_columns(config.layout)
     late = g.add("Sub", g.add("Add", "pose", moved), drawn)
     late = g.add("Mul", late, g.add("MatMul", "type_weights", velocity_blends))
-    slip_corrections = any(model.slip_correction.values())
+    slip_corrections = bool(model.presets("slip_correction").any())
     pose = g.add("Add", drawn, late, out=None if slip_corrections else "present_pose")
     if slip_corrections:
         pose = hold_ground(g, model, pose)

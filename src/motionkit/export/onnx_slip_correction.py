@@ -7,14 +7,14 @@ import numpy as np
 from motionkit.export.onnx_graph import Graph
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.inference import slip_correction
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 
 
 def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
     """Nodes from a drawn pose (1, 276) to the one with the way that feet allow; writes and answers present_pose."""
     blocks = feature_layout(model.config.layout).blocks
     yaw, xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start
-    slip_corrections = np.array([[model.slip_correction.get(kind, 0.0)] for kind in model.types], np.float32)
+    slip_corrections = model.presets("slip_correction")[:, None]
     share = g.add("MatMul", "type_weights", slip_corrections * np.float32(model.fps))
     share = g.add("Mul", share, "slip_correction")
     by = g.add("Mul", _standing_move(g, model, drawn, (yaw, xz)), share)

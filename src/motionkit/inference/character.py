@@ -16,7 +16,7 @@ from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import FrameControls, Noise, RolloutState
 from motionkit.inference.start import type_start
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
 
 _POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
@@ -163,8 +163,8 @@ class CharacterStream:
 
 
 def model_first_type(model: MotionModel) -> str:
-    """The type a character begins in if none is asked for: idle if the model knows it, else its first with seeds."""
-    known = [kind for kind in model.types if model.start_poses.get(kind)]
+    """The type a character begins in if none is asked for: standing, else the first with start poses."""
+    known = {name: kind for name, kind in model.types.items() if kind.start_poses}
     if not known:
-        raise ControlError("the model has no frames to start from")
-    return "idle" if "idle" in known else known[0]
+        raise ControlError("the model has no start poses")
+    return next((name for name, kind in known.items() if kind.stands), next(iter(known)))

@@ -17,7 +17,8 @@ from motionkit.inference.frame_kernel import DrawArrays, bind_draw, frame_librar
 from motionkit.inference.height_correction import raised
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.stepping import TorchStep, stepper
-from motionkit.models.checkpoint import MotionModel, StartPose
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import StartPose
 from motionkit.motion.bvh_text import MAX_NUMBER
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
@@ -122,13 +123,9 @@ class RolloutState:
         scaling = model.trajectory_scaling
         self._trajectory_mean, self._trajectory_std = scaling.mean, scaling.std
         self._layout = model.controls
-        self._noise_shares = np.array([model.noise.get(kind, 1.0) for kind in model.types], np.float32)
-        self._velocity_blends = np.array(
-            [model.velocity_blend.get(kind, 0.0) for kind in model.types], np.float32
-        )
-        self._slip_corrections = np.array(
-            [model.slip_correction.get(kind, 0.0) for kind in model.types], np.float32
-        )
+        self._noise_scales = model.presets("noise_scale")
+        self._velocity_blends = model.presets("velocity_blend")
+        self._slip_corrections = model.presets("slip_correction")
         self._feet = slip_correction.foot_columns(model.config.layout)
         self._blended = blended_columns(model.config.layout)
         references = model.reference_map
@@ -231,7 +228,7 @@ class RolloutState:
         layout, controls = self._layout, self._controls
         weights = asked.type_weights
         controls[:, layout.type] = weights
-        self._log_share = np.log(np.maximum(weights @ self._noise_shares, 1e-6))[:, None]
+        self._log_share = np.log(np.maximum(weights @ self._noise_scales, 1e-6))[:, None]
         np.matmul(weights, self._velocity_blends, out=self._velocity_blend[:, 0])
         np.matmul(weights, self._slip_corrections, out=self._slip_correction[:, 0])
         if asked.slip_correction is not None:

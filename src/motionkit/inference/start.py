@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.features.encode import encode_motion
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import resample
 
 INIT_FRAMES = 87  # the receptive field; the paper's number for its comparisons
@@ -26,18 +26,18 @@ class Start:
 
 
 def type_start(model: MotionModel, kind: str | list[str], count: int) -> Start:
-    """The seeds of a type for count characters in turn, at the origin facing +Z.
+    """Start poses of a type for count characters in turn, at the origin facing +Z.
 
-    Of several types each character takes the next one, and of its type the next seed.
+    Of several types each character takes the next one, and of its type the next start pose.
     """
     kinds = [kind] if isinstance(kind, str) else kind
     chosen = []
     for i in range(count):
         name = kinds[i % len(kinds)]
-        seeds = model.start_poses.get(name)
-        if not seeds:
+        known = model.types.get(name)
+        if known is None or not known.start_poses:
             raise ControlError(f"the model has no frames to start {name!r} from")
-        chosen.append(seeds[i // len(kinds) % len(seeds)])
+        chosen.append(known.start_poses[i // len(kinds) % len(known.start_poses)])
     frames = min(len(seed.features) for seed in chosen)
     return Start(
         np.stack([seed.features[:frames] for seed in chosen]),

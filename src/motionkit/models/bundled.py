@@ -5,7 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 from motionkit.errors import ModelError
-from motionkit.models.checkpoint import MotionModel, load_model
+from motionkit.models.checkpoint import load_model
+from motionkit.models.model import MotionModel
 
 BUNDLED = "bundled"  # in place of a path
 BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-free.safetensors"

@@ -198,7 +198,7 @@ class Live:
             if client.as_json not in forms:
                 as_json = client.as_json
                 forms[as_json] = (
-                    frame_text(frame, self.session.model.types) if as_json else frame_bytes(frame)
+                    frame_text(frame, self.session.model.type_names) if as_json else frame_bytes(frame)
                 )
             client.show(forms[client.as_json])
 

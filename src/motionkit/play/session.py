@@ -16,11 +16,11 @@ import numpy as np
 from motionkit import __version__
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import PathPart, make_path
-from motionkit.control.steering import STEERED_TYPES, steered_type
+from motionkit.control.steering import steered_type
 from motionkit.errors import ControlError
 from motionkit.inference.character import CharacterStream, model_first_type
 from motionkit.inference.rollout import Noise
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
 from motionkit.play.frames import Shown, WorldFrame
@@ -284,7 +284,7 @@ class Session:
     def hello(self, client: int, character: Character | None) -> dict[str, Any]:
         """The event every client gets first."""
         model = self.model
-        gaits = [(kind, model.gaits.get(kind)) for kind in model.types]
+        gaits = [(name, kind.gait) for name, kind in model.types.items()]
         return {
             "event": "hello",
             "protocol": PROTOCOL,
@@ -304,7 +304,7 @@ class Session:
                 }
                 for kind, gait in gaits
             ],
-            "steered": [kind for kind in STEERED_TYPES if kind in model.types],
+            "steered": [name for name, kind in model.types.items() if kind.steered],
             "bodies": self._bodies,
             "characters": self.told(),
             "limits": self.limits.told(),

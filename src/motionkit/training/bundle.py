@@ -4,83 +4,83 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from motionkit.control.steering import STEERED_TYPES
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.features.reference import REFERENCE_OFFSETS
-from motionkit.models.checkpoint import Gait, MotionModel, ReferenceClip, StartPose
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import (
+    Gait,
+    MotionType,
+    ReferenceClip,
+    SamplingPreset,
+    StartPose,
+    is_steered,
+)
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import canonical_skeleton
 
 START_FRAMES = 30  # the paper's number of initial frames for synthesis
 STARTS_PER_TYPE = 3
-QUIET = 0.3  # rad/s that the joints of a quiet type turn slower than in the mean
 # Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
 REFERENCE_SECONDS, LONGEST_REFERENCE, SHORTEST_REFERENCE = 80.0, 10.0, 1.0
 # Who comes to rest in a recording is reference_gain to stay there: it ends where less than this share of the usual follows.
 REST = 0.35
 
 
-@dataclass(frozen=True)
-class SamplingPreset:
-    """How the types of a kind are drawn; docs/results-log.md has the figures behind the numbers.
-
-    Attributes:
-        reference_gain: how many times larger than it is a reference is shown. A network keeps on the safe side of what it is
-            asked for, less so in what is sharp: strikes and flips. Who jumps has to leave the ground; gaits would fly.
-        velocity_blend: share of the last frame's movement that goes on: what is drawn jerks more than recordings do, and
-            moves less.
-        slip_correction: share of what standing feet slide that is taken out of the root's way. Who is reference_gain by a recording
-            made on another way slides most; with much of it gaits are slow to take the speed that is asked for.
-        noise: share of the temperature. Noise shakes a body that a reference keeps moving; who stands sways by it alone.
-    """
-
-    reference_gain: float
-    velocity_blend: float
-    slip_correction: float
-    noise: float
-
-
-GAIT, PERFORMANCE = SamplingPreset(1.0, 0.2, 0.15, 0.2), SamplingPreset(1.6, 0.6, 0.2, 0.2)
-STRIKE, JUMP, OTHER = (
-    SamplingPreset(1.6, 0.45, 0.3, 0.2),
-    SamplingPreset(2.0, 0.4, 0.2, 0.2),
-    SamplingPreset(1.75, 0.47, 0.45, 0.2),
-)
-STANDING = replace(GAIT, noise=0.7)
+GAIT = SamplingPreset(1.0, velocity_blend=0.2, slip_correction=0.15, noise_scale=0.2)
+STANDING = replace(GAIT, noise_scale=0.7)
+PERFORMANCE = SamplingPreset(1.6, velocity_blend=0.6, slip_correction=0.2, noise_scale=0.2)
+STRIKE = SamplingPreset(1.6, velocity_blend=0.45, slip_correction=0.3, noise_scale=0.2)
+JUMP = SamplingPreset(2.0, velocity_blend=0.4, slip_correction=0.2, noise_scale=0.2)
+OTHER = SamplingPreset(1.75, velocity_blend=0.47, slip_correction=0.45, noise_scale=0.2)
 
 
 def bundle_model(
     network: NetworkWeights, dataset: Dataset, card: dict[str, Any], references: bool = True
 ) -> MotionModel:
-    """The model file's content for a network trained on a dataset, with references or without."""
-    characters = {"default": canonical_skeleton().offsets}
-    characters |= dataset.characters
-    presets = sampling_presets(dataset)
+    """The model of a network trained on a dataset, with or without reference poses."""
+    gaits = measure_gaits(dataset)
     return MotionModel(
         network,
-        dataset.types,
+        {kind: _motion_type(dataset, kind, gaits.get(kind)) for kind in dataset.types},
         dataset.fps,
         dataset.scaling,
         dataset.trajectory_scaling,
         dataset.reference_rotations,
         dataset.pose_embedding,
-        characters,
-        {kind: start_poses_of(dataset, kind) for kind in dataset.types},
-        measure_gaits(dataset),
-        {kind: recorded_references(dataset, kind) for kind in dataset.types},
+        {"default": canonical_skeleton().offsets} | dataset.characters,
         references,
-        {kind: preset.reference_gain for kind, preset in presets.items()},
-        {kind: preset.noise for kind, preset in presets.items()},
-        {kind: preset.velocity_blend for kind, preset in presets.items()},
-        {kind: preset.slip_correction for kind, preset in presets.items()},
         card,
     )
+
+
+def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
+    clips = tuple(recorded_references(dataset, kind))
+    plain = MotionType(
+        tuple(start_poses_of(dataset, kind)),
+        clips,
+        gait,
+        steered=is_steered(clips, dataset.pose_embedding, dataset.fps),
+    )
+    return replace(plain, preset=sampling_preset(plain, dataset.phase_events.get(kind)))
+
+
+def sampling_preset(kind: MotionType, event: str | None) -> SamplingPreset:
+    """How frames of a type are drawn.
+
+    Args:
+        event: what its phase follows: "kick", "punch", "jump", "" for whole performances, None for no phase.
+    """
+    if kind.steered:
+        return STANDING if kind.stands else GAIT
+    if event is None:
+        return OTHER
+    return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)
 
 
 def start_poses_of(dataset: Dataset, kind: str) -> list[StartPose]:
@@ -201,39 +201,10 @@ def typical_first(found: list[tuple[str, ReferenceClip]]) -> list[ReferenceClip]
     return [found[i][1] for *_, i in sorted(ranked)]
 
 
-def sampling_presets(dataset: Dataset) -> dict[str, SamplingPreset]:
-    """How each type is drawn."""
-    quiet = _quiet_types(dataset)
-    strikes = {"": PERFORMANCE, "jump": JUMP}
-    out = {}
-    for kind in dataset.types:
-        event = dataset.phase_events.get(kind)
-        if kind in STEERED_TYPES:
-            out[kind] = STANDING if kind in quiet else GAIT
-        else:
-            out[kind] = OTHER if event is None else strikes.get(event, STRIKE)
-    return out
-
-
-def _quiet_types(dataset: Dataset) -> set[str]:
-    """The types whose joints turn slowly."""
-    turns, frames = (np.zeros(len(dataset.types), np.float64) for _ in range(2))
-    block = dataset.layout.blocks["joint_angular_velocities"]
-    for clip in dataset.select("train"):
-        data = dataset.read(clip)
-        speeds = np.linalg.norm(data.features[:, block].reshape(len(data.features), -1, 3), axis=-1).mean(
-            axis=-1
-        )
-        np.add.at(turns, data.types, speeds)
-        frames += np.bincount(data.types, minlength=len(frames))
-    slow = (turns / frames < QUIET).tolist()
-    return {kind for kind, quiet in zip(dataset.types, slow, strict=True) if quiet}
-
-
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
-    """Mean speed of each type over the ground, and the angle from its facing to its way.
+    """Mean speed of each type over the ground, and the angle from where it faces to where it goes.
 
-    The angle is kept only where a type has one (walking backwards: half a turn), else it is zero.
+    The angle is zero for types that go no steady direction; walking backwards has half a turn.
     """
     sums = {kind: np.zeros(4, np.float64) for kind in dataset.types}
     block = dataset.layout.blocks["root_xz_velocity"]

@@ -21,7 +21,7 @@ from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FeatureLayout
 from motionkit.files import safe_name
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run, start_batch
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS
 
@@ -84,7 +84,7 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     count = len(model.types)
     state = RolloutState(model, count, noise or Noise(), seed)
     weights = np.eye(count, dtype=np.float32)
-    features, contacts = start_batch([model.start_poses[kind][0] for kind in model.types])
+    features, contacts = start_batch([kind.start_poses[0] for kind in model.types.values()])
     state.start(features, contacts, weights)
     plans = [[TypePart(kind, frames / model.fps)] for kind in model.types]
     near = [last_poses(model, seen) for seen in features]

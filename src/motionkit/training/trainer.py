@@ -22,9 +22,10 @@ from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.models.bundled import open_model
-from motionkit.models.checkpoint import MotionModel, save_model
+from motionkit.models.checkpoint import save_model
 from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.file_check import check_names
+from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model

@@ -9,7 +9,7 @@ from torch import Tensor
 from motionkit.data.dataset import Dataset
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer
 
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")

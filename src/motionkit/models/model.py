@@ -1,0 +1,100 @@
+"""A trained model: its network, its motion types and all that is needed to run them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.errors import ControlError
+from motionkit.features.control import ControlLayout
+from motionkit.features.normalize import Scaling
+from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
+from motionkit.models.config import ModelConfig
+from motionkit.models.motion_type import MotionType
+from motionkit.models.weights import NetworkWeights
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class MotionModel:
+    """A network with everything needed to run it.
+
+    Attributes:
+        types: the motion types by name, in the order of the type signal.
+        fps: frames per second.
+        scaling, trajectory_scaling: of the 276 features and the 24 trajectory numbers.
+        reference_rotations: (23, 4) rotations that the exponential maps of the features are relative to.
+        pose_embedding: maps features to pose embeddings.
+        characters: rest-pose offsets (23, 3) in cm by name; "default" is always there.
+        uses_references: whether the network was trained with reference poses.
+        card: data, settings, time and scores of the training; for people, never needed to run.
+    """
+
+    network: NetworkWeights
+    types: dict[str, MotionType]
+    fps: float
+    scaling: Scaling
+    trajectory_scaling: Scaling
+    reference_rotations: Array
+    pose_embedding: PoseEmbedding
+    characters: dict[str, Array]
+    uses_references: bool = False
+    card: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def type_names(self) -> tuple[str, ...]:
+        """Names of the motion types, in the order of the type signal."""
+        return tuple(self.types)
+
+    @property
+    def config(self) -> ModelConfig:
+        """The network's configuration."""
+        return self.network.config
+
+    @property
+    def controls(self) -> ControlLayout:
+        """Where each signal stands in a control vector."""
+        return ControlLayout(self.type_names)
+
+    @property
+    def reference_map(self) -> ReferenceMap:
+        """Maps reference poses to the reference signal of the network."""
+        return reference_map(self.pose_embedding, self.scaling)
+
+    def type_id(self, name: str) -> int:
+        """The index of a motion type; raises ControlError that lists the known ones and the nearest."""
+        if name in self.types:
+            return self.type_names.index(name)
+        raise ControlError(unknown_name("motion type", name, self.type_names))
+
+    def phase_seconds(self, kind: str) -> float:
+        """Length in seconds of a performance, strike or jump of a type; 0 for types without a phase."""
+        return self.types[kind].phase_seconds(self.fps) if kind in self.types else 0.0
+
+    def presets(self, name: str) -> Array:
+        """One field of the sampling presets (N,) of all types, such as "noise_scale"."""
+        return np.array([getattr(kind.preset, name) for kind in self.types.values()], np.float32)
+
+    def with_types(self, changes: Mapping[str, Mapping[str, Any]]) -> MotionModel:
+        """The model with some fields of some types changed: with_types({"walking": {"gait": None}})."""
+        types = {name: replace(kind, **changes.get(name, {})) for name, kind in self.types.items()}
+        return replace(self, types=types)
+
+    def character(self, name: str) -> Skeleton:
+        """A character's skeleton; raises ControlError for an unknown name."""
+        if name not in self.characters:
+            raise ControlError(unknown_name("character", name, tuple(self.characters)))
+        return canonical_skeleton(self.characters[name])
+
+
+def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:
+    """The line for a name nobody knows, with the nearest one."""
+    import difflib
+
+    near = difflib.get_close_matches(name.lower(), known, n=1, cutoff=0.4)
+    hint = f"; did you mean {near[0]!r}?" if near else ""
+    return f"unknown {what} {name!r}{hint} (known: {', '.join(known)})"

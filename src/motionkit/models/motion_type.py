@@ -1,0 +1,169 @@
+"""What a model knows of one motion type: start poses, reference clips, how it moves, how its frames are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.features.reference import PoseEmbedding
+from motionkit.motion.rotations import rotate_ground
+from motionkit.motion.skeleton import JOINT_COUNT
+
+MOVEMENT_FRAMES = 120
+# A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
+# Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
+# mean (RMS over joints). On CMU motion gaits have 12 to 18 cm, ducking under obstacles 24, hops 23, balancing 18.
+GAIT_SPEED, GAIT_STEADINESS, GAIT_SPREAD = 30.0, 0.8, 20.0  # cm/s; share; cm
+STANDING_SPEED, STANDING_MOVEMENT, STANDING_SPREAD = 15.0, 10.0, 10.0  # cm/s; cm/s; cm
+
+
+@dataclass(frozen=True, eq=False)
+class StartPose:
+    """Recorded frames to start from: features (T, 276) unnormalised, contacts (T, 4), ground (T, 3)."""
+
+    features: Array
+    contacts: Array
+    ground: Array
+
+
+@dataclass(frozen=True)
+class Gait:
+    """How a type moves over the ground.
+
+    Attributes:
+        speed: mean, in cm/s.
+        facing: angle in radians from where the body faces to where it goes; pi walks backwards.
+        cycle_seconds: mean length of a performance, strike or jump; 0 for types without a phase.
+    """
+
+    speed: float
+    facing: float
+    cycle_seconds: float = 0.0
+
+
+@dataclass(frozen=True)
+class SamplingPreset:
+    """How frames of a type are drawn; docs/results-log.md has the measurements behind the numbers.
+
+    Attributes:
+        reference_gain: factor on the reference pose. Networks fall short of sharp movements, so strikes, jumps and
+            flips need more than 1.
+        velocity_blend: share of the last frame's velocity that is kept, which makes sampled motion smoother.
+        slip_correction: share of the sliding of planted feet that is taken out of the root's velocity. Types that
+            follow references recorded on another trajectory slide most; gaits with much of it change speed slowly.
+        noise_scale: factor on the sampling temperature. A standing body needs noise to sway; a body that a reference
+            moves only shakes.
+    """
+
+    reference_gain: float = 1.0
+    velocity_blend: float = 0.0
+    slip_correction: float = 0.0
+    noise_scale: float = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceClip:
+    """A recording of one type from which reference poses are played (features/reference.py).
+
+    Attributes:
+        poses: (L + 30, 24) pose embeddings of its frames and of the 30 after them, which references look ahead at.
+        ground: (L, 3) root x, z (cm) and heading (radians).
+        phases: (L,) phase of a performance, strike or jump in [0, 1), negative outside.
+    """
+
+    poses: Array
+    ground: Array
+    phases: Array
+
+    def __len__(self) -> int:
+        return len(self.ground)
+
+    @property
+    def performed(self) -> bool:
+        """Whether the clip is one performance from beginning to end."""
+        return bool((self.phases >= 0.0).all()) and bool((np.diff(self.phases) > 0.0).all())
+
+    @cached_property
+    def movement(self) -> Array:
+        """Change of the pose embedding per frame (L,), averaged over the next MOVEMENT_FRAMES, fewer at the end."""
+        steps = np.linalg.norm(self.poses[1 : len(self) + 1] - self.poses[: len(self)], axis=1)
+        sums = np.pad(steps.cumsum(), (1, 0))
+        frames = np.arange(len(self))
+        ends = np.minimum(frames + MOVEMENT_FRAMES, len(self))
+        return (sums[ends] - sums[frames]) / (ends - frames)
+
+
+@dataclass(frozen=True, eq=False)
+class MotionType:
+    """One motion type of a model.
+
+    Attributes:
+        start_poses: recorded beginnings to start a character from.
+        reference_clips: recordings to take reference poses from; performances the longest first.
+        gait: how it moves over the ground; None where nothing was measured.
+        preset: how its frames are drawn.
+        steered: whether velocity alone steers it, without reference poses: gaits, and standing still.
+    """
+
+    start_poses: tuple[StartPose, ...] = ()
+    reference_clips: tuple[ReferenceClip, ...] = ()
+    gait: Gait | None = None
+    preset: SamplingPreset = field(default_factory=SamplingPreset)
+    steered: bool = False
+
+    @property
+    def stands(self) -> bool:
+        """Whether the type is standing still."""
+        return self.steered and self.gait is not None and self.gait.speed < STANDING_SPEED
+
+    @property
+    def performed(self) -> bool:
+        """Whether the type is one performance from beginning to end, such as a cartwheel."""
+        return any(clip.performed for clip in self.reference_clips[:1])
+
+    @property
+    def has_phase(self) -> bool:
+        """Whether the type is a performance, or made of strikes or jumps."""
+        return any(bool((clip.phases >= 0.0).any()) for clip in self.reference_clips)
+
+    def phase_seconds(self, fps: float) -> float:
+        """Length in seconds of its first performance, or of its usual strike or jump; 0 without a phase."""
+        if self.performed:
+            return len(self.reference_clips[0]) / fps
+        return 0.0 if self.gait is None else self.gait.cycle_seconds
+
+
+def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: float) -> bool:
+    """Whether velocity alone steers a type, by its recordings: a steady gait, or standing still.
+
+    Args:
+        clips: reference clips of the type.
+        embedding: the map their poses were made with.
+        fps: frames per second of the clips.
+
+    Returns:
+        False for performances, for types made of strikes or jumps, and without clips.
+    """
+    if not clips or any(bool((clip.phases >= 0.0).any()) for clip in clips):
+        return False
+    velocity = np.concatenate([_facing_velocity(clip, fps) for clip in clips])
+    speed = float(np.linalg.norm(velocity, axis=1).mean())
+    steadiness = float(np.linalg.norm(velocity.mean(axis=0))) / max(speed, 1e-6)
+    to_poses = np.linalg.pinv(embedding.matrix.astype(np.float64))
+    poses = [(clip.poses[: len(clip)] @ to_poses) / JOINT_COUNT**0.5 for clip in clips]
+    whole = np.concatenate(poses)
+    spread = float(np.sqrt(np.square(whole - whole.mean(axis=0)).sum(axis=1).mean()))
+    if speed < STANDING_SPEED:
+        steps = np.concatenate([np.linalg.norm(np.diff(p, axis=0), axis=1) for p in poses])
+        return spread < STANDING_SPREAD and float(steps.mean()) * fps < STANDING_MOVEMENT
+    return speed > GAIT_SPEED and steadiness > GAIT_STEADINESS and spread < GAIT_SPREAD
+
+
+def _facing_velocity(clip: ReferenceClip, fps: float) -> Array:
+    """Root velocity (L - 1, 2) in cm/s in the heading frame."""
+    steps = np.diff(clip.ground[:, :2], axis=0) * fps
+    return rotate_ground(-clip.ground[1:, 2], steps)
