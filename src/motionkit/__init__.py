@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from motionkit.features.encode import encode_motion as encode
     from motionkit.inference.character import CharacterStream
     from motionkit.inference.rollout import Noise
-    from motionkit.models.checkpoint import MotionModel
+    from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
     from motionkit.motion.kinematics import motion_kinematics as kinematics
     from motionkit.motion.mirror import mirror_motion as mirror
@@ -68,7 +68,7 @@ _HOMES = {
     "encode": "features.encode:encode_motion",
     "CharacterStream": "inference.character",
     "Noise": "inference.rollout",
-    "MotionModel": "models.checkpoint",
+    "MotionModel": "models.model",
     "write_bvh": "motion.bvh",
     "kinematics": "motion.kinematics:motion_kinematics",
     "mirror": "motion.mirror:mirror_motion",

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from motionkit.inference.rollout import Noise
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricSettings
-    from motionkit.models.checkpoint import MotionModel
+    from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
     from motionkit.training.options import TrainOptions
     from motionkit.training.trainer import TrainEvent, TrainResult
