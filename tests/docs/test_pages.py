@@ -1,0 +1,79 @@
+"""README.md and docs/architecture.md: short, complete, and with figures that scripts have filled in."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+README = ROOT / "README.md"
+SOURCE = ROOT / "src" / "motionkit"
+
+
+@pytest.fixture(scope="module")
+def make_readme() -> ModuleType:
+    """docs/make_readme.py as a module."""
+    spec = importlib.util.spec_from_file_location("make_readme", ROOT / "docs" / "make_readme.py")
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_the_readme_is_short() -> None:
+    assert len(README.read_text("utf-8").splitlines()) <= 90
+
+
+def test_the_figures_of_the_readme_are_up_to_date(make_readme: ModuleType) -> None:
+    text = README.read_text("utf-8")
+    assert make_readme.filled(text) == text, "README.md is out of date: run python docs/make_readme.py"
+    marks = re.findall(r"<!-- (\w+) -->", text)
+    assert sorted(marks) == sorted(make_readme.figures())
+
+
+def test_figures_of_another_scoreboard(make_readme: ModuleType) -> None:
+    shares = {"walking": 1.0, "balance": 0.95, "jumping-r": 0.85}
+    said = "1 are shown every time, balance 19 times, jumping-r 17 times"
+    assert make_readme.shown_words(shares, 20) == said
+
+
+def test_the_test_command_is_what_ci_runs() -> None:
+    text, run = README.read_text("utf-8"), (ROOT / ".ci" / "run").read_text("utf-8")
+    found = re.search(r'`pip install -e "(\S+)" && (python -m pytest)`', text)
+    assert found is not None
+    assert f'-e "{found[1]}"' in run and f"\n{found[2]}\n" in run
+
+
+def test_every_module_has_a_place_in_the_tree() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    tree = text[text.index("src/motionkit/\n") :].split("```")[0]
+    listed, room = set(), ""
+    for line in tree.splitlines():
+        if found := re.match(r"  (\w+)/ ", line):
+            room = f"{found[1]}/"
+        elif line.startswith("  "):
+            room = room if line.startswith("    ") else ""
+            listed |= {room + name for name in re.findall(r"(?<!\S)(\w+\.(?:py|c|h))(?!\S)", line[:75])}
+    files = [path for ending in ("py", "c", "h") for path in SOURCE.rglob(f"*.{ending}")]
+    names = {str(path.relative_to(SOURCE)) for path in files if path.name != "__main__.py"}
+    expected = {name for name in names if not name.endswith("/__init__.py")}
+    assert listed - expected == set(), "docs/architecture.md lists files that are not there"
+    assert expected - listed == set(), "docs/architecture.md lacks files"
+
+
+def test_rooms_import_from_rooms_above_them() -> None:
+    text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
+    tree = text[text.index("src/motionkit/\n") :].split("```")[0]
+    order = re.findall(r"^  (\w+)/ ", tree, re.MULTILINE)
+    order.remove("assets")
+    for place, room in enumerate(order):
+        for path in (SOURCE / room).glob("*.py"):
+            used = set(re.findall(r"(?:from|import) motionkit\.(\w+)", path.read_text("utf-8")))
+            below = used & set(order[place + 1 :])
+            assert not below, f"{room}/{path.name} imports from {', '.join(below)}"
+    above = {path.stem for path in SOURCE.glob("*.py")}
+    assert not {"cli", *order} & above
