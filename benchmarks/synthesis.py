@@ -106,7 +106,7 @@ def graph(model: MotionModel, folder: Path, weights: str) -> Step:
     path.write_bytes(build_graph(model, weights=weights).SerializeToString())
     step = OnnxStep(path)
     step.values["type_weights"][:] = asked_of(model, 1).type_weights
-    step.values["progress"][:], step.values["grip"][:] = -1.0, 1.0
+    step.values["phase"][:], step.values["slip_correction"][:] = -1.0, 1.0
     return step.step
 
 

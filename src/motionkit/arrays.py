@@ -51,3 +51,11 @@ def distances_between(a: Array, b: Array) -> Array:
     a, b = a.astype(np.float64), b.astype(np.float64)  # near rows are small differences of large squares
     squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * (a @ b.T)
     return np.sqrt(np.maximum(squares, 0.0))
+
+
+def row_products(x: Floats, weights: Floats) -> Floats:
+    """Rows x (..., B, N) times weights (..., N, M): (..., B, M), each row by a product of its own.
+
+    One product of all rows would add up in another order for another number of rows or threads.
+    """
+    return np.matmul(x[..., None, :], weights[..., None, :, :])[..., 0, :]

@@ -69,7 +69,7 @@ def test_inertia_is_a_share_of_the_last_movement(compiled: bool) -> None:
         before, now = frames[:, -1], state.normalised.copy()
         again, _ = started(model, velocity_blend, compiled)
         again.step(asked(model, weights))
-        again._velocity_blends[:] = 1.0
+        again._presets[:, 1] = 1.0
         again.step(asked(model, weights))
         gone_on = again.normalised - (2.0 * now - before)
         assert (
@@ -200,8 +200,8 @@ def test_controls_say_how_much_of_the_grip_counts() -> None:
     weights[:, model.type_id("dance-salsa")] = 1.0
     state, _ = started(with_presets(model, "slip_correction", {"dance-salsa": 0.5}), {}, True)
     free, _ = started(model, {}, True)
-    free._slip_corrections[:] = 0.0
-    state._slip_corrections[model.type_id("dance-salsa")] = 0.5
+    free._presets[:, 2] = 0.0
+    state._presets[model.type_id("dance-salsa"), 2] = 0.5
     for _ in range(3):
         held, _, _ = state.step(
             replace(asked(model, weights), slip_correction=np.array([0.0, 1.0], np.float32))

@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     default=1,
     show_default=True,
     type=click.IntRange(1, 4096),
-    help="How many motions, made as one crowd; files are numbered.",
+    help="How many motions, made together, each with the next seed; files are numbered.",
 )
 @synthesis_options
 def command(
@@ -69,7 +69,7 @@ def command(
     """Synthesize motion types one after another and write BVH.
 
     With nothing but --types the bundled model is used and the file is written to the current folder.
-    The same seed gives the same file.
+    The same seed gives the same file; with --count N --seed S the files are those of seeds S to S+N-1.
     """
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model

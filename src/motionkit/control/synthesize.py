@@ -78,8 +78,9 @@ def synthesize(
 ) -> SynthesisResult:
     """Motion types one after another; the same seed gives the same motion.
 
-    All characters run in one batch. parts are for all of them, or several lists of parts that they take
-    in turn, as they do the names in options.character, which commas separate.
+    All characters run in one batch, each with the next seed: it moves as it would alone with that seed. parts are
+    for all of them, or several lists of parts that they take in turn, as they do the names in options.character,
+    which commas separate.
 
     Raises:
         ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
@@ -93,18 +94,20 @@ def synthesize(
     skeletons = [model.character(name.strip()) for name in options.character.split(",")]
     first = np.stack([plan_weights(model, plan)[0] for plan in plans])
     kinds = [plan[0].type for plan in plans]
-    lengths = [0.0] * len(plans)
     if options.init is not None:
-        start = clip_start(model, options.init, count)
+        starts = [clip_start(model, options.init, 1)] * len(plans)
+        lengths = [0.0] * len(plans)
     else:
-        start = type_start(model, kinds, count)
+        starts = [type_start(model, kind) for kind in kinds]
         lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
     turn = [i % len(plans) for i in range(count)]
+    features, contacts = [starts[t].features[0] for t in turn], [starts[t].contacts[0] for t in turn]
+    ground = np.concatenate([starts[t].ground for t in turn])
     state = RolloutState(model, count, options.noise, options.seed)
-    state.start(start.features, start.contacts, first[turn], start.ground, [lengths[i] for i in turn])
-    behind = [start.features.shape[1] if length else 0 for length in lengths]
-    near = [last_poses(model, features) for features in start.features]
-    controller = crowd_controller(model, plans, near, behind, options.seed)
+    state.start(features, contacts, first[turn], ground, [lengths[t] for t in turn])
+    behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
+    near = [last_poses(model, start.features[0]) for start in starts]
+    controller = crowd_controller(model, plans, [near[t] for t in turn], behind, options.seed)
     frames = [len(plan_weights(model, plan)) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(frames), controller, progress)

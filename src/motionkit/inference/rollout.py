@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array, Floats
+from motionkit.arrays import Array, Floats, row_products
 from motionkit.errors import ControlError, ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
 from motionkit.features.decode import decode_motion
@@ -110,22 +110,34 @@ class RolloutState:
     """
 
     def __init__(
-        self, model: MotionModel, batch: int, noise: Noise, seed: int = 0, compiled: bool = True
+        self,
+        model: MotionModel,
+        batch: int,
+        noise: Noise,
+        seed: int | Sequence[int] = 0,
+        compiled: bool = True,
     ) -> None:
-        """compiled=False keeps to numpy around the network even where there is a compiled kernel."""
+        """Set up the characters; start() gives them frames to go on from.
+
+        Args:
+            seed: of the first character's random numbers, the others count on from it; or one for each.
+            compiled: False keeps to numpy around the network even where there is a compiled kernel.
+        """
         self.model, self.batch, self.compiled = model, batch, compiled
         self._noise = noise
         self.network = stepper(model.network, batch)
-        self.random = np.random.default_rng(seed)
+        # One generator for each, so that a character's motion does not depend on those beside it.
+        seeds = seed if isinstance(seed, Sequence) else range(seed, seed + batch)
+        self.random = [np.random.default_rng(each) for _, each in zip(range(batch), seeds, strict=True)]
         blocks = feature_layout(model.config.layout).blocks
         self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
         self._mean, self._std = model.scaling.mean, model.scaling.std
         scaling = model.trajectory_scaling
         self._trajectory_mean, self._trajectory_std = scaling.mean, scaling.std
         self._layout = model.controls
-        self._noise_scales = model.presets("noise_scale")
-        self._velocity_blends = model.presets("velocity_blend")
-        self._slip_corrections = model.presets("slip_correction")
+        self._presets = np.stack(
+            [model.presets(name) for name in ("noise_scale", "velocity_blend", "slip_correction")], axis=1
+        )
         self._feet = slip_correction.foot_columns(model.config.layout)
         self._blended = blended_columns(model.config.layout)
         references = model.reference_map
@@ -170,21 +182,31 @@ class RolloutState:
 
     def start(
         self,
-        features: Array,
-        contacts: Array,
+        features: Array | Sequence[Array],
+        contacts: Array | Sequence[Array],
         type_weights: Array,
         ground: Array | None = None,
         phase_frames: float | Sequence[float] = 0.0,
     ) -> None:
         """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
 
+        Frames may also be lists of B arrays (T, ...), each of a length of its own.
         phase_frames is the length of a performance, of all or of each, if the frames are the beginning of one.
         The last frame becomes the current one, at the place given by ground (B, 3), the origin by default.
         """
-        self.network.reset()
-        x = ((features - self._mean) / self._std).astype(np.float32)
-        none = np.zeros((self.batch, TRAJECTORY_COUNT), np.float32)
         lengths = [phase_frames] * self.batch if isinstance(phase_frames, (int, float)) else phase_frames
+        if len({len(each) for each in features}) > 1:
+            self.network.reset()
+            for i, length in enumerate(lengths):
+                place = None if ground is None else ground[i : i + 1]
+                self.start_one(
+                    i, features[i][None], contacts[i][None], type_weights[i : i + 1], place, length
+                )
+            return
+        contacts = np.asarray(contacts)
+        x = ((np.asarray(features) - self._mean) / self._std).astype(np.float32)
+        self.network.reset(x.shape[1] - 1)
+        none = np.zeros((self.batch, TRAJECTORY_COUNT), np.float32)
         for t in range(x.shape[1] - 1):
             progress = np.array([phase_at(t, length) for length in lengths], np.float32)
             self._ask(FrameControls(type_weights, none, np.zeros(self.batch, np.float32), progress), x[:, t])
@@ -192,7 +214,7 @@ class RolloutState:
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1]
         self._before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
         self._ground[:] = 0.0 if ground is None else ground
-        self._noise_state[:] = self.random.standard_normal(self._x.shape, np.float32)
+        self._draw_normals(self._noise_state)
         self._smooth_noise[:] = self._noise_state
 
     def start_one(
@@ -209,7 +231,7 @@ class RolloutState:
             self._prime = RolloutState(self.model, 1, self.noise)
             self._prime.network = self.network.alone()
         one = self._prime
-        one.random = self.random
+        one.random = [self.random[index]]
         one._controls[:, self._layout.skeleton] = self._controls[index, self._layout.skeleton]
         one.start(features, contacts, type_weights, ground, phase_frames)
         self.network.adopt(index, one.network)
@@ -228,9 +250,9 @@ class RolloutState:
         layout, controls = self._layout, self._controls
         weights = asked.type_weights
         controls[:, layout.type] = weights
-        self._log_share = np.log(np.maximum(weights @ self._noise_scales, 1e-6))[:, None]
-        np.matmul(weights, self._velocity_blends, out=self._velocity_blend[:, 0])
-        np.matmul(weights, self._slip_corrections, out=self._slip_correction[:, 0])
+        presets = row_products(weights, self._presets)
+        self._log_share = np.log(np.maximum(presets[:, :1], 1e-6))
+        self._velocity_blend[:], self._slip_correction[:] = presets[:, 1:2], presets[:, 2:]
         if asked.slip_correction is not None:
             self._slip_correction[:, 0] *= asked.slip_correction
         given = asked.trajectory_mask
@@ -248,9 +270,9 @@ class RolloutState:
         else:
             reference_gain = asked.reference_gain
             shown = controls[:, layout.reference]
-            np.matmul(x, self._reference_matrix, out=shown)
-            shown += self._reference_constant
-            np.subtract(self._reference_scales * asked.reference, shown, out=shown)
+            present = row_products(x, self._reference_matrix)
+            present += self._reference_constant
+            np.subtract(self._reference_scales * asked.reference, present, out=shown)
             shown *= reference_gain[:, None]
             controls[:, layout.reference_gain] = reference_gain > 0.0
 
@@ -284,7 +306,7 @@ class RolloutState:
 
         def draw() -> None:
             if fresh is not None:
-                self.random.standard_normal(dtype=np.float32, out=fresh)
+                self._draw_normals(fresh)
             call()
 
         self._draw = draw
@@ -347,8 +369,14 @@ class RolloutState:
             ground.copy(),
         )
 
+    def _draw_normals(self, out: Floats) -> None:
+        """Fill rows (B, 276) with standard normal numbers, each from its character's generator."""
+        for generator, row in zip(self.random, out, strict=True):
+            generator.standard_normal(dtype=np.float32, out=row)
+
     def _next_noise(self) -> Floats:
-        fresh = self.random.standard_normal(self._x.shape, np.float32)
+        fresh = np.empty_like(self._x)
+        self._draw_normals(fresh)
         for state, keeps, takes in zip(
             (self._noise_state, self._smooth_noise),
             self.noise.filters[::2],

@@ -25,23 +25,18 @@ class Start:
     ground: Array
 
 
-def type_start(model: MotionModel, kind: str | list[str], count: int) -> Start:
-    """Start poses of a type for count characters in turn, at the origin facing +Z.
+def type_start(model: MotionModel, kind: str, count: int = 1) -> Start:
+    """The first start pose of a type for count characters, at the origin facing +Z.
 
-    Of several types each character takes the next one, and of its type the next start pose.
+    Raises ControlError if the model has none.
     """
-    kinds = [kind] if isinstance(kind, str) else kind
-    chosen = []
-    for i in range(count):
-        name = kinds[i % len(kinds)]
-        known = model.types.get(name)
-        if known is None or not known.start_poses:
-            raise ControlError(f"the model has no frames to start {name!r} from")
-        chosen.append(known.start_poses[i // len(kinds) % len(known.start_poses)])
-    frames = min(len(seed.features) for seed in chosen)
+    known = model.types.get(kind)
+    if known is None or not known.start_poses:
+        raise ControlError(f"the model has no frames to start {kind!r} from")
+    pose = known.start_poses[0]
     return Start(
-        np.stack([seed.features[:frames] for seed in chosen]),
-        np.stack([seed.contacts[:frames] for seed in chosen]),
+        pose.features[None].repeat(count, axis=0),
+        pose.contacts[None].repeat(count, axis=0),
         np.zeros((count, 3), np.float32),
     )
 

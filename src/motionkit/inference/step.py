@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from motionkit.arrays import Floats
+from motionkit.arrays import Floats, row_products
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step_kernel import TILE, StepKernel
 from motionkit.inference.step_weights import NORM_EPS, ModuleWeights, StepWeights
@@ -59,10 +59,15 @@ class NetworkStep:
         """A step of the same network for one character."""
         return NetworkStep(self.weights, 1, self.kernel)
 
-    def reset(self) -> None:
-        """Forget all frames of all characters."""
+    def reset(self, coming: int = 0) -> None:
+        """Forget all frames of all characters.
+
+        coming: frames after which the rings stand at their last place, from where characters go on. Sums over a ring
+            run from its first place, so a character's last digits depend on where in it a frame is.
+        """
         self.recent[:] = 0.0
         self.filled[:] = 0
+        self.slot = (-1 - coming) % self.config.window
 
     def adopt(self, row: int, other: object) -> None:
         """Put the only character of another step, which has seen frames of its own, in place of one of these."""
@@ -97,24 +102,25 @@ class NetworkStep:
         together = np.broadcast_to(shallow, (len(weights.columns), *shallow.shape))
         deep = self._module(1, weights.deep, together, controls)
         head = self.out[:, : len(weights.head_bias)]
-        np.add(deep @ weights.head, weights.head_bias, out=head)
-        hidden = np.maximum(head[:, 2 * FEATURE_COUNT :] + shallow @ weights.contact_shallow, 0.0)
-        self.contact_logits[:] = hidden @ weights.contact + weights.contact_bias
+        np.add(row_products(deep, weights.head), weights.head_bias, out=head)
+        from_shallow = row_products(shallow, weights.contact_shallow)
+        hidden = np.maximum(head[:, 2 * FEATURE_COUNT :] + from_shallow, 0.0)
+        self.contact_logits[:] = row_products(hidden, weights.contact) + weights.contact_bias
         self.mean += np.float32(config.head_leak) * self.recent[:, -1, :FEATURE_COUNT]
         np.clip(self.log_sigma, config.log_sigma_min, config.log_sigma_max, out=self.log_sigma)
 
     def _module(self, index: int, weights: ModuleWeights, inputs: Floats, controls: Floats) -> Floats:
         """Features (B, P D) without their sqrt(D), from inputs (P, B, N)."""
         config, D = self.config, self.config.width
-        x = np.matmul(inputs, weights.embed) + weights.embed_bias[:, None]
-        embedded = np.matmul(controls, weights.controls) + weights.controls_bias[:, None]
-        added = np.matmul(embedded, weights.layer_controls)
+        x = row_products(inputs, weights.embed) + weights.embed_bias[:, None]
+        embedded = row_products(controls, weights.controls) + weights.controls_bias[:, None]
+        added = row_products(embedded, weights.layer_controls)
         bias = self._position_bias(weights.position)
         spread = np.repeat(np.eye(config.heads, dtype=np.float32), D // config.heads, axis=1)
         for layer in range(config.layers):
             if layer * D < added.shape[-1]:
                 x += added[..., layer * D : (layer + 1) * D]
-            qkv = np.matmul(_norm(x), weights.qkv[layer])
+            qkv = row_products(_norm(x), weights.qkv[layer])
             qkv += weights.qkv_bias[layer][:, None]
             keys = self.keys[:, index, :, layer].swapaxes(0, 1)  # (P, B, W, D)
             values = self.values[:, index, :, layer].swapaxes(0, 1)
@@ -129,10 +135,10 @@ class NetworkStep:
             shares *= values
             mixed = shares.sum(axis=-2)
             mixed /= total
-            x += np.matmul(mixed, weights.out[layer])
-            hidden = np.matmul(_norm(x), weights.inner[layer])
+            x += row_products(mixed, weights.out[layer])
+            hidden = row_products(_norm(x), weights.inner[layer])
             hidden += weights.inner_bias[layer][:, None]
-            x += np.matmul(np.maximum(hidden, 0.0, out=hidden), weights.outer[layer])
+            x += row_products(np.maximum(hidden, 0.0, out=hidden), weights.outer[layer])
         return _norm(x).swapaxes(0, 1).reshape(self.batch, -1)
 
     def _position_bias(self, position: Floats) -> NDArray[np.float32]:

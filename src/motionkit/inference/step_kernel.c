@@ -16,6 +16,7 @@
 #define MOST (1 << 20) /* of any size in a program */
 #define AHEAD 2048 /* bytes of weights that are asked for before they are needed */
 #define BLOCK 8 /* characters that share one pass over a tile */
+#define TILES_OF_ROW 2 /* that one character passes over at once */
 #define PADDED(n) (((n) + TILE - 1) / TILE * TILE)
 
 /* Compiled once more for wide vectors; the fitting one is chosen when the library is loaded. */
@@ -31,8 +32,8 @@ typedef float heads_vec __attribute__((vector_size(4 * HEADS), aligned(4), may_a
 typedef int32_t heads_ints __attribute__((vector_size(4 * HEADS)));
 typedef int32_t ints __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
 
-/* Raised with every change of a struct or of the order of the weights; step_kernel.py refuses other libraries. */
-int64_t step_kernel_version(void) { return 3; }
+/* Raised with every change of a struct, of the order of the weights or of a sum; step_kernel.py refuses other libraries. */
+int64_t step_kernel_version(void) { return 4; }
 
 /* A linear map: tiles of (inputs, TILE), bias and scale padded to whole tiles. */
 typedef struct {
@@ -104,33 +105,35 @@ INLINE void tile_block(const int small, const Map *map, int64_t first, const flo
     for (int r = 0; r < BLOCK; r++) store(small, map, first, low[r], high[r], y + r * ldy + first);
 }
 
-/* One row; two inputs at a time, so that sums do not wait for each other. */
-INLINE void tile_row(const int small, const Map *map, int64_t first, const float *x, float *y) {
-    vec low = {0}, high = {0}, low2 = {0}, high2 = {0}, a, b;
-    const int64_t inputs = map->inputs;
-    int64_t place = first * inputs, k = 0;
-    for (; k + 1 < inputs; k += 2, place += 2 * TILE) {
-        weights_at(small, map->tiles, place, &a, &b);
-        low += x[k] * a;
-        high += x[k] * b;
-        weights_at(small, map->tiles, place + TILE, &a, &b);
-        low2 += x[k + 1] * a;
-        high2 += x[k + 1] * b;
+/* One row, a few tiles at once, so that sums do not wait for each other. Each output is summed as tile_block sums it:
+   a row's numbers do not depend on the rows beside it. */
+INLINE void tiles_row(const int small, const int count, const Map *map, int64_t first, const float *x, float *y) {
+    vec low[TILES_OF_ROW] = {{0}}, high[TILES_OF_ROW] = {{0}};
+    const int64_t inputs = map->inputs, next = inputs * TILE;
+    int64_t place = first * inputs;
+    for (int64_t k = 0; k < inputs; k++, place += TILE) {
+#pragma GCC unroll 8
+        for (int t = 0; t < count; t++) {
+            vec a, b;
+            weights_at(small, map->tiles, place + t * next, &a, &b);
+            low[t] += x[k] * a;
+            high[t] += x[k] * b;
+        }
     }
-    if (k < inputs) {
-        weights_at(small, map->tiles, place, &a, &b);
-        low += x[k] * a;
-        high += x[k] * b;
-    }
-    store(small, map, first, low + low2, high + high2, y + first);
+#pragma GCC unroll 8
+    for (int t = 0; t < count; t++) store(small, map, first + t * TILE, low[t], high[t], y + first + t * TILE);
 }
 
 INLINE void product_of(const int small, const Map *map, int64_t rows, const float *x, int64_t ldx, float *y, int64_t ldy) {
-    for (int64_t first = 0; first < map->outputs; first += TILE) {
-        int64_t r = 0;
-        for (; r + BLOCK <= rows; r += BLOCK) tile_block(small, map, first, x + r * ldx, ldx, y + r * ldy, ldy);
-        for (; r < rows; r++) tile_row(small, map, first, x + r * ldx, y + r * ldy);
-    }
+    const int64_t blocks = rows / BLOCK * BLOCK;
+    if (blocks)
+        for (int64_t first = 0; first < map->outputs; first += TILE)
+            for (int64_t r = 0; r < blocks; r += BLOCK) tile_block(small, map, first, x + r * ldx, ldx, y + r * ldy, ldy);
+    int64_t first = 0;
+    for (; blocks < rows && first + (TILES_OF_ROW - 1) * TILE < map->outputs; first += TILES_OF_ROW * TILE)
+        for (int64_t r = blocks; r < rows; r++) tiles_row(small, TILES_OF_ROW, map, first, x + r * ldx, y + r * ldy);
+    for (; blocks < rows && first < map->outputs; first += TILE)
+        for (int64_t r = blocks; r < rows; r++) tiles_row(small, 1, map, first, x + r * ldx, y + r * ldy);
 }
 
 /* Rows y = x W + bias, or y += x W for a map without bias. */

@@ -24,7 +24,7 @@ from motionkit.inference.step_weights import NORM_EPS, ModuleWeights, StepWeight
 if TYPE_CHECKING:
     from motionkit.inference.step import NetworkStep
 
-VERSION = 3  # of step_kernel.c
+VERSION = 4  # of step_kernel.c
 LIBRARY_ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # as setup.py names them
 TILE = 32
 LINE = 64  # bytes of a line of the cache

@@ -40,8 +40,8 @@ class TorchStep:
         """A step of the same network for one character."""
         return TorchStep(self.weights, 1)
 
-    def reset(self) -> None:
-        """Forget all frames of all characters."""
+    def reset(self, coming: int = 0) -> None:
+        """Forget all frames of all characters; coming is for NetworkStep alone."""
         for stream in self.streams:
             stream.reset()
 

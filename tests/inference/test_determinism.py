@@ -1,0 +1,160 @@
+"""A character's motion depends on its seed alone: not on the characters beside it, nor on the number of threads."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit
+from motionkit.control.script import TypePart, parse_types
+from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.inference import rollout as rollout_module
+from motionkit.inference import step_kernel, stepping
+from motionkit.inference.character import CharacterStream
+from motionkit.inference.frame_kernel import frame_library
+from motionkit.inference.rollout import FrameControls, Noise
+from motionkit.inference.step_kernel import kernel_library
+from motionkit.models.bundled import load_bundled_model
+from motionkit.models.checkpoint import MotionModel
+from motionkit.motion.bvh import write_bvh
+
+HERE = Path(__file__)
+NO_KERNEL = pytest.mark.skipif(
+    kernel_library() is None or frame_library() is None,
+    reason="motionkit was installed without its C kernels",
+)
+WAYS = [pytest.param(True, marks=NO_KERNEL, id="kernels"), pytest.param(False, id="numpy")]
+PLAN = "running:0.3,cartwheel:0.4"
+
+
+@pytest.fixture(params=WAYS)
+def model(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> MotionModel:
+    """The bundled model, with the C kernels and on numpy alone."""
+    bundled = load_bundled_model()
+    if not request.param:
+        forget_kernels(monkeypatch.setattr)
+    return replace(bundled, network=replace(bundled.network))  # packed anew, not with what others have left
+
+
+def forget_kernels(set_to: Callable[[object, str, object], None]) -> None:
+    """Run as if motionkit had been installed without its C kernels."""
+    set_to(stepping, "kernel_library", lambda: None)
+    set_to(rollout_module, "frame_library", lambda: None)
+
+
+def files(
+    model: MotionModel, folder: Path, plans: list[list[TypePart]], count: int, seed: int, **options: object
+) -> list[bytes]:
+    """The BVH files of a crowd."""
+    made = synthesize(model, plans, SynthesisOptions(count, seed, ik=True, **options))  # type: ignore[arg-type]
+    out = []
+    for one in made.motions:
+        write_bvh(folder / "one.bvh", one.motion)
+        out.append((folder / "one.bvh").read_bytes())
+    return out
+
+
+@pytest.mark.parametrize(
+    "noise", [Noise(), Noise("sample", 0.3), Noise("mean")], ids=lambda noise: noise.kind
+)
+def test_every_one_of_a_crowd_is_the_one_of_its_seed(
+    model: MotionModel, tmp_path: Path, noise: Noise
+) -> None:
+    plans = [parse_types(PLAN)]
+    three, forty = (files(model, tmp_path, plans, count, 5, noise=noise) for count in (3, 40))
+    assert three == forty[:3]
+    for index in (0, 2, 17, 39):
+        assert files(model, tmp_path, plans, 1, 5 + index, noise=noise) == [forty[index]]
+    assert len(set(forty)) > 9
+
+
+def test_with_plans_and_bodies_in_turn_too(model: MotionModel, tmp_path: Path) -> None:
+    """The second plan starts from fewer frames than the first."""
+    kicking = model.types["kicking"]
+    short = tuple(replace(p, features=p.features[:9], contacts=p.contacts[:9]) for p in kicking.start_poses)
+    types = {**model.types, "kicking": replace(kicking, start_poses=short)}
+    tall = {**model.characters, "tall": 1.2 * model.characters["default"]}
+    model = replace(model, types=types, characters=tall)
+    plans = [parse_types(text) for text in ("walking:0.4", "kicking:0.3,idle:0.4", "backflip:0.5")]
+    crowd = files(model, tmp_path, plans, 7, 11, character="default,tall")
+    for index, made in enumerate(crowd):
+        body = ("default", "tall")[index % 2]
+        assert files(model, tmp_path, [plans[index % 3]], 1, 11 + index, character=body) == [made], index
+
+
+@pytest.mark.parametrize("ik", [True, False])
+def test_live_characters_too_whatever_is_reset(model: MotionModel, ik: bool) -> None:
+    count, frames = 40, 60
+    random = np.random.default_rng(0)
+    weights = random.dirichlet(np.ones(len(model.types)), count).astype(np.float32)
+    asked = FrameControls(
+        weights,
+        random.normal(0.0, 30.0, (count, 24)).astype(np.float32),
+        (np.arange(count) % 2).astype(np.float32),
+        random.uniform(-0.5, 1.0, count).astype(np.float32),
+        random.standard_normal((count, 72), np.float32),
+        (np.arange(count) % 3).astype(np.float32),
+        random.random(count, np.float32),
+    )
+    resets = {10: (2, "running"), 25: (7, "kicking"), 31: (2, "idle")}
+
+    def run(rows: list[int]) -> np.ndarray:
+        stream = CharacterStream(model, len(rows), Noise(), 7 + rows[0], ik)
+        mine = FrameControls(**{name: values[rows] for name, values in vars(asked).items()})
+        kept = []
+        for frame in range(frames):
+            row, kind = resets.get(frame, (-1, ""))
+            if row in rows:
+                stream.reset(rows.index(row), type=kind, place=(10.0, 5.0, 0.3))
+            shown = stream.step(mine)
+            kept.append(np.concatenate([shown.positions.reshape(len(rows), -1), shown.contacts], axis=1))
+        return np.stack(kept, axis=1)
+
+    crowd = run(list(range(count)))
+    for rows in ([0], [2], [7], [39], [1, 2, 3]):
+        assert np.array_equal(run(rows), crowd[rows]), rows
+
+
+def fingerprints() -> str:
+    """Of a crowd with the kernels, by one worker and by two, and of one on numpy; printed by this file as a script."""
+    import tempfile
+
+    plans, found = [parse_types(PLAN)], []
+    for workers in (1, 2, 0):
+        bundled = load_bundled_model()
+        model = replace(bundled, network=replace(bundled.network))
+        step_kernel._cores = lambda workers=workers: workers  # type: ignore[assignment]
+        step_kernel._workers.cache_clear()
+        if not workers:
+            forget_kernels(setattr)
+        with tempfile.TemporaryDirectory() as folder:
+            found.append(hashlib.sha256(b"".join(files(model, Path(folder), plans, 40, 5))).hexdigest())
+    return "\n".join(found)
+
+
+def test_threads_change_no_byte() -> None:
+    said = []
+    path = os.pathsep.join([str(Path(motionkit.__file__).parents[1]), str(HERE.parents[1])])
+    for threads in ("1", "2", "5"):
+        changed = {"PYTHONPATH": path, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
+        done = subprocess.run(
+            [sys.executable, str(HERE)], capture_output=True, text=True, timeout=170, env=os.environ | changed
+        )
+        assert done.returncode == 0, done.stderr[-2000:]
+        said.append(done.stdout.split())
+    assert said[0] == said[1] == said[2]
+    one, two, alone = said[0]
+    assert one == two
+    assert kernel_library() is None or one != alone
+
+
+if __name__ == "__main__":
+    print(fingerprints())
