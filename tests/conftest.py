@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import traceback
 import warnings
@@ -14,6 +15,8 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.inference.frame_kernel import frame_library
+from motionkit.inference.step_kernel import kernel_library
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -28,6 +31,35 @@ from synthetic_motions import write_clips
 HERE = Path(__file__).parent
 SECONDS_PER_TEST = 180
 SECONDS_PER_SLOW_TEST = 900
+
+
+MISSING_KERNELS = [
+    name for name, library in (("step", kernel_library), ("frame", frame_library)) if library() is None
+]
+
+
+def pytest_report_header() -> str:
+    """Whether the tests of the C kernels run, or numpy does all of the work."""
+    if not MISSING_KERNELS:
+        return "C kernels: loaded"
+    names = ", ".join(MISSING_KERNELS)
+    return f"C kernels: NOT LOADED ({names}); numpy does their work, and their tests are skipped"
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Say it again at the end where something is missing: -q shows no header."""
+    if MISSING_KERNELS:
+        terminalreporter.write_line(pytest_report_header(), yellow=True)
+
+
+def pytest_sessionstart() -> None:
+    """Fail the run without the C kernels where they are required."""
+    if MISSING_KERNELS and os.environ.get("MOTIONKIT_KERNELS") == "required":
+        pytest.exit(
+            f"the C kernels are not loaded ({', '.join(MISSING_KERNELS)}), and MOTIONKIT_KERNELS=required: "
+            "build them with python setup.py build_ext --inplace",
+            returncode=1,
+        )
 
 
 @pytest.fixture(autouse=True)
