@@ -12,21 +12,21 @@ from motionkit.cli.main import main
 
 
 def page_data(page: Path) -> dict:
-    """What a viewer file holds."""
+    """The data in a viewer file."""
     text = page.read_text("utf-8").split('<script type="application/json" id="data">')[1]
     return json.loads(text.split("</script>")[0])
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a command left: exit code, standard output, standard error."""
+    """The result of a command: exit code, standard output, standard error."""
 
     code: int
     out: str
     err: str
 
     def failed_with(self, *words: str) -> bool:
-        """Whether it failed as faults in data do: exit code 1, one line on stderr, nothing on stdout."""
+        """Whether it failed as on bad data: exit code 1, one line on stderr, nothing on stdout."""
         lines = self.err.strip().splitlines()
         clean = self.code == 1 and not self.out and len(lines) == 1 and lines[0].startswith("error: ")
         return clean and all(word in self.err for word in words)

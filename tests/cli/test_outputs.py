@@ -1,4 +1,4 @@
-"""Where commands write: never over what they read, into folders that are made, to standard output."""
+"""Outputs of commands: never over an input, into new folders, to standard output."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def home(tmp_path: Path, tiny_model_file: Path, dataset_folder: Path) -> Path:
     ],
 )
 def test_nothing_that_is_read_is_written(motionkit, home: Path, words: list, complaint: str) -> None:
-    """link.bvh leads to a.bvh; d/sub/sub, if it held files, would be mirrored onto d/sub."""
+    """link.bvh points to a.bvh; files in d/sub/sub would be mirrored onto d/sub."""
     if words == ["mirror", "d/sub", "d"]:
         (home / "d" / "sub" / "sub" / "a.bvh").write_text(RIG)
         complaint = "d/sub/a.bvh: is read by this command"
@@ -86,7 +86,7 @@ def test_a_run_that_is_there_is_not_begun_anew_unasked(motionkit, home: Path, mo
     (home / "new.safetensors").unlink()
     before = contents(home)
     said = motionkit(*words)
-    assert said.code == 2 and "new.run/checkpoint.safetensors: exists; go on with --resume" in said.err
+    assert said.code == 2 and "new.run/checkpoint.safetensors: exists; continue with --resume" in said.err
     assert contents(home) == before
     assert motionkit(*words, "--force").code == 0 and (home / "new.safetensors").is_file()
 
@@ -145,7 +145,7 @@ def test_what_does_not_go_with_standard_output(motionkit, tmp_path: Path, words:
 
 
 def linked_clips(folder: Path) -> Path:
-    """Clips, one folder of them behind two links, and links that lead in circles or nowhere."""
+    """Clips, one folder behind two links, and links that are circular or broken."""
     (folder / "outside" / "running").mkdir(parents=True)
     clips = folder / "clips"
     (clips / "walking").mkdir(parents=True)
@@ -220,6 +220,6 @@ def test_long_work_says_so_before_it_begins(motionkit, home: Path, monkeypatch: 
     monkeypatch.setattr("motionkit.control.follow.follow_path", refuse)
     said = motionkit("follow-path", "far.json", "--model", "m.safetensors")
     assert said.err.splitlines() == [
-        "1.4 hours of motion are to be made, which can take minutes; Ctrl-C stops", "error: the work",
+        "making 1.4 hours of motion, which can take minutes; Ctrl-C stops", "error: the work",
     ]  # fmt: skip
     assert motionkit("follow-path", "line", "--model", "m.safetensors").err == "error: the work\n"

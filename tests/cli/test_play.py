@@ -1,4 +1,4 @@
-"""`motionkit play` as a process of its own."""
+"""`motionkit play` as a separate process."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ import pytest
 from motionkit.cli.play import _visible_log
 
 COMMAND = [sys.executable, "-m", "motionkit", "play", "--no-open"]
-PATIENCE = 150  # seconds; to start takes many of them on a slow and busy machine
+PATIENCE = 150  # seconds; starting takes long on a slow and busy machine
 
 
 @pytest.fixture
 def play(tiny_model_file: Path) -> Iterator[Callable[..., subprocess.Popen]]:
-    """A function that starts the command; it is killed after the test if it still runs."""
+    """A function that starts the command; a process left over is killed after the test."""
     with ExitStack() as stack:
 
         def start(*words: str) -> subprocess.Popen:
@@ -65,7 +65,7 @@ def test_a_port_in_use_is_one_line(play: Callable, option: str) -> None:
         process = play(*words)
         out, err = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1 and out == ""
-    assert err == f"error: 127.0.0.1:{port}: the port is in use; give another with {option}\n"
+    assert err == f"error: 127.0.0.1:{port}: the port is in use; choose another with {option}\n"
 
 
 @pytest.mark.parametrize(
@@ -75,10 +75,10 @@ def test_a_port_in_use_is_one_line(play: Callable, option: str) -> None:
         (["--vmc", "localhost:99999"], 2, "expected HOST:PORT"),
         (["--port", "70000"], 2, "70000"),
         (["--character", "giant", "--port", "0"], 1, "unknown character 'giant'"),
-        (["--host", "192.0.2.1", "--port", "0"], 1, "192.0.2.1:0: cannot be listened on"),
-        (["--host", "a" * 300, "--port", "0"], 1, "cannot be listened on"),
-        (["--vmc", "a" * 300 + ":80", "--port", "0"], 1, "cannot be sent to"),
-        (["--host", "\x1b[31mred", "--port", "0"], 1, "\\x1b[31mred:0: cannot be listened on"),
+        (["--host", "192.0.2.1", "--port", "0"], 1, "192.0.2.1:0: cannot listen on"),
+        (["--host", "a" * 300, "--port", "0"], 1, "cannot listen on"),
+        (["--vmc", "a" * 300 + ":80", "--port", "0"], 1, "cannot send to"),
+        (["--host", "\x1b[31mred", "--port", "0"], 1, "\\x1b[31mred:0: cannot listen on"),
         (["--model", "nowhere.safetensors"], 2, "nowhere.safetensors"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Ctrl-C and death: told at once in one line, nothing half written, no process left behind."""
+"""Ctrl-C and SIGTERM: one line at once, no half-written file, no process left behind."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_ctrl_c_in_every_command(
     words: list, interrupted: str, tmp_path: Path, tiny_model_file: Path, dataset_folder: Path,
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str],
 ) -> None:  # fmt: skip
-    """The signal comes in the middle of the work, and once more while what was written is taken away."""
+    """The signal arrives in the middle of the work, and again during the clean-up."""
     (tmp_path / "clips").mkdir()
     for name in ("a.bvh", "clips/a.bvh"):
         (tmp_path / name).write_text(RIG)
@@ -102,13 +102,13 @@ def test_the_key_itself(tmp_path: Path, tiny_model_file: Path) -> None:
         running.wait()
         os.close(ours)
     words = CONTROL_SEQUENCE.sub("", said.decode())
-    assert words.startswith("1.0 hours of motion are to be made, which can take minutes; Ctrl-C stops")
+    assert words.startswith("making 1.0 hours of motion, which can take minutes; Ctrl-C stops")
     assert words.count("stopped") == 1 and "Traceback" not in words
     assert not list(tmp_path.iterdir())
 
 
 def alive(number: int) -> bool:
-    """Whether a process runs; one that is dead and waits for its parent does not."""
+    """Whether a process runs; a zombie does not."""
     try:
         return Path(f"/proc/{number}/stat").read_text().rsplit(")", 1)[1].split()[0] != "Z"
     except OSError:

@@ -1,4 +1,4 @@
-"""The commands in a real terminal: bars, widths, Ctrl-C, and names that a terminal must not obey."""
+"""The commands in a real terminal: bars, widths, Ctrl-C, and names with control characters."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ LONG_MOTION = RIG.replace("Frames: 2", "Frames: 40") + RIG.splitlines()[-1].join
 
 
 def open_terminal(columns: int) -> tuple[int, int]:
-    """Both ends of a pseudo-terminal so wide."""
+    """Both ends of a pseudo-terminal of this width."""
     ours, theirs = pty.openpty()
     fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
     return ours, theirs
@@ -36,7 +36,7 @@ def open_terminal(columns: int) -> tuple[int, int]:
 
 @contextmanager
 def standard_streams_in(terminal: int, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The streams of this process in a terminal."""
+    """Connect the streams of this process to a terminal."""
     kept = [os.dup(number) for number in range(3)]
     for number in range(3):
         os.dup2(terminal, number)
@@ -91,12 +91,12 @@ def in_terminal(
 def _read(terminal: int) -> bytes:
     try:
         return os.read(terminal, 65536)
-    except OSError:  # nobody has the other end open any more
+    except OSError:  # the other end is closed
         return b""
 
 
 def drawn_lines(text: str) -> list[str]:
-    """What was written to the lines of a terminal, one over another or not."""
+    """The text written to each line of a terminal, overwritten text included."""
     return re.split(r"[\r\n]+", CONTROL_SEQUENCE.sub("", text))
 
 
@@ -220,7 +220,7 @@ def test_what_is_visible() -> None:
     "settings", [{"PYTHONIOENCODING": "ascii"}, {"LANG": "C", "LC_ALL": "C", "PYTHONUTF8": "0"}]
 )
 def test_names_beyond_the_encoding(settings: dict[str, str], tmp_path: Path) -> None:
-    """Also a name that is no UTF-8: each is written, read and told, as results, faults and JSON."""
+    """Such names, and one that is not UTF-8, are read, written and printed in results, errors and JSON."""
     names = [os.fsencode("é走.bvh"), b"\xff\xe9.bvh"]
     for name in names:
         (tmp_path / os.fsdecode(name)).write_text(RIG)

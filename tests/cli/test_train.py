@@ -48,7 +48,7 @@ def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str
 @pytest.mark.parametrize("text", ["walking", "walking=", "=2", "walking=much", "walking=-1", "walking=nan"])
 def test_weights_of_types_that_say_nothing(motionkit, dataset_folder: Path, text: str) -> None:
     said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--type-weights", text)
-    assert said.code == 2 and f"{text!r}: expected a type, '=' and a number from 0 to 1000" in said.err
+    assert said.code == 2 and f"{text!r}: expected TYPE=NUMBER, with a number from 0 to 1000" in said.err
 
 
 def test_a_folder_that_is_no_dataset(motionkit, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 from motionkit import __version__
 from motionkit.cli.main import COMMANDS
 
-# What takes long to import; --help must do without.
+# Slow imports that --help must avoid.
 HEAVY = ("torch", "numpy", "rich", "bvhio", "safetensors", "PIL")
 ASK_FOR_HELP = """
 import sys, os
@@ -39,7 +39,7 @@ def ask(*words: str) -> tuple[str, float, list[str]]:
 
 @pytest.mark.parametrize("command", ["", *COMMANDS])
 def test_help_answers_at_once(command: str) -> None:
-    """In processor time, which does not depend on what else the machine does; the best of three."""
+    """In processor time, which other work on the machine does not change; the best of three."""
     asked = [ask(*command.split(), "--help") for _ in range(3)]
     text, _, heavy = asked[0]
     assert text.startswith(f"Usage: motionkit {command}".strip())

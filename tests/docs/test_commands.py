@@ -38,13 +38,13 @@ def make_commands() -> ModuleType:
 
 
 def anchor(heading: str) -> str:
-    """The name GitHub gives a heading."""
+    """The anchor that GitHub gives a heading."""
     words = re.sub(r"[^\w\- ]", "", heading.strip().lower())
     return words.replace(" ", "-")
 
 
 def anchors(page: Path) -> set[str]:
-    """The names of all headings of a page."""
+    """The anchors of all headings of a page."""
     return {anchor(line.lstrip("#")) for line in page.read_text("utf-8").splitlines() if line.startswith("#")}
 
 

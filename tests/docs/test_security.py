@@ -1,4 +1,4 @@
-"""SECURITY.md tells the limits that the code holds to."""
+"""SECURITY.md states the limits that the code enforces."""
 
 from __future__ import annotations
 

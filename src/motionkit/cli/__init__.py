@@ -1,1 +1,1 @@
-"""Words typed by a user in, one library call out; one file per subcommand."""
+"""Command lines in, one library call out; one file per subcommand."""

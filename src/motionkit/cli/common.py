@@ -1,4 +1,4 @@
-"""What the subcommands share: repeated options, and printing for people and for machines."""
+"""Shared by the subcommands: repeated options, and output for people and for programs."""
 
 from __future__ import annotations
 
@@ -19,18 +19,20 @@ if TYPE_CHECKING:
 
     from motionkit.cli.console import PlainConsole
 
-STOPPED = 130  # the exit code of a command that was stopped, as shells count
+STOPPED = 130  # exit code of a stopped command, the shells' convention for SIGINT
 
-json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON, for machines.")
+json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 
 
 def seed_option(default: int = 0) -> Callable:
-    """The --seed option shared by everything that draws random numbers."""
-    return click.option("--seed", default=default, show_default=True, help="Same seed, same result.")
+    """The --seed option of every command that draws random numbers."""
+    return click.option(
+        "--seed", default=default, show_default=True, help="Random seed; the same seed gives the same result."
+    )
 
 
 def default_output(name: str, ending: str = ".bvh") -> Path:
-    """A file in the current folder that does not exist yet."""
+    """A name in the current folder that no file has yet."""
     name = safe_name(name, 120)
     path = Path(f"{name}{ending}")
     number = 2
@@ -45,7 +47,7 @@ def print_json(value: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """The value as JSON can hold it: NaN and infinity become null, tuples lists."""
+    """Convert a value for JSON: NaN and infinity become None, tuples become lists."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -56,31 +58,31 @@ def plain(value: Any) -> Any:
 
 
 def say(text: str) -> None:
-    """One line of the result, on stdout."""
+    """Print one line of the result to stdout."""
     click.echo(visible(text))
 
 
 def remark(text: str) -> None:
-    """One line beside the result, on stderr."""
+    """Print one message to stderr."""
     click.echo(visible(text), err=True)
 
 
 def stdout_console() -> PlainConsole:
-    """Where results go."""
+    """The console for results."""
     from motionkit.cli.console import PlainConsole
 
     return PlainConsole(sys.stdout)
 
 
 def stderr_console() -> PlainConsole:
-    """Where progress and remarks go."""
+    """The console for progress and messages."""
     from motionkit.cli.console import PlainConsole
 
     return PlainConsole(sys.stderr)
 
 
 def progress_bar() -> Progress:
-    """A progress bar on stderr that leaves nothing behind; silent when stderr is not a terminal."""
+    """A progress bar on stderr that erases itself at the end; it shows only on a terminal."""
     from motionkit.cli.console import make_progress
 
     return make_progress(sys.stderr, disable=not sys.stderr.isatty())

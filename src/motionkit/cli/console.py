@@ -1,4 +1,4 @@
-"""What is drawn on a terminal, tables and bars: text of users stays text there."""
+"""Tables and progress bars on a terminal; user text is never read as markup or control codes."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ _WIDEST_BAR = 40
 
 
 class PlainConsole(Console):
-    """A console to which every string is text: no markup, no names of emoji, no control characters."""
+    """A console that prints every string literally: no markup, no emoji names, no control characters."""
 
     def __init__(self, file: IO[str], soft_wrap: bool = True) -> None:
         super().__init__(file=file, highlight=False, markup=False, emoji=False, soft_wrap=soft_wrap)
 
     def render_str(self, text: str, **options: Any) -> Text:
-        """The text for rich, which asks here for every string: a line, a cell, a heading."""
+        """Make a string printable; rich calls this for every line, cell and heading."""
         return super().render_str(visible(text), **options)
 
 
 class _Count(ProgressColumn):
-    """How much is done of how much, where that is known."""
+    """Steps done, and the total where it is known."""
 
     def render(self, task: Task) -> Text:
         total = "" if task.total is None else f"/{task.total:.0f}"
@@ -34,7 +34,7 @@ class _Count(ProgressColumn):
 
 
 def make_progress(file: IO[str], disable: bool) -> Progress:
-    """A bar with a count and the time left, which fits into the terminal and is gone when it is done."""
+    """A progress bar with count and time left; it fits the terminal and erases itself at the end."""
     console = PlainConsole(file, soft_wrap=False)  # lines that the terminal would wrap cannot be erased
     width = max(4, min(_WIDEST_BAR, console.width - _BESIDE_THE_BAR))
     return Progress(

@@ -1,4 +1,4 @@
-"""motionkit export: a model for game engines."""
+"""`motionkit export`: a model for game engines."""
 
 from __future__ import annotations
 
@@ -15,29 +15,32 @@ from motionkit.cli.common import json_option, print_json, remark, say
     "path",
     required=True,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="The ONNX file to write; what it means goes beside it as JSON.",
+    help="ONNX file to write; a JSON file beside it describes its inputs and outputs.",
 )
 @click.option(
     "--model",
     "model_path",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="A model file; the bundled model by default.",
+    help="Model file; the bundled model by default.",
 )
-@click.option("--character", default="default", show_default=True, help="The body the joints are of.")
+@click.option(
+    "--character", default="default", show_default=True, help="Body whose joints the graph computes."
+)
 @click.option(
     "--weights",
     type=click.Choice(["float32", "int8"]),
     default="float32",
     show_default=True,
-    help="Of the layers: int8 is a third of the size and faster, a little less exact, and not for every engine.",
+    help="Number format of the layers; int8 is smaller (a third) and faster, but less exact; some engines lack it.",
 )
 @json_option
 def command(path: Path, model_path: Path | None, character: str, weights: str, as_json: bool) -> None:
-    """Write a model as an ONNX graph of one frame.
+    """Write a model as an ONNX graph that computes one frame.
 
-    Controls and state go in, a posed body and the next state come out: see docs/engines.md. With
-    onnxruntime installed, graph and motionkit first run 600 frames side by side, and the largest
-    difference is printed; joints more than 0.5 cm apart (int8: 200 cm) are an error, and nothing is written.
+    The graph takes controls and state, and returns a posed body and the next state (docs/engines.md). If
+    onnxruntime is installed, the command first runs graph and motionkit side by side for 600 frames and
+    prints the largest difference. It fails and writes nothing if joints differ by more than 0.5 cm
+    (int8: 200 cm).
     """
     from motionkit.export.onnx_export import export_onnx, metadata_path
     from motionkit.files import check_outputs

@@ -1,4 +1,4 @@
-"""motionkit follow-path: a path on the ground to BVH."""
+"""`motionkit follow-path`: a path on the ground to BVH."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ from motionkit.cli.synthesis_options import (
 
 @click.command("follow-path")
 @click.argument("path")
-@output_option("The BVH file; named after the path by default")
+@output_option("BVH file to write; named after the path by default")
 @click.option(
     "--types",
     default="walking",
     show_default=True,
-    help="For a named shape: types that share its length, such as running,cartwheel,running.",
+    help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running.",
 )
-@click.option("--size", type=float, help="For a named shape: metres (length, radius or side).")
-@click.option("--speed", type=float, help="For a named shape: metres per second; each type's own by default.")
+@click.option("--size", type=float, help="Named shapes: length, radius or side in metres.")
+@click.option("--speed", type=float, help="Named shapes: speed in m/s; each type's own by default.")
 @synthesis_options
 def command(
     path: str,
@@ -52,11 +52,11 @@ def command(
     view: bool,
     as_json: bool,
 ) -> None:
-    """Let a character follow a PATH and write BVH.
+    """Make a character follow PATH and write BVH.
 
-    PATH is a JSON or CSV file (metres; parts of points with a type and a speed, see docs/paths.md) or a
-    named shape: line, circle, figure-eight, square, pentagram, u-turn. Prints how far the root's track
-    is from the path.
+    PATH is a JSON or CSV file in metres, whose parts have points, a type and a speed (docs/paths.md), or a
+    named shape: line, circle, figure-eight, square, pentagram, u-turn. The command prints the distance
+    between the root's track and the path.
     """
     from motionkit.control.follow import expected_seconds, follow_path
     from motionkit.control.path import read_path, shape_path
@@ -67,9 +67,9 @@ def command(
     is_file = Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file()
     kinds = [word.strip() for word in types.split(",") if word.strip()]
     if not kinds:
-        raise click.UsageError("--types names no motion type")
+        raise click.UsageError("--types is empty; give motion types such as running,cartwheel")
     if is_file and (size is not None or speed is not None):
-        raise click.UsageError("--size and --speed belong to named shapes; a path file says its own")
+        raise click.UsageError("--size and --speed are for named shapes; a path file holds its own")
     check_stdout(output, {"--view": view, "--json": as_json})
     target = read_path(path) if is_file else shape_path(path, size, kinds, speed)
     file = output or default_output(f"{Path(path).stem}-{target.parts[0].type}")

@@ -1,4 +1,4 @@
-"""The `motionkit` command: finds subcommands, prints faults as one line, sets the exit code."""
+"""The `motionkit` command: finds subcommands, prints errors as one line, sets the exit code."""
 
 from __future__ import annotations
 
@@ -33,14 +33,14 @@ COMMANDS = {
 
 
 class Stopped(Exception):
-    """The user, or a SIGTERM, has stopped the command."""
+    """Ctrl-C or SIGTERM stopped the command."""
 
 
 class CommandGroup(click.Group):
-    """Imports a subcommand only when it is asked for, so that `--help` answers at once."""
+    """Imports a subcommand only when it is used, so that `--help` is fast."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the subcommand; a stop passes click, which would write an empty line, as an exception of ours."""
+        """Run the subcommand; turns KeyboardInterrupt into Stopped, since click would print an empty line."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -58,37 +58,40 @@ class CommandGroup(click.Group):
 @click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(__version__, prog_name="motionkit")
 def cli() -> None:
-    """Human motion: train a model on BVH files, control it, write BVH.
+    """Human motion: train a model on BVH files, control it and write BVH.
 
     Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage, 130 stopped.
     """
 
 
-# Seconds until a signal that came during an import is looked at again.
+# Seconds until a signal that arrived during an import is handled again.
 _IMPORT_WAIT = 0.002
-# Seconds after a signal in which another one changes nothing: what was half written is taken away meanwhile.
+# Seconds after a signal in which further signals are ignored, so that half-written files can be removed.
 _PATIENCE = 2.0
 _stopped_at = -_PATIENCE
 _told = False
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """A terminated command stops as with Ctrl-C, and takes what it has half written away.
+    """Treat SIGTERM as Ctrl-C, so that the command removes half-written files.
 
-    Not in the middle of an import: compiled libraries (torch, PyGLM) crash when their start is broken off. The
-    user is told at once all the same.
+    During an import the stop is put off: compiled libraries (torch, PyGLM) crash when their initialization is
+    interrupted. "stopped" is printed at once in either case.
     """
     global _stopped_at
     if _importing(frame) and hasattr(signal, "setitimer"):
-        _tell_stopped()
+        tell_stopped()
         signal.setitimer(signal.ITIMER_REAL, _IMPORT_WAIT)
     elif time.monotonic() - _stopped_at > _PATIENCE:
         _stopped_at = time.monotonic()
         raise KeyboardInterrupt
 
 
-def _tell_stopped() -> None:
-    """Say it once; written past Python's buffers, which a signal may have come into."""
+def tell_stopped() -> None:
+    """Print "stopped" once, on a line of its own after the ^C that a terminal shows.
+
+    It bypasses Python's buffers, since a signal may have interrupted a write to them.
+    """
     global _told
     if not _told:
         _told = True
@@ -107,14 +110,14 @@ def _importing(frame: FrameType | None) -> bool:
 def _catch_signals() -> None:
     global _stopped_at, _told
     _stopped_at, _told = -_PATIENCE, False
-    for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # the last is the timer's, where there is one
+    for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # SIGALRM: the timer of _stop
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
 
 
 def _show_any_text() -> None:
-    """Characters that the terminal's encoding lacks are shown as codes, instead of ending the command."""
+    """Print characters that the terminal's encoding lacks as escapes, instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -124,7 +127,7 @@ def _run() -> None:
     try:
         cli.main(standalone_mode=False)
     except Exception:
-        if _stopped_at >= 0.0:  # a library made an error of its own of it, as safetensors does
+        if _stopped_at >= 0.0:  # a library (safetensors) turned the interrupt into its own error
             raise KeyboardInterrupt from None
         raise
 
@@ -144,7 +147,7 @@ def main() -> None:
     except click.exceptions.Exit as error:
         sys.exit(error.exit_code)
     except (Stopped, click.Abort, KeyboardInterrupt):
-        _tell_stopped()
+        tell_stopped()
         sys.exit(STOPPED)
     except MotionkitError as error:
         remark(f"error: {error}")

@@ -1,4 +1,4 @@
-"""`motionkit metrics`: measure a BVH file, alone or beside its ground truth."""
+"""`motionkit metrics`: measures of a BVH file, alone or against its ground truth."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _PLACE: Any = click.Path(exists=True, path_type=Path)
 CSV_COLUMNS = (
     "ground_truth", "generated", "frames", "metric", "unit", "value", "ground_truth_value", "ratio", "reason",
 )  # fmt: skip
-# Of many pairs one table shows so much; the next one, --csv and --json have all.
+# Columns of the table of many pairs; the table of means, --csv and --json hold all metrics.
 _OF_EACH = {
     True: ("afs", "jerk", "ssim-window", "mpjpe", "path-mean"),
     False: ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean"),
@@ -62,16 +62,16 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
 
 @click.command(
     "metrics",
-    help="""Measure GROUND_TRUTH, or GENERATED beside it.
+    help="""Measure GROUND_TRUTH, alone or with GENERATED.
 
-    Body movement (bm), average foot sliding (afs), foot skate, jerk and penetration for each file; SSIM,
-    MPJPE and trajectory distance (path) for the pair. docs/metrics.md defines every id. Other rigs are
-    mapped onto the 23 canonical joints, other rates brought to 60 fps, and different lengths compared
-    over the frames both have; the notes under the table say what was done.
+    Each file is measured by body movement (bm), average foot sliding (afs), foot skate, jerk and penetration;
+    a pair also by SSIM, MPJPE and trajectory distance (path). docs/metrics.md defines every id. Other rigs are
+    mapped onto the 23 canonical joints, other rates are resampled to 60 fps, and clips of different length
+    are compared over their common frames; notes under the table say what was changed.
 
-    Both may be folders: then files of the same name in both are pairs, and what has no partner is listed;
-    one folder alone is measured file by file. Files of other names are paired by --pair, as often as needed.
-    Of many pairs the table shows each and their mean, and the exit code is 1 if any was left out.
+    Both may be folders: files of the same name are pairs, and files without a partner are listed. One folder
+    alone is measured file by file. --pair pairs files of different names. For many pairs the table shows each
+    pair and the means; the exit code is 1 if any file was left out.
     """,
 )
 @click.argument("ground_truth", type=_PLACE, required=False)
@@ -82,33 +82,37 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     type=(_FILE, _FILE),
     multiple=True,
     metavar="GROUND_TRUTH GENERATED",
-    help="Two files to measure side by side; may be given again and again.",
+    help="Two files to compare; repeat it for more pairs.",
 )
 @click.option(
     "--skip",
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Frames at 60 fps to leave out at the start, such as those a synthesis was given.",
+    help="Leave out this many frames at the start (60 fps), such as those that primed the model.",
 )
-@click.option("--align-start", is_flag=True, help="Turn and move GENERATED to start as GROUND_TRUTH does.")
 @click.option(
-    "--floor", type=float, callback=_finite, help="Height of the floor in cm; each clip's own if not given."
+    "--align-start",
+    is_flag=True,
+    help="Move and turn GENERATED to the place and heading where GROUND_TRUTH starts.",
 )
-@_positive("--foot-height", "H of the feet in afs, cm.", MetricSettings.foot_height)
-@_positive("--toe-height", "H of the toes in afs, cm.", MetricSettings.toe_height)
-@_positive("--skate-height", "Height under which a toe stands, cm.", MetricSettings.skate_height)
-@_positive("--skate-speed", "Speed over which a standing toe skates, cm/s.", MetricSettings.skate_speed)
+@click.option(
+    "--floor", type=float, callback=_finite, help="Floor height in cm; estimated for each clip by default."
+)
+@_positive("--foot-height", "Height threshold H of the feet for afs, cm.", MetricSettings.foot_height)
+@_positive("--toe-height", "Height threshold H of the toes for afs, cm.", MetricSettings.toe_height)
+@_positive("--skate-height", "A toe below this height stands on the floor, cm.", MetricSettings.skate_height)
+@_positive("--skate-speed", "A standing toe faster than this skates, cm/s.", MetricSettings.skate_speed)
 @_positive(
-    "--path-tolerance", "Distance within which a path counts as covered, cm.", MetricSettings.path_tolerance
+    "--path-tolerance", "A path point is covered within this distance, cm.", MetricSettings.path_tolerance
 )
-@_positive("--scale", "Centimetres per unit of GROUND_TRUTH.")
-@_positive("--generated-scale", "Centimetres per unit of GENERATED.")
-@_positive("--fps", "Rate of GROUND_TRUTH, where its header is wrong.")
-@_positive("--generated-fps", "Rate of GENERATED, where its header is wrong.")
+@_positive("--scale", "Centimetres per unit of GROUND_TRUTH; detected by default.")
+@_positive("--generated-scale", "Centimetres per unit of GENERATED; detected by default.")
+@_positive("--fps", "Frame rate of GROUND_TRUTH, if its header is wrong.")
+@_positive("--generated-fps", "Frame rate of GENERATED, if its header is wrong.")
 @view_option
 @json_option
-@click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV, one row for each metric.")
+@click.option("--csv", "as_csv", is_flag=True, help="Print the result as CSV, one row per metric.")
 def command(
     ground_truth: Path | None,
     generated: Path | None,
@@ -128,9 +132,9 @@ def command(
     if as_json and as_csv:
         raise click.UsageError("--json and --csv exclude each other")
     if (ground_truth is None) != bool(given_pairs):
-        raise click.UsageError("give GROUND_TRUTH, alone or with GENERATED, or --pair")
+        raise click.UsageError("give GROUND_TRUTH, GROUND_TRUTH GENERATED, or --pair")
     if ground_truth and generated and ground_truth.is_dir() != generated.is_dir():
-        raise click.UsageError("GROUND_TRUTH and GENERATED are two files or two folders")
+        raise click.UsageError("GROUND_TRUTH and GENERATED must both be files or both be folders")
     many = bool(given_pairs) or (ground_truth is not None and ground_truth.is_dir())
     if view and many:
         raise click.UsageError("--view shows one file or one pair")
@@ -179,7 +183,7 @@ def _measure_many(
     as_json: bool,
     as_csv: bool,
 ) -> None:
-    """Measure and print all pairs; raises MotionkitError at the end if any could not be."""
+    """Measure and print all pairs; raises MotionkitError at the end if any failed."""
     from motionkit.metrics.pairs import evaluate_pairs, mean_rows
 
     with progress_bar() as bar:
@@ -207,7 +211,7 @@ def _measure_many(
 
 
 def _print_csv(results: Sequence[PairResult]) -> None:
-    """One row for each metric of each pair, for spreadsheets and data frames."""
+    """Print one row per metric and pair, for spreadsheets and data frames."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
@@ -223,7 +227,7 @@ def _print_csv(results: Sequence[PairResult]) -> None:
 
 
 def _print_tables(results: Sequence[PairResult]) -> None:
-    """Some metrics of every pair, then the means of all."""
+    """Print some metrics of every pair, then the means of all metrics."""
     from rich.table import Table
 
     from motionkit.metrics.pairs import mean_rows
@@ -250,14 +254,14 @@ def _print_tables(results: Sequence[PairResult]) -> None:
     console = stdout_console()
     console.print(each)
     console.print()
-    console.print(f"means of {len(measured)} {'pairs' if paired else 'files'}, each counting the same:")
+    console.print(f"means of {len(measured)} {'pairs' if paired else 'files'}, weighted equally:")
     console.print(means)
 
 
 def _view(
     ground_truth: Path, generated: Path | None, fps: tuple[float | None, float | None], quiet: bool
 ) -> Path:
-    """Write a page of the files as they are to the current folder."""
+    """Write a viewer page of the unchanged files to the current folder."""
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
     from motionkit.view.figure_data import Shown
 
@@ -307,7 +311,7 @@ def _remarks(report: MetricReport) -> list[str]:
 
 
 def _thresholds(report: MetricReport) -> list[str]:
-    """One line for each metric with thresholds; each clip's floor has a row of its own."""
+    """One line per metric with thresholds; the floor of each clip has its own row instead."""
     lines = []
     for row in report.rows:
         words = [

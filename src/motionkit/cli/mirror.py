@@ -1,4 +1,4 @@
-"""`motionkit mirror`: left and right exchanged, for a BVH file or a folder of them."""
+"""`motionkit mirror`: swap left and right in a BVH file or a folder of them."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from motionkit.errors import MotionkitError
 @click.command("mirror")
 @click.argument("source", type=click.Path(path_type=Path, exists=True))
 @click.argument("target", type=click.Path(path_type=Path))
-@click.option("--strict", is_flag=True, help="In a folder, stop at the first file that cannot be mirrored.")
+@click.option("--strict", is_flag=True, help="Folders: stop at the first file that cannot be mirrored.")
 @json_option
 def command(source: Path, target: Path, strict: bool, as_json: bool) -> None:
-    """Write the mirror image of a BVH file: same hierarchy, same channels, left and right exchanged.
+    """Write the mirror image of a BVH file: same hierarchy and channels, left and right swapped.
 
-    SOURCE and TARGET are two files, or two folders; then every .bvh file below SOURCE is mirrored into
-    the same place below TARGET. Links to folders are followed. What is read is never overwritten: TARGET
-    is another file, or a folder outside SOURCE.
+    SOURCE and TARGET are two files or two folders. In folders, every .bvh file below SOURCE is mirrored to
+    the same place below TARGET; links to folders are followed. TARGET must be another file, or a folder
+    outside SOURCE: the command never overwrites its input.
     """
     if source.is_dir():
         _mirror_folder(source, target, strict, as_json)
@@ -31,7 +31,7 @@ def command(source: Path, target: Path, strict: bool, as_json: bool) -> None:
     if as_json:
         print_json({"mirrored": [{"file": str(source), "output": str(target)}], "failed": []})
     else:
-        say(f"{target}: the mirror image of {source}")
+        say(f"wrote {target}: the mirror image of {source}")
 
 
 def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> None:

@@ -1,4 +1,4 @@
-"""motionkit play: live characters in the browser, and for programs and engines."""
+"""`motionkit play`: live characters for the browser, programs and game engines."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _target(context: click.Context, parameter: click.Parameter, value: str | Non
 
 
 class _VisibleLines(logging.Formatter):
-    """Nothing a client sent may steer the terminal, not even out of a traceback."""
+    """Escapes control characters: text from clients, even in a traceback, must not control the terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
         return "\n".join(visible(line) for line in super().format(record).splitlines())
@@ -45,32 +45,34 @@ def _visible_log() -> Iterator[None]:
     "--model",
     "model_path",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="A model file; the bundled model by default.",
+    help="Model file; the bundled model by default.",
 )
-@click.option("--character", default="default", show_default=True, help="The body new characters have.")
+@click.option("--character", default="default", show_default=True, help="Body of new characters.")
 @click.option(
     "--port",
     default=8642,
     show_default=True,
     type=click.IntRange(0, 65535),
-    help="Of the page; 0 is any free one.",
+    help="Web page port; 0 picks a free one.",
 )
 @click.option(
     "--host",
     default="127.0.0.1",
     show_default=True,
-    help="The address to listen on. Others than this machine can connect if you name one they reach; they need "
-    "the token that is printed with it.",
+    help="Address to listen on. With an address that other machines reach, they can connect; they need the "
+    "printed token.",
 )
 @click.option("--no-open", is_flag=True, help="Do not open the browser.")
-@click.option("--headless", is_flag=True, help="Serve no page, only programs.")
-@click.option("--tcp", type=click.IntRange(0, 65535), help="Also serve newline JSON on this port.")
+@click.option("--headless", is_flag=True, help="Serve programs only, without the web page.")
 @click.option(
-    "--vmc", metavar="HOST:PORT", callback=_target, help="Also send a character by VMC (OSC over UDP)."
+    "--tcp",
+    type=click.IntRange(0, 65535),
+    help="Also serve newline-delimited JSON on this TCP port; 0 picks a free one.",
 )
 @click.option(
-    "--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON, for machines."
+    "--vmc", metavar="HOST:PORT", callback=_target, help="Also send one character as VMC (OSC over UDP)."
 )
+@click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
 def command(
     model_path: Path | None,
     character: str,
@@ -82,10 +84,10 @@ def command(
     vmc: tuple[str, int] | None,
     as_json: bool,
 ) -> None:
-    """Steer characters live: starts a server on this machine and opens its page.
+    """Steer characters live: start a server on this machine and open its page.
 
-    Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). Ends
-    with Ctrl-C.
+    Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). Ctrl-C
+    stops the server.
     """
     try:
         import websockets  # noqa: F401
@@ -95,6 +97,7 @@ def command(
         raise MotionkitError("play needs the package websockets: pip install 'motionkit[play]'") from None
     import asyncio
 
+    from motionkit.cli.main import tell_stopped
     from motionkit.cli.showing import open_in_browser
     from motionkit.models.bundled import open_model
     from motionkit.play.server import Addresses, PlayServer, ServerOptions
@@ -117,8 +120,8 @@ def command(
             if addresses.vmc:
                 remark(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}")
             if addresses.token:
-                remark("who has this address, with its token, may steer; TCP clients send the token first")
-            remark("Ctrl-C ends")
+                remark("anyone with this address and token can steer; TCP clients send the token first")
+            remark("Ctrl-C stops the server")
         if not headless and not no_open:
             open_in_browser(addresses.url)
 
@@ -128,5 +131,5 @@ def command(
         try:
             asyncio.run(PlayServer(session, options).run(ready))
         except KeyboardInterrupt:
-            pass  # where the system has no signal handlers for the loop
-    remark("stopped")
+            pass  # on systems without signal handlers for the event loop
+    tell_stopped()

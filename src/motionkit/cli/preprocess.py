@@ -1,4 +1,4 @@
-"""motionkit preprocess: a folder of BVH files to a dataset folder."""
+"""`motionkit preprocess`: folders of BVH files to a dataset folder."""
 
 from __future__ import annotations
 
@@ -25,40 +25,45 @@ SHOWN_SKIPS = 20
     default="datasets/motion",
     show_default=True,
     type=click.Path(file_okay=False, path_type=Path),
-    help="The dataset folder to write.",
+    help="Dataset folder to write.",
 )
 @click.option(
     "--labels",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Table of segments: file,start_frame,end_frame,type[,subject,fps,split,note]. "
+    help="CSV table of segments: file,start_frame,end_frame,type[,subject,fps,split,note]. "
     "By default labels.csv in or just above the data.",
 )
-@click.option("--fps", type=click.FloatRange(1, 1000), help="True frame rate, where the files' headers lie.")
 @click.option(
-    "--scale", type=click.FloatRange(1e-4, 1e4), help="Centimetres per file unit, instead of a guess."
+    "--fps", type=click.FloatRange(1, 1000), help="Frame rate of the files, if their headers are wrong."
 )
 @click.option(
-    "--jobs", default=0, type=click.IntRange(0, 256), help="Processes; by default as many cores as pay."
+    "--scale", type=click.FloatRange(1e-4, 1e4), help="Centimetres per file unit; detected by default."
 )
 @click.option(
-    "--mirror/--no-mirror", default=True, show_default=True, help="Add a mirrored twin of each clip."
+    "--jobs",
+    default=0,
+    type=click.IntRange(0, 256),
+    help="Number of processes; 0 chooses it by cores and files.",
 )
 @click.option(
-    "--own-bodies", is_flag=True, help="Keep each body's own bone lengths instead of one body for all."
+    "--mirror/--no-mirror", default=True, show_default=True, help="Add the mirror image of each clip."
+)
+@click.option(
+    "--own-bodies", is_flag=True, help="Keep each performer's bone lengths instead of one body for all."
 )
 @click.option(
     "--layout",
     default=LAYOUT_CHOICES[0],
     show_default=True,
     type=click.Choice(LAYOUT_CHOICES),
-    help="Version of the 276 numbers; tptn-paper needs expmap-root-1.",
+    help="Version of the 276 features; the preset tptn-paper needs expmap-root-1.",
 )
 @click.option(
     "--smooth/--raw",
     "smooth",
     default=True,
     show_default=True,
-    help="Filter the trembling of markers out (7 Hz), or take rotations as they are.",
+    help="Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.",
 )
 @click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
 @json_option
@@ -76,12 +81,11 @@ def command(
     strict: bool,
     as_json: bool,
 ) -> None:
-    """Turn folders of BVH files (DATA) into a dataset for training.
+    """Turn BVH files and folders of them (DATA) into a dataset for training.
 
     Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
-    the 276 numbers per frame, with mirrored twins and a train/test split. Links to
-    folders are followed. Files that cannot be used are skipped and listed; the dataset then holds the
-    others and the exit code is 1.
+    276 features per frame, with mirror images and a train/test split. Links to folders are followed.
+    Unusable files are skipped and listed; the dataset then holds the others and the exit code is 1.
     """
     from motionkit.data.preprocess import PreprocessOptions, preprocess
 
@@ -104,7 +108,7 @@ def command(
     faults = sum(file.fault for file in report.files)
     if faults:
         raise MotionkitError(
-            f"{faults} of {len(report.files)} files cannot be used; the dataset holds the others"
+            f"{faults} of {len(report.files)} files are unusable; the dataset holds the others"
         )
 
 
@@ -152,7 +156,7 @@ def _print(report: PreprocessReport) -> None:
 
 
 def _print_work(report: PreprocessReport) -> None:
-    """What was mapped and cleaned, counted over the files."""
+    """Print what was mapped and cleaned, counted over the files."""
     from collections import Counter
 
     used = [file for file in report.files if not file.skipped]
@@ -165,8 +169,8 @@ def _print_work(report: PreprocessReport) -> None:
     out.print("units: " + "; ".join(f"{name} ({count})" for name, count in units.most_common()))
     if missing:
         listed = ", ".join(f"{name} ({count})" for name, count in missing.most_common())
-        out.print(f"joints without a source, kept fixed: {listed}")
+        out.print(f"joints missing in the files, kept fixed: {listed}")
     out.print(
-        f"cleaned: {len(lead_ins)} lead-ins ({sum(lead_ins)} frames) cut, {pops} pops mended, "
+        f"cleaned: {len(lead_ins)} lead-ins ({sum(lead_ins)} frames) cut, {pops} pops repaired, "
         f"{sum(file.leaps for file in used)} leaps cut out, floor moved in {len(moved)} files"
     )

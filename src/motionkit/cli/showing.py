@@ -1,4 +1,4 @@
-"""What commands share that show motions: the --view option, and opening a file in the browser."""
+"""Shared by commands that show motions: the --view option, and opening a file in the browser."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from motionkit.view.figure_data import Shown
 
 view_option = click.option(
-    "--view", is_flag=True, help="Write a page that plays the motion beside the output, and open it."
+    "--view", is_flag=True, help="Also write a web page that plays the motion, and open it."
 )
 
 
@@ -40,7 +40,7 @@ def open_in_browser(address: str) -> bool:
 
 
 def has_desktop() -> bool:
-    """Whether a window can be expected to appear: not over plain SSH, and not in CI."""
+    """Whether a window can appear: False over plain SSH and in CI."""
     if os.environ.get("CI"):
         return False
     if sys.platform in ("win32", "darwin"):

@@ -1,4 +1,4 @@
-"""The options synthesize and follow-path share, and what both print."""
+"""Options and output shared by synthesize and follow-path."""
 
 from __future__ import annotations
 
@@ -24,22 +24,23 @@ SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean"
 
 
 STDOUT = Path("-")
-LONG_SECONDS = 900.0  # of motion, from which on a command says so before it begins
+LONG_SECONDS = 900.0  # of motion; a command announces longer work before it begins
 
 
 def noise_options(function: Callable) -> Callable:
-    """How frames are drawn."""
+    """The options --noise and --temperature."""
     temperature = click.option(
         "--temperature",
         type=click.FloatRange(0, 2),
-        help="Strength of the noise; 0.05 by default, 1 for sample.",
+        help="Noise strength; 0.05 by default, 1 with --noise sample.",
     )
     kind = click.option(
         "--noise",
         default="correlated",
         show_default=True,
         type=click.Choice(["mean", "sample", "correlated"]),
-        help="How frames are drawn from the predicted distribution.",
+        help="How to draw frames from the predicted distribution: the mean, independent samples, or samples "
+        "correlated in time.",
     )
     return kind(temperature(function))
 
@@ -51,32 +52,32 @@ def synthesis_options(function: Callable) -> Callable:
             "--model",
             "model_path",
             type=click.Path(exists=True, dir_okay=False, path_type=Path),
-            help="A model file; the bundled model by default.",
+            help="Model file; the bundled model by default.",
         ),
         seed_option(),
         click.option(
             "--character",
             default="default",
             show_default=True,
-            help="The body to move; for a crowd (synthesize --count) several names with commas, taken in turn.",
+            help="Body to move; a crowd (synthesize --count) takes several names, separated by commas, in turn.",
         ),
         click.option(
             "--init",
             type=click.Path(exists=True, dir_okay=False, path_type=Path),
-            help="Start from the first frames of this BVH file.",
+            help="Start from the first frames of this BVH file; from a pose in the model by default.",
         ),
         noise_options,
         click.option(
             "--ik/--no-ik",
             default=True,
             show_default=True,
-            help="Hold feet still while they touch the floor and lift them while they move; without, as the network "
-            "drew them.",
+            help="Lock feet while they touch the floor and lift them while they move; --no-ik writes the raw network "
+            "output.",
         ),
         click.option(
             "--fps",
             type=click.FloatRange(1, 480),
-            help="Rate of the written file; the model's 60 by default.",
+            help="Frame rate of the BVH file; the model's 60 by default.",
         ),
         view_option,
         json_option,
@@ -87,22 +88,20 @@ def synthesis_options(function: Callable) -> Callable:
 
 
 def output_option(text: str) -> Callable:
-    """The -o of commands that write BVH, to a file or to standard output."""
+    """The -o option of commands that write BVH to a file or to standard output."""
     kind: Any = click.Path(path_type=Path)
-    return click.option(
-        "-o", "--output", type=kind, help=f"{text}; - writes to standard output, and messages to stderr."
-    )
+    return click.option("-o", "--output", type=kind, help=f"{text}; - writes to standard output.")
 
 
 def check_stdout(output: Path | None, others: dict[str, bool]) -> None:
-    """Raise UsageError where the BVH goes to standard output beside options that do not go with that."""
+    """Raise UsageError for options that cannot be combined with BVH on standard output."""
     for name, given in others.items():
         if output == STDOUT and given:
-            raise click.UsageError(f"{name} does not go with -o -, one motion on standard output")
+            raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
 
 
 def write_motion(path: Path, motion: Motion) -> None:
-    """Write BVH to a file or, for "-", to standard output, and there too nothing if it cannot be written."""
+    """Write BVH to a file or, for "-", to standard output; nothing is written if the motion is invalid."""
     from motionkit.motion.bvh import write_bvh
 
     if path != STDOUT:
@@ -117,12 +116,12 @@ def write_motion(path: Path, motion: Motion) -> None:
 
 
 def shown_name(path: str | Path) -> str:
-    """The name of an output as a reader knows it."""
+    """The name of an output in messages."""
     return "standard output" if Path(path) == STDOUT else str(path)
 
 
 def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
-    """Say before long work how much it is; raises ControlError for more than can be made."""
+    """Announce long work before it begins; raises ControlError if it is too large."""
     from motionkit.control.synthesize import check_size
 
     check_size(seconds, model_fps, options)
@@ -130,16 +129,16 @@ def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> Non
         return
     each = "" if options.count == 1 else f"{options.count} motions of "
     hours = f"{seconds:.0f} s" if seconds < 3600 else f"{seconds / 3600:.1f} hours"
-    remark(f"{each}{hours} of motion are to be made, which can take minutes; Ctrl-C stops")
+    remark(f"making {each}{hours} of motion, which can take minutes; Ctrl-C stops")
 
 
 def words_console(output: Path | None) -> PlainConsole:
-    """Where a command tells what it made: on stdout, unless the motion goes there."""
+    """The console for the report: stdout, or stderr if the motion goes to stdout."""
     return stderr_console() if output == STDOUT else stdout_console()
 
 
 def make_noise(kind: str, temperature: float | None) -> Noise:
-    """The noise a user asks for."""
+    """The Noise of --noise and --temperature."""
     from motionkit.inference.rollout import Noise
 
     usual = 1.0 if kind == "sample" else 0.05
@@ -147,7 +146,7 @@ def make_noise(kind: str, temperature: float | None) -> Noise:
 
 
 def motion_metrics(motion: Motion) -> dict[str, Any]:
-    """What a synthesized motion is measured by: metric id to value and unit."""
+    """Measure a synthesized motion: metric id to value and unit."""
     from motionkit.metrics.report import evaluate_motion
 
     report = evaluate_motion(motion)

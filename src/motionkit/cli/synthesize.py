@@ -1,4 +1,4 @@
-"""motionkit synthesize: motion types to BVH."""
+"""`motionkit synthesize`: motion types to BVH."""
 
 from __future__ import annotations
 
@@ -32,21 +32,21 @@ if TYPE_CHECKING:
     "--types",
     multiple=True,
     help="Motion types in order, such as running,cartwheel or running:4,cartwheel:3 (seconds). "
-    "Given more than once, the characters of --count take them in turn.",
+    "Repeat it to give the characters of --count different types, in turn.",
 )
 @click.option("--list-types", is_flag=True, help="List the model's motion types and characters.")
-@output_option("The BVH file; named after the types by default")
+@output_option("BVH file to write; named after the types by default")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 3600),
-    help="Length of the whole; by default 4 s for each type, one performance of a flip.",
+    help="Total length in seconds; by default 4 s per type, or one performance of types such as flips.",
 )
 @click.option(
     "--count",
     default=1,
     show_default=True,
     type=click.IntRange(1, 4096),
-    help="How many motions, made together, each with the next seed; files are numbered.",
+    help="Number of motions, made together, each with the next seed; the files are numbered.",
 )
 @synthesis_options
 def command(
@@ -66,10 +66,10 @@ def command(
     view: bool,
     as_json: bool,
 ) -> None:
-    """Synthesize motion types one after another and write BVH.
+    """Synthesize motion types in sequence and write BVH.
 
-    With nothing but --types the bundled model is used and the file is written to the current folder.
-    The same seed gives the same file; with --count N --seed S the files are those of seeds S to S+N-1.
+    By default the command uses the bundled model and writes to the current folder. The same seed gives the
+    same file; --count N --seed S gives the files of seeds S to S+N-1.
     """
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
@@ -79,7 +79,7 @@ def command(
         return
     if not types:
         raise click.UsageError(
-            "give --types, such as --types running,cartwheel; --list-types shows the known ones"
+            "give --types, such as --types running,cartwheel; --list-types lists the model's types"
         )
     if view:
         from motionkit.view.viewer import MAX_MOTIONS
@@ -141,7 +141,7 @@ def _numbered(base: Path, number: int, count: int) -> Path:
 
 
 def _view(base: Path, made: list[dict[str, Any]], result: SynthesisResult, quiet: bool) -> Path:
-    """Write the page of all motions beside them."""
+    """Write a viewer page of all motions beside the BVH files."""
     from motionkit.view.figure_data import Shown
 
     shown = [

@@ -1,4 +1,4 @@
-"""motionkit train: a dataset folder to a model file."""
+"""`motionkit train`: a dataset folder to a model file."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 
 
 def _names(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
-    """The words between commas."""
+    """Parse names separated by commas."""
     return tuple(filter(None, (word.strip() for word in (text or "").split(","))))
 
 
 def _type_weights(context: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:
-    """How many times as often each type is to be shown, from "kicking=2,idle=0.5"."""
+    """Parse relative frequencies of motion types, such as "kicking=2,idle=0.5"."""
     weights = {}
     for word in _names(context, parameter, text):
         name, _, times = word.rpartition("=")
@@ -36,7 +36,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
         except ValueError:
             weights[name.strip()] = math.nan
         if not name.strip() or not 0.0 <= weights[name.strip()] <= 1000.0:
-            raise click.BadParameter(f"{word!r}: expected a type, '=' and a number from 0 to 1000")
+            raise click.BadParameter(f"{word!r}: expected TYPE=NUMBER, with a number from 0 to 1000")
     return weights
 
 
@@ -48,80 +48,84 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     default="model.safetensors",
     show_default=True,
     type=click.Path(dir_okay=False, path_type=Path),
-    help="The model file to write.",
+    help="Model file to write.",
 )
 @click.option(
     "--preset",
     default="tptn",
     show_default=True,
     type=click.Choice(PRESET_CHOICES),
-    help="Network and training settings.",
+    help="Network and training settings (docs/training.md).",
 )
 @click.option(
-    "--minutes", type=click.FloatRange(min=0.01), help="Train for so long; 30 if no --steps are given."
+    "--minutes",
+    type=click.FloatRange(min=0.01),
+    help="Training time in minutes; 30 by default, unless --steps is given.",
 )
-@click.option("--steps", type=click.IntRange(min=1), help="Train for so many steps.")
-@click.option("--force", is_flag=True, help="Train anew over a model or a run folder that is there.")
-@click.option("--resume", is_flag=True, help="Go on from the run folder's checkpoint.")
+@click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
+@click.option("--force", is_flag=True, help="Overwrite an existing model and run folder.")
+@click.option("--resume", is_flag=True, help="Continue from the checkpoint in the run folder.")
 @click.option(
     "--init",
     type=click.Path(),
-    help="Begin from the weights of this model file, trained on the same dataset, or of the bundled model: bundled.",
+    help="Start from the weights of this model file, or of the bundled model (bundled); its dataset must be the same.",
 )
 @click.option(
     "--batch",
     type=click.IntRange(1, 4096),
-    help="Windows per step; the preset's 16 (tptn-paper 56) by default.",
+    help="Windows per training step; the preset's by default (16; tptn-paper 56).",
 )
 @click.option(
     "--window",
     type=click.IntRange(16, 1200),
-    help="Frames per window; the preset's 96 (tptn-paper 300) by default.",
+    help="Frames per window; the preset's by default (96; tptn-paper 300).",
 )
 @click.option("--rate", type=click.FloatRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
     "--type-weights",
     metavar="TYPE=TIMES,...",
     callback=_type_weights,
-    help="Show some types more or less often than the preset does: kicking=2,idle=0.5.",
+    help="Sample types more or less often than the preset does: kicking=2,idle=0.5.",
 )
 @click.option(
     "--step-weight",
     type=click.FloatRange(0.0, 1000.0),
-    help="How much feet count that slide against the recording from the frame given; 35 for firm feet, 0 by default.",
+    help="Weight of the loss on foot sliding against the recording; 0 by default, 35 gives firm feet.",
 )
 @click.option(
     "--step-except",
     metavar="TYPE,...",
     callback=_names,
-    help="Types in which --step-weight does not count.",
+    help="Types to which --step-weight does not apply.",
 )
 @click.option(
     "--splices",
     type=click.IntRange(0, 100_000),
-    help="Spliced transitions to make; the preset's 2000 (tptn-paper none) by default.",
+    help="Number of spliced transitions to make; the preset's by default (2000; tptn-paper 0).",
 )
 @click.option(
     "--run-folder",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Checkpoint, log.jsonl and samples; beside the model by default.",
+    help="Folder for checkpoint, log.jsonl and samples; beside the model by default.",
 )
-@click.option("--device", default="auto", show_default=True, help="auto, cpu, cuda, cuda:1 ...")
+@click.option(
+    "--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda, cuda:1 ..."
+)
 @click.option(
     "--precision",
     default="auto",
     show_default=True,
     type=click.Choice(["auto", "float32", "bfloat16"]),
-    help="Arithmetic of the network.",
+    help="Number format of the network's arithmetic.",
 )
 @click.option(
     "--score-minutes",
     default=10.0,
     show_default=True,
     type=click.FloatRange(min=0.1),
-    help="Minutes between roll-out scores.",
+    help="Minutes between evaluations by roll-outs.",
 )
-@click.option("--half", is_flag=True, help="Write the model in 16 bits, half the size.")
+@click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
 @seed_option()
 @json_option
 def command(
@@ -150,8 +154,8 @@ def command(
 ) -> None:
     """Train a motion model on a DATASET folder made by preprocess.
 
-    Writes a checkpoint every 40 seconds; Ctrl-C writes the model as it is and --resume goes on as if
-    nothing had happened. Several processes: torchrun --nproc-per-node N -m motionkit train DATASET ...
+    A checkpoint is written every 40 seconds. Ctrl-C writes the model as it is, and --resume continues the
+    run exactly. For several processes: torchrun --nproc-per-node N -m motionkit train DATASET ...
     """
     check_outputs([output], [init if init != "bundled" else None, *dataset.glob("*")])
     if not resume and not force:
@@ -210,7 +214,7 @@ def command(
 def _refuse_to_replace(model: Path, run_folder: Path) -> None:
     for path in (model, run_folder / "checkpoint.safetensors"):
         if path.exists():
-            raise OverwriteError(f"{path}: exists; go on with --resume, or train anew over it with --force")
+            raise OverwriteError(f"{path}: exists; continue with --resume, or overwrite it with --force")
 
 
 class _Monitor:
@@ -263,7 +267,7 @@ def _loss_table(event: TrainEvent):
 def _score_table(event: TrainEvent):
     from rich.table import Table
 
-    table = Table(title=f"roll-outs at step {event.step} (joint speed and slide against real motion)")
+    table = Table(title=f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)")
     for name in ("type", "joint speed", "pose distance cm", "slide", "root height cm"):
         table.add_column(name, justify="left" if name == "type" else "right")
     for score in event.scores:

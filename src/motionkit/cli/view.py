@@ -1,4 +1,4 @@
-"""`motionkit view`: BVH files as a page that plays them, a contact sheet, a GIF or a film."""
+"""`motionkit view`: BVH files as a web page that plays them, a contact sheet, a GIF or a video."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ENDINGS = (".html", ".png", ".gif", ".mp4")
 def _ending(context: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
     if value is not None and value.suffix.lower() not in ENDINGS:
         known = ", ".join(ENDINGS)
-        raise click.BadParameter(f"expected a file that ends with {known}, found {str(value)!r}")
+        raise click.BadParameter(f"expected a file name that ends in {known}, found {str(value)!r}")
     return value
 
 
@@ -32,28 +32,32 @@ def _ending(context: click.Context, parameter: click.Parameter, value: Path | No
     "--output",
     type=click.Path(path_type=Path),
     callback=_ending,
-    help="The file; its ending says what it is: .html (default, a page that plays the motions), .png (a contact "
-    "sheet), .gif, .mp4.",
+    help="File to write; its ending chooses the format: .html (default, a web page that plays the motions), .png "
+    "(a contact sheet), .gif or .mp4.",
 )
 @click.option(
     "--path",
     "path_file",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="A path file (JSON or CSV) to draw on the ground of the page.",
+    help="Path file (JSON or CSV) to draw on the ground of the page.",
 )
-@click.option("--open/--no-open", "opens", default=True, help="Open the page in the browser.")
+@click.option("--open/--no-open", "opens", default=True, help="Open the page in the browser; on by default.")
 @click.option(
     "--poses",
     type=click.IntRange(1, 480),
     default=12,
     show_default=True,
-    help="Sheet: stick figures per clip.",
+    help="Contact sheet: number of poses per clip.",
 )
-@click.option("--every", type=click.IntRange(min=1), help="Sheet: show every so many frames instead.")
+@click.option(
+    "--every",
+    type=click.IntRange(min=1),
+    help="Contact sheet: one pose every this many frames, instead of --poses.",
+)
 @click.option(
     "--width",
     type=click.IntRange(160, 8000),
-    help="Width in pixels of a sheet (1800; at least 600), a GIF (480) or a film (960; both at most 3840).",
+    help="Width in pixels: contact sheet 600 to 8000 (default 1800), GIF (480) or video (960) 160 to 3840.",
 )
 @json_option
 @click.pass_context
@@ -68,10 +72,10 @@ def command(
     width: int | None,
     as_json: bool,
 ) -> None:
-    """Show BVH files (CLIPS) of any rig, unit and rate.
+    """Show BVH files (CLIPS) of any rig, unit and frame rate.
 
-    Without -o a page named after the first clip is written to the current folder and opened in the
-    browser: one HTML file with everything in it, to keep or to send.
+    Without -o the command writes a web page, named after the first clip, to the current folder and opens it
+    in the browser. The page is one self-contained HTML file.
     """
     from motionkit.files import check_outputs
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -103,7 +107,7 @@ def command(
 
 
 def _names(clips: Sequence[Path]) -> list[str]:
-    """What to call each clip: its name, with the folder's before it where two clips have the same one."""
+    """The name of each clip, with its folder's name in front where two clips share one."""
     stems = [clip.stem for clip in clips]
     return [
         f"{clip.absolute().parent.name}/{clip.stem}" if stems.count(clip.stem) > 1 else clip.stem
@@ -112,7 +116,7 @@ def _names(clips: Sequence[Path]) -> list[str]:
 
 
 def _check_options(context: click.Context, target: Path) -> None:
-    """Raise UsageError for options that do nothing for this kind of file."""
+    """Raise UsageError for options that do not apply to this kind of file."""
     given = {
         name: context.get_parameter_source(name) is click.core.ParameterSource.COMMANDLINE
         for name in ("poses", "every", "width", "path_file")
@@ -126,7 +130,7 @@ def _check_options(context: click.Context, target: Path) -> None:
     ):
         if given[name] and kind not in kinds:
             option = {"path_file": "path"}.get(name, name)
-            raise click.UsageError(f"--{option} belongs to {' and '.join(kinds)} files, found {target.name}")
+            raise click.UsageError(f"--{option} applies to {', '.join(kinds)} files, found {target.name}")
 
 
 def _write(target: Path, shown: Sequence[Shown], poses: int, every: int | None, width: int | None) -> None:
