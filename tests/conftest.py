@@ -1,4 +1,4 @@
-"""What every test room shares: a time limit for each test, and small motions and files to work on."""
+"""Shared by all tests: a time limit per test, and small motions and files."""
 
 from __future__ import annotations
 
@@ -64,14 +64,14 @@ def pytest_sessionstart() -> None:
 
 @pytest.fixture(autouse=True)
 def time_limit(request: pytest.FixtureRequest) -> Iterator[None]:
-    """A test that hangs fails instead; SIGALRM reaches pure Python loops and blocking calls."""
+    """Fail a test that hangs; SIGALRM interrupts Python loops and blocking calls."""
     if not hasattr(signal, "SIGALRM"):
         yield
         return
     seconds = SECONDS_PER_SLOW_TEST if request.node.get_closest_marker("slow") else SECONDS_PER_TEST
 
     def stop(_: int, frame: FrameType | None) -> None:
-        # Told as a warning too: a library may take the error for one of its own and go on.
+        # Warn too: a library may catch the error as one of its own and continue.
         where = "".join(traceback.format_stack(frame)[-12:])
         warnings.warn(f"{request.node.nodeid} was stopped after {seconds} s in\n{where}", stacklevel=1)
         raise TimeoutError(f"test ran for more than {seconds} s")
@@ -87,7 +87,7 @@ def time_limit(request: pytest.FixtureRequest) -> Iterator[None]:
 
 @pytest.fixture
 def broken_folder() -> Path:
-    """The folder of small BVH files with one fault each, and one good.bvh they were made from."""
+    """The folder of small BVH files with one fault each, and the good.bvh they derive from."""
     return HERE / "broken_bvh"
 
 
@@ -173,7 +173,7 @@ def tiny_model_file(
     tiny_options: Callable[..., TrainOptions],
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Path:
-    """A model file after a few steps of the tiny preset: it moves, badly."""
+    """A model file after a few steps of the tiny preset; it moves, but badly."""
     path = tmp_path_factory.mktemp("model") / "tiny.safetensors"
     train(dataset_folder, path, tiny_options(steps=20), device="cpu")
     return path

@@ -1,4 +1,4 @@
-"""Motions made by formula, whose truth is known: walks, spins, cartwheels, and a body standing still."""
+"""Motions made by formula with known properties: walks, spins, cartwheels, hops and standing."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def make_walk(
 
 
 def make_idle(frames: int = 180, fps: float = 60.0, phase: float = 0.0) -> Motion:
-    """A body that stands and sways a little."""
+    """A standing body that sways a little."""
     return make_walk(frames, fps, speed=0.0, turn=0.02, phase=phase, swing=0.03, cadence=0.4)
 
 

@@ -1,4 +1,4 @@
-"""The border to the file system: regular files of bounded size, bounded JSON, safe names, whole writes."""
+"""Safe file access: regular files of limited size, bounded JSON, valid names, atomic writes."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def test_a_link_to_a_device_is_refused(tmp_path: Path) -> None:
 def test_a_file_over_the_limit_is_refused_unread(tmp_path: Path) -> None:
     with (tmp_path / "sparse").open("wb") as file:
         file.truncate(2 * 2**30)
-    assert "holds 2 GB, expected a dataset of at most 1 MB" in refusal(tmp_path / "sparse")
+    assert "has 2 GB, expected a dataset of at most 1 MB" in refusal(tmp_path / "sparse")
 
 
 def test_folder_missing_file_and_impossible_name(tmp_path: Path) -> None:
@@ -156,7 +156,7 @@ def test_different_names_stay_different(names: list[str]) -> None:
 
 
 def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where the system's own line end is another, text is still written with a plain newline."""
+    """Text is written with plain newlines, even where the system's line end differs."""
     seen = []
     honest = os.fdopen
 

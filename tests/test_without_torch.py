@@ -1,4 +1,4 @@
-"""torch is there to train networks: everything else works where it is not installed."""
+"""Everything but training works without torch."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ main()
 
 
 def run(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
-    """A command in a process that has no torch."""
+    """Run a command in a process without torch."""
     command = [sys.executable, "-c", RUN, *map(str, words)]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=120)
 

@@ -1,4 +1,4 @@
-"""`python -m motionkit`, which torchrun needs."""
+"""Lets `python -m motionkit` run the command line; torchrun needs it."""
 
 from motionkit.cli.main import main
 

@@ -1,4 +1,4 @@
-"""Types of arrays, and the few array functions numpy has no name for."""
+"""Array types, and a few array functions that numpy lacks."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ def length(vectors: Array) -> Array:
 
 
 def normalized(vectors: Array, eps: float = 1e-12) -> Array:
-    """Vectors (..., N) scaled to length 1; those shorter than eps are divided by eps."""
+    """Vectors (..., N) scaled to length 1; vectors shorter than eps are divided by eps."""
     return vectors / np.maximum(length(vectors), eps)[..., None]
 
 
 def lerp(a: Array, b: Array, share: Array | float) -> Array:
-    """The point at a share of the way from a to b; share is broadcast against both."""
+    """Linear interpolation from a (share 0) to b (share 1); share is broadcast against both."""
     return a + share * (b - a)
 
 
 def lower_median(values: Array, axis: int = 0) -> Array:
-    """The median along an axis; of an even number of values the lower of the middle two."""
+    """The median along an axis; for an even number of values, the lower of the middle two."""
     middle = (values.shape[axis] - 1) // 2
     return np.take(np.partition(values, middle, axis=axis), middle, axis=axis)
 
@@ -39,7 +39,7 @@ def as_float32(values: Any) -> Floats:
 
 
 def cross(a: Array, b: Array) -> Array:
-    """Cross products (..., 3), without the checks of np.cross that cost more than the product."""
+    """Cross products (..., 3); faster than np.cross, whose checks cost more than the product."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
         out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
@@ -48,7 +48,7 @@ def cross(a: Array, b: Array) -> Array:
 
 def distances_between(a: Array, b: Array) -> Array:
     """Euclidean distances (N, M) between the rows of a (N, D) and of b (M, D)."""
-    a, b = a.astype(np.float64), b.astype(np.float64)  # near rows are small differences of large squares
+    a, b = a.astype(np.float64), b.astype(np.float64)  # close rows: small differences of large squares
     squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * (a @ b.T)
     return np.sqrt(np.maximum(squares, 0.0))
 

@@ -1,4 +1,4 @@
-"""The faults a user can cause; everything else is ours and may show a traceback."""
+"""Errors that users can cause. Any other exception is a bug and may show a traceback."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ from pathlib import Path
 
 
 class MotionkitError(Exception):
-    """A fault in a user's file or request, told in one line."""
+    """An error in a user's file or request; its message is one line."""
 
 
 class BvhError(MotionkitError):
-    """A BVH file that cannot be read; names the file and, where known, the line."""
+    """An invalid BVH file; the message names the file and, if known, the line."""
 
     def __init__(self, path: str | Path, message: str, line: int | None = None) -> None:
         self.path = str(path)
@@ -20,20 +20,20 @@ class BvhError(MotionkitError):
 
 
 class OverwriteError(MotionkitError):
-    """An output that would destroy what the command reads, or what it must not replace unasked."""
+    """An output that would overwrite an input, or a file that the user did not ask to replace."""
 
 
 class SkeletonError(MotionkitError):
-    """A rig that cannot be mapped onto the canonical skeleton, or two rigs that do not match."""
+    """A rig that cannot be retargeted to the canonical skeleton, or two rigs that do not match."""
 
 
 class DatasetError(MotionkitError):
-    """A dataset folder or label table that is missing something or is inconsistent."""
+    """An incomplete or inconsistent dataset folder or label table."""
 
 
 class ModelError(MotionkitError):
-    """A model file that is not one, or does not fit the request."""
+    """An invalid model file, or one that does not fit the request."""
 
 
 class ControlError(MotionkitError):
-    """A motion type, path or character that nobody knows."""
+    """An unknown motion type or character, or an invalid path or control."""

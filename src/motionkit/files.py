@@ -1,7 +1,6 @@
-"""The border to the file system: what is read is a regular file of bounded size, what is written appears whole.
+"""Safe file access: reads only regular files of limited size, writes atomically, never overwrites an input.
 
-Also what stands below a folder, the one JSON reader, and names that every file system can hold. No output takes
-the place of what is read.
+Also lists the files below a folder, parses JSON within limits, and makes file names valid on every system.
 """
 
 from __future__ import annotations
@@ -19,27 +18,29 @@ from typing import IO, Any, BinaryIO
 
 from motionkit.errors import MotionkitError, OverwriteError
 
-MAX_TEXT_BYTES = 64 * 2**20  # of a label table, a path or a JSON file
+MAX_TEXT_BYTES = 64 * 2**20  # size of a label table, a path or a JSON file
 MAX_JSON_DEPTH = 50
-MAX_JSON_NODES = 2_000_000  # lists and objects: a hundred bytes of memory for each
-MAX_JSON_DIGITS = 40  # of a whole number: states of random generators have 39
+MAX_JSON_NODES = 2_000_000  # lists and objects; each takes about a hundred bytes of memory
+MAX_JSON_DIGITS = 40  # digits of an integer; states of random generators have 39
 
 
 @contextmanager
 def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
-    """Open a file beside path for writing and put it in place when the block ends without a fault.
+    """Open a temporary file for writing and rename it to path when the block ends without an error.
 
-    Missing folders above it are made. Raises MotionkitError if the place cannot be written (a folder is there,
-    the disk is full); path is untouched then.
+    Creates missing parent folders.
+
+    Raises:
+        MotionkitError: path cannot be written (it is a folder, the disk is full); path is unchanged then.
     """
     path = Path(path)
     _check_place(path)
     temporary = ""
     try:
-        target = Path(os.path.realpath(path))  # a link stays a link
+        target = Path(os.path.realpath(path))  # write through a link, do not replace it
         target.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
-        text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # the same bytes on all systems
+        text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # same bytes on every system
         with os.fdopen(handle, mode, **text) as file:  # type: ignore[call-overload]
             yield file
             file.flush()
@@ -58,7 +59,7 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
 def _check_place(path: Path) -> None:
     if path.is_dir():
         raise MotionkitError(f"{path}: is a folder, expected a file to write")
-    if path.exists() and not path.is_file():  # a rename would put a file where a device was
+    if path.exists() and not path.is_file():  # a rename would replace a device by a file
         raise MotionkitError(f"{path}: is not a regular file, expected a file to write")
     above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
     if not above.is_dir():
@@ -66,14 +67,14 @@ def _check_place(path: Path) -> None:
 
 
 def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | None]) -> None:
-    """Refuse, before any work, outputs that cannot be written or that would destroy something.
+    """Check, before any work, that the outputs can be written and overwrite no input.
 
     Args:
-        outputs: files that will be written, each as often as it will be written.
-        inputs: files that are read; None stands for one that was not given.
+        outputs: files to write; a file that is written twice is listed twice.
+        inputs: files to read; None entries are ignored.
 
     Raises:
-        OverwriteError: an output is one of the inputs, or would be written twice.
+        OverwriteError: an output is also an input, or is listed twice.
         MotionkitError: an output cannot be a file.
     """
     read = {_identity(Path(path)) for path in inputs if path is not None}
@@ -82,14 +83,14 @@ def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | N
         _check_place(path)
         identity = _identity(path)
         if identity in read:
-            raise OverwriteError(f"{path}: is read by this command, choose another place for the output")
+            raise OverwriteError(f"{path}: is read by this command; choose another output")
         if identity in written:
-            raise OverwriteError(f"{path}: would be written twice, choose another name for the output")
+            raise OverwriteError(f"{path}: would be written twice; choose another output")
         written.add(identity)
 
 
 def _identity(path: Path) -> object:
-    """What two names of the same file share, a file that is yet to be written included."""
+    """A key that is equal for two paths to the same file, even one that does not exist yet."""
     try:
         status = path.stat()
         return status.st_dev, status.st_ino
@@ -101,12 +102,13 @@ def _identity(path: Path) -> object:
 
 
 def files_below(folder: str | Path, ending: str) -> list[Path]:
-    """All files below a folder whose names end so (in small or capital letters), sorted.
+    """All files below a folder whose names end in `ending` (in any case), sorted.
 
-    Links to folders are followed. A folder that is reached in several ways, or from inside itself, is taken
-    once: by its own place if that is below the folder, else by the first link.
+    Links to folders are followed. A folder that is reached several times, or from inside itself, is listed
+    once: under its real path if that is below the folder, else under the first link.
 
-    Raises MotionkitError for a folder that cannot be listed.
+    Raises:
+        MotionkitError: a folder cannot be listed.
     """
 
     if not Path(folder).is_dir():
@@ -143,20 +145,20 @@ def open_regular(
 ) -> Iterator[BinaryIO]:
     """Open a regular file of at most limit bytes for reading.
 
-    A pipe would hang for ever and a device never end, so neither is read; links to files are followed.
+    Pipes and devices are refused, because reading them might never end; links to files are followed.
 
     Args:
-        path: the file.
-        limit: most bytes it may have.
-        what: what it should be, for the message: "a BVH file".
-        error: what is raised, with the path in its message.
+        path: file to open.
+        limit: maximum size in bytes.
+        what: the expected kind of file, for the message: "a BVH file".
+        error: exception class to raise; its message names the path.
     """
-    # Without O_NONBLOCK the opening of a pipe waits for a writer.
+    # Without O_NONBLOCK, opening a pipe waits for a writer.
     flags = os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
     try:
         if os.path.isdir(path):
             raise error(f"{path}: is a folder, expected {what}")
-        if not stat.S_ISREG(os.stat(path).st_mode):  # before opening, which may wake a device
+        if not stat.S_ISREG(os.stat(path).st_mode):  # check before opening, which may start a device
             raise error(f"{path}: is not a regular file, expected {what}")
         file = os.fdopen(os.open(path, flags), "rb")
     except FileNotFoundError:
@@ -165,17 +167,17 @@ def open_regular(
         raise error(f"{path}: cannot be read ({getattr(fault, 'strerror', None) or fault})") from None
     with file:
         facts = os.fstat(file.fileno())
-        if not stat.S_ISREG(facts.st_mode):  # replaced since it was looked at
+        if not stat.S_ISREG(facts.st_mode):  # replaced since the check above
             raise error(f"{path}: is not a regular file, expected {what}")
         if facts.st_size > limit:
-            raise error(f"{path}: holds {_size(facts.st_size)}, expected {what} of at most {_size(limit)}")
+            raise error(f"{path}: has {_size(facts.st_size)}, expected {what} of at most {_size(limit)}")
         yield file
 
 
 def check_regular(
     path: str | Path, limit: int, what: str = "a file", error: type[MotionkitError] = MotionkitError
 ) -> int:
-    """The size in bytes of a file that another library opens by its name; raises as open_regular does."""
+    """Size in bytes of a file that another library will open by name; raises as open_regular does."""
     with open_regular(path, limit, what, error) as file:
         return os.fstat(file.fileno()).st_size
 
@@ -189,7 +191,7 @@ def read_bytes(
             data = file.read(limit + 1)
         except OSError as fault:
             raise error(f"{path}: cannot be read ({fault.strerror or fault})") from None
-    if len(data) > limit:  # it grew
+    if len(data) > limit:  # it grew after open_regular checked it
         raise error(f"{path}: expected {what} of at most {_size(limit)}")
     return data
 
@@ -218,7 +220,7 @@ def _size(count: int) -> str:
 
 # ---- JSON ----
 
-# Strings, so that brackets in them are not counted, and brackets.
+# Matches brackets, and whole strings so that brackets inside them are not counted.
 _JSON_BRACKETS = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{\]}]', re.DOTALL)
 
 
@@ -237,8 +239,8 @@ def parse_json(text: str, where: str | Path, error: type[MotionkitError] = Motio
 
     Args:
         text: the JSON.
-        where: where it stands, for the message.
-        error: what is raised for anything else than such a text.
+        where: source of the text, for the message.
+        error: exception class to raise for invalid text.
     """
     _check_json_depth(text, where, error)
     try:
@@ -249,18 +251,18 @@ def parse_json(text: str, where: str | Path, error: type[MotionkitError] = Motio
 
 def _check_json_depth(text: str, where: str | Path, error: type[MotionkitError]) -> None:
     if text.count("[") + text.count("{") > MAX_JSON_NODES:
-        raise error(f"{where}: more than {MAX_JSON_NODES} lists and objects in one JSON text")
+        raise error(f"{where}: JSON with more than {MAX_JSON_NODES} lists and objects")
     depth = 0
     for found in _JSON_BRACKETS.finditer(text):
         mark = found[0]
         depth += 1 if mark in "[{" else -1 if mark in "]}" else 0
         if depth > MAX_JSON_DEPTH:
-            raise error(f"{where}: JSON nested more than {MAX_JSON_DEPTH} deep")
+            raise error(f"{where}: JSON nested more than {MAX_JSON_DEPTH} levels deep")
 
 
 def _whole(word: str) -> int:
     if len(word.lstrip("-")) > MAX_JSON_DIGITS:
-        raise ValueError(f"a whole number of {len(word.lstrip('-'))} digits")
+        raise ValueError(f"an integer of {len(word.lstrip('-'))} digits")
     return int(word)
 
 
@@ -278,17 +280,19 @@ _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|c
 
 
 def safe_name(name: str, longest: int = 80) -> str:
-    """The name as every file system can hold it, for a file named after a motion type or a joint.
+    """A file name that is valid on every file system, for a file named after a motion type or a joint.
 
-    A name without fault comes back as it is. In any other what cannot be is written as an underscore, and
-    a short hash of the name follows, so that different names stay different files.
+    A valid name is returned unchanged. Otherwise invalid characters become underscores and a short hash of
+    the name is appended, so that different names stay different.
 
     Args:
         name: any text.
-        longest: most characters, at least 10.
+        longest: maximum length in bytes, at least 10.
     """
     safe = _UNSAFE.sub("_", name).strip(". ") or "_"
-    if _DEVICES.fullmatch(safe.split(".")[0].strip()):  # Windows opens the device, whatever the ending
+    if _DEVICES.fullmatch(
+        safe.split(".")[0].strip()
+    ):  # on Windows a device name opens the device, with any ending
         safe = f"_{safe}"
     fits = len(safe.encode()) <= longest
     if safe == name and fits:

@@ -1,16 +1,16 @@
-"""Text of users on a terminal, which obeys some of it."""
+"""Escapes control characters in user text before it reaches a terminal."""
 
 from __future__ import annotations
 
 import re
 
-# What a terminal obeys instead of showing it: control characters, changes of the direction of writing, line and
-# paragraph separators; and the halves of characters that stand for bytes which are no text.
+# Characters that a terminal acts on instead of showing them: control characters, changes of text direction, line
+# and paragraph separators; and lone surrogates, which stand for undecodable bytes.
 _UNSEEN = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def visible(text: object) -> str:
-    r"""The text in one line that any terminal shows and none obeys: escape characters become \x1b, line ends \n."""
+    r"""The text as one printable line: the escape character becomes \x1b, a line end \n."""
     return _UNSEEN.sub(_escaped, str(text))
 
 

@@ -188,7 +188,7 @@ def one_part(**changes: object) -> str:
         (one_part(points=[[0, 0, 0]]), "part 1: expected points"),
         (one_part(points=[[0, "a"]]), "part 1: expected points"),
         (one_part(points=[[0, math.nan], [0, 1]]), "not JSON (NaN is not a finite number)"),
-        (one_part(points=[[0, 10**400], [0, 1]]), "not JSON (a whole number of 401 digits)"),
+        (one_part(points=[[0, 10**400], [0, 1]]), "not JSON (an integer of 401 digits)"),
         (one_part(points=[[0, 10**39], [0, 1]]), "part 1: expected points as a list of [x, z] numbers up to"),
         (one_part(points=[[0, 1e308], [0, 1]]), "part 1: expected points"),
         (one_part(speed=10**39), "part 1: expected a number for speed"),
@@ -253,5 +253,5 @@ def test_pipes_devices_and_huge_files_are_no_paths(tmp_path: Path) -> None:
 
 
 def test_deeply_nested_json_is_told_in_a_line(tmp_path: Path) -> None:
-    with pytest.raises(ControlError, match="nested more than 50 deep"):
+    with pytest.raises(ControlError, match="nested more than 50 levels deep"):
         read_path(write(tmp_path, "[" * 100_000))

@@ -152,7 +152,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
     assert "is not a regular file" in refused(tmp_path / "zeros")
     with (tmp_path / "sparse").open("wb") as file:
         file.truncate(2 * 2**30)
-    assert "holds 2 GB, expected a motionkit model of at most 256 MB" in refused(tmp_path / "sparse")
+    assert "has 2 GB, expected a motionkit model of at most 256 MB" in refused(tmp_path / "sparse")
 
 
 VARIANTS = [preset(name) for name in PRESETS] + [

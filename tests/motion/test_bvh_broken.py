@@ -273,7 +273,7 @@ def test_pipes_devices_and_huge_files_are_refused(tmp_path: Path) -> None:
         file.truncate(2 * 2**30)
     assert "is not a regular file, expected a BVH file" in str(fault_of(tmp_path / "pipe.bvh"))
     assert "is not a regular file" in str(fault_of(tmp_path / "zeros.bvh"))
-    assert "holds 2 GB, expected a BVH file of at most 512 MB" in str(fault_of(tmp_path / "sparse.bvh"))
+    assert "has 2 GB, expected a BVH file of at most 512 MB" in str(fault_of(tmp_path / "sparse.bvh"))
 
 
 # ---- writing ----

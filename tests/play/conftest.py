@@ -19,19 +19,19 @@ from motionkit.play.server import Addresses, PlayServer, ServerOptions
 from motionkit.play.session import Session
 from view.conftest import browser, open_page  # noqa: F401
 
-PATIENCE = 60.0  # seconds; the machine that tests may be a slow and busy one
+PATIENCE = 60.0  # seconds; the test machine may be slow and busy
 
 
 @dataclass
 class Running:
-    """A server in a thread of its own."""
+    """A server in its own thread."""
 
     server: PlayServer
     addresses: Addresses
     loop: asyncio.AbstractEventLoop
 
     def ask(self, question: Callable[[], Any]) -> Any:
-        """The answer of a function called between two frames, in the server's own thread."""
+        """The result of a function called between two frames, in the server's thread."""
 
         async def answer() -> Any:
             return question()
@@ -39,7 +39,7 @@ class Running:
         return asyncio.run_coroutine_threadsafe(answer(), self.loop).result(PATIENCE)
 
     def wait_until(self, holds: Callable[[], bool]) -> None:
-        """Return once something holds in the server; fails after a while."""
+        """Wait until a condition holds in the server; fails after a while."""
 
         async def wait() -> None:
             while not holds():
@@ -105,7 +105,7 @@ class Web:
         return json.loads(message) if isinstance(message, str) else read_frame(message)
 
     def until(self, event: str, holds: Callable[[dict], bool] = lambda _: True) -> dict[str, Any]:
-        """The next event of a kind for which something holds; everything before it is skipped."""
+        """The next event of a kind that meets a condition; earlier messages are skipped."""
         while True:
             found = self.read()
             if found["event"] == event and holds(found):
@@ -113,7 +113,7 @@ class Web:
 
 
 def read_frame(data: bytes) -> dict[str, Any]:
-    """A binary frame as docs/live.md has it."""
+    """Parse a binary frame as docs/live.md specifies it."""
     kind, version, count, number, time, step, fps = struct.unpack_from("<BBHIdff", data)
     assert (kind, version, len(data)) == (1, 1, 24 + 396 * count)
     characters = {}

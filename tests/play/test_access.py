@@ -1,4 +1,4 @@
-"""Who is let in: tokens where others can connect, HTTP methods, idle clients."""
+"""Access to the server: tokens if other machines can connect, HTTP methods, idle clients."""
 
 from __future__ import annotations
 
@@ -141,7 +141,7 @@ def test_clients_that_speak_keep_their_places(serve: Callable, tcp: Callable) ->
     first, _ = tcp(server), tcp(server)
     with socket.create_connection(server.addresses.tcp, PATIENCE) as connection:
         assert Lines(connection).read()["message"] == "too many clients"
-    # The one that was heard last stays, even if it came first.
+    # The client heard last stays, even if it came first.
     live = server.server.live
     numbers = server.ask(lambda: list(live.clients))
 
@@ -208,7 +208,7 @@ def test_an_address_for_everybody_is_one_that_can_be_reached() -> None:
 
 @pytest.fixture(scope="module")
 def serving(tiny_model: object) -> Iterator[Running]:
-    """One server on this machine for all tests that only ask it for pages."""
+    """One local server for all tests that only request pages."""
     from motionkit.play.server import PlayServer, ServerOptions
     from motionkit.play.session import Session
     from play.conftest import running

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture(scope="module")
 def address() -> Iterator[str]:
-    """Where `motionkit play` serves its page, in a process of its own."""
+    """The address of `motionkit play` in a separate process."""
     words = [sys.executable, "-m", "motionkit", "play", "--port", "0", "--no-open", "--json"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None and server.stderr is not None
@@ -61,7 +61,7 @@ def joined(join: Callable[..., Page]) -> Page:
 
 @pytest.fixture
 def page(joined: Page) -> Page:
-    """The same, its character standing where it was first put."""
+    """The same page, with its character back at its start place."""
     joined.evaluate(
         """() => new Promise((done) => {
           const { socket } = motionkit.link, stamp = Date.now() + 0.5;
@@ -79,19 +79,19 @@ def page(joined: Page) -> Page:
 
 
 def wait_frames(page: Page, frames: int) -> None:
-    """Let the session go on for so many frames."""
+    """Wait for this many frames."""
     now = page.evaluate("motionkit.newest.number")
     page.wait_for_function(f"motionkit.newest.number >= {now + frames}", timeout=PATIENCE)
 
 
 def place(page: Page) -> tuple[float, float]:
-    """x, z of one's own character in metres, in the newest frame."""
+    """x, z of the page's character in metres, in the newest frame."""
     root = page.evaluate("Array.from(motionkit.newest.characters.get(motionkit.chosen).root)")
     return root[0] / 100, root[2] / 100
 
 
 def camera_way(page: Page) -> tuple[float, float]:
-    """The direction the camera looks in, on the ground."""
+    """The camera's view direction on the ground."""
     x, z = page.evaluate(
         "(({camera, controls}) => [controls.target.x - camera.position.x, controls.target.z - camera.position.z])"
         "(motionkit.stage)"
@@ -164,7 +164,7 @@ def pad(page: Page) -> Iterator[Callable[..., None]]:
 
 
 def asked_speed(page: Page, holds: str) -> None:
-    """Wait until the speed last asked for is so, in cm/s."""
+    """Wait until the last requested speed in cm/s meets a condition."""
     page.wait_for_function(
         f"motionkit.sent && Math.hypot(...motionkit.sent.velocity) {holds}", timeout=PATIENCE
     )

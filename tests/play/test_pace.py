@@ -1,4 +1,4 @@
-"""The clock of the server, on a clock that only moves when told."""
+"""The schedule of the server, on a clock that only moves when told."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FRAME = 1 / 60
 
 
 def run(pacer: Pacer, steps: list[float]) -> tuple[list[float], list[bool]]:
-    """When frames are sent whose steps take so long, and whether each changed what is said of the pace."""
+    """Times at which frames with these step durations are sent, and whether each changed `behind`."""
     now, sent, changes = pacer.due - FRAME, [], []
     for step in steps:
         now = max(now, pacer.begin) + step

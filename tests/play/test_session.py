@@ -1,4 +1,4 @@
-"""The world without network or clock."""
+"""The world of `motionkit play`, without network or real time."""
 
 from __future__ import annotations
 
@@ -158,7 +158,7 @@ def test_a_path_that_begins_elsewhere_is_led_up_to(session: Session) -> None:
         ({"do": "wish", "type": "flying"}, "unknown motion type 'flying'"),
         ({"do": "perform", "type": "walkin"}, "did you mean 'walking'"),
         ({"do": "path", "points": [[0, 0], [0, 1]]}, "expected at least 4 cm"),
-        ({"do": "path", "points": [[0, 0], [0, 60000]]}, "at most 50000 are taken"),
+        ({"do": "path", "points": [[0, 0], [0, 60000]]}, "at most 50000 cm are allowed"),
         ({"do": "path", "points": [[0, 0], [0, 100]], "type": "flying"}, "unknown motion type"),
         ({"do": "body", "body": "giant"}, "unknown character 'giant'"),
         ({"do": "add", "body": "giant"}, "unknown character 'giant'"),
@@ -242,7 +242,7 @@ def test_a_recording_ends_at_its_limit(tiny_model: MotionModel) -> None:
     session = Session(tiny_model, limits=Limits(record_seconds=0.5))
     session.join(1)
     ask(session, 1, "record", on=True)
-    with pytest.raises(ControlError, match="being recorded already"):
+    with pytest.raises(ControlError, match="already being recorded"):
         ask(session, 1, "record", on=True)
     play(session, 29)
     assert session.full() == []
@@ -302,7 +302,7 @@ def random_request(generator: random.Random, types: tuple[str, ...]) -> Request:
 
 
 def soak(session: Session, seconds: float) -> int:
-    """Random requests of two clients that come and go; answers the frames made."""
+    """Send random requests of two clients that come and go; returns the frames made."""
     generator = random.Random(3)
     for client in (1, 2):
         session.join(client)

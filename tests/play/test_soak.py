@@ -1,4 +1,4 @@
-"""Long use: clients that come, ask for all sorts of things, talk nonsense and vanish, while memory stays what it is.
+"""Long use: clients join, send valid and invalid requests and vanish, while memory must not grow.
 
 MOTIONKIT_SOAK_SECONDS=600 python -m pytest tests/apps/play/test_soak.py -m slow -s
 """
@@ -23,8 +23,8 @@ import pytest
 from websockets.asyncio.client import ClientConnection, connect
 from websockets.exceptions import ConnectionClosed
 
-VISITORS = 3  # at a time, beside one who stays
-WARM_UP = 0.3  # of the time, in which memory may grow
+VISITORS = 3  # at a time, beside one that stays
+WARM_UP = 0.3  # share of the time in which memory may grow
 PATIENCE = 60.0
 
 STRANGE = [None, True, -1, 0.5, 10**400, 1e308, "", "x" * 300, "\0", [], [1e9], [[]], {}, {"do": "wish"}]
@@ -35,7 +35,7 @@ GARBAGE: list[str | bytes] = [
 
 
 def valid_request(chance: random.Random, hello: dict[str, Any]) -> dict[str, Any]:
-    """Something docs/live.md allows to ask for; now and then of a character or type that does not exist."""
+    """A request that docs/live.md allows; now and then for an unknown character or type."""
     names = [kind["name"] for kind in hello["types"]]
     kind = chance.choice([*names, None, "no such type"])
     do = chance.choice(["wish"] * 12 + ["perform", "path", "ping"] * 2 + ["add", "remove", "body", "reset"])
@@ -70,7 +70,7 @@ def valid_request(chance: random.Random, hello: dict[str, Any]) -> dict[str, Any
 
 
 def malformed_request(chance: random.Random, hello: dict[str, Any]) -> str | bytes:
-    """Something that is mostly no request at all."""
+    """Text that is mostly not a request."""
     if chance.random() < 0.5:
         return chance.choice(GARBAGE)
     request = valid_request(chance, hello)
@@ -80,16 +80,16 @@ def malformed_request(chance: random.Random, hello: dict[str, Any]) -> str | byt
 
 
 class Crowd:
-    """All clients of one soak, and what they saw."""
+    """All clients of one soak test, and what they received."""
 
     def __init__(self, told: dict[str, Any], seed: int) -> None:
         self.told, self.chance = told, random.Random(seed)
         self.seen: Counter[str] = Counter()
-        self.newest: list[dict[str, Any]] = []  # the characters, as the one who stays was told last
+        self.newest: list[dict[str, Any]] = []  # the characters last told to the client that stays
         self.over = False  # cancelling is not enough: before Python 3.12, wait_for may swallow it
 
     async def stay(self) -> None:
-        """A client that looks on from beginning to end: frames must go on, whole and in order."""
+        """A client that watches throughout: frames must keep coming, whole and in order."""
         async with connect(self.told["socket"], compression=None, open_timeout=PATIENCE) as socket:
             hello = json.loads(await socket.recv())
             number = 0
@@ -107,12 +107,12 @@ class Crowd:
                 self.seen["frames"] += 1
 
     async def alone(self) -> None:
-        """Return once the one who stays is told of its own character only."""
+        """Wait until the client that stays is told only of its own character."""
         while len(self.newest) != 1:
             await asyncio.sleep(0.05)
 
     async def visit(self) -> None:
-        """One client after another."""
+        """Run one client after another."""
         while not self.over:
             await asyncio.sleep(self.chance.uniform(0.0, 0.2))
             with suppress(ConnectionClosed, OSError, EOFError, asyncio.TimeoutError):
@@ -173,7 +173,7 @@ class Crowd:
             writer.transport.abort()
 
     async def _stranger(self) -> None:
-        """Who speaks something else, or asks for what is not there."""
+        """A client that speaks another protocol, or requests missing pages."""
         self.seen["strangers"] += 1
         if self.chance.random() < 0.5:
             await self._get(
@@ -196,18 +196,18 @@ class Crowd:
 
 
 def resident_mb(process: int) -> float:
-    """Memory a process holds, MB."""
+    """Memory of a process, MB."""
     status = Path(f"/proc/{process}/status").read_text()
     return int(status.split("VmRSS:")[1].split()[0]) / 1024
 
 
 async def soak(told: dict[str, Any], process: int, seconds: float) -> tuple[Crowd, list[float]]:
-    """Send the crowd for so long at least, let it go, and wait until only who stays is left; memory over time, MB."""
+    """Run the crowd for at least this long and wait until it has left; returns memory over time, MB."""
     crowd = Crowd(told, seed=1)
     stays = asyncio.create_task(crowd.stay())
     visitors = [asyncio.create_task(crowd.visit()) for _ in range(VISITORS)]
     memory, ends = [], time.monotonic() + seconds
-    # A busy machine is given longer, so that something is seen at all.
+    # A busy machine gets longer, so that enough happens.
     while time.monotonic() < ends or (
         min(crowd.seen["frames"], crowd.seen["web clients"]) < 3 and time.monotonic() < ends + 2 * PATIENCE
     ):
@@ -229,7 +229,7 @@ async def soak(told: dict[str, Any], process: int, seconds: float) -> tuple[Crow
 
 @pytest.fixture(scope="module")
 def server(request: pytest.FixtureRequest) -> Iterator[tuple[dict[str, Any], int]]:
-    """`motionkit play` with a model: its addresses and process; at the end, nothing may have been logged."""
+    """`motionkit play` with a model: its addresses and process id; its log must stay empty."""
     words = [sys.executable, "-m", "motionkit", "play", "--port", "0", "--tcp", "0", "--no-open", "--json"]
     if request.param == "tiny":
         words += ["--model", str(request.getfixturevalue("tiny_model_file"))]
@@ -242,7 +242,7 @@ def server(request: pytest.FixtureRequest) -> Iterator[tuple[dict[str, Any], int
             try:
                 _, said = process.communicate(timeout=PATIENCE)
             finally:
-                process.kill()  # one that does not end must not hold up all other tests
+                process.kill()  # a process that hangs must not block the other tests
     assert said == "stopped\n" and process.returncode == 0
 
 

@@ -1,4 +1,4 @@
-"""Newline JSON, by a client written from docs/live.md."""
+"""Newline-delimited JSON, with a client written from docs/live.md."""
 
 from __future__ import annotations
 

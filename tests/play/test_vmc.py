@@ -1,4 +1,4 @@
-"""VMC messages, read by a small OSC receiver of the tests' own."""
+"""VMC messages, read by a small OSC receiver in this file."""
 
 from __future__ import annotations
 
@@ -98,7 +98,7 @@ def unity_turn(q: list[float], v: list[float]) -> list[float]:
 
 
 def unity_world(pose: dict[str, list[float]], bone: str) -> tuple[list[float], list[float]]:
-    """Place and rotation of a bone in Unity's world, from the local ones."""
+    """World position and rotation of a bone in Unity, from the local ones."""
     parent = "root" if bone == "Hips" else PARENTS.get(bone)
     if bone == "root":
         return pose["root"][:3], pose["root"][3:]
@@ -156,7 +156,7 @@ def test_places_mirror_the_world() -> None:
     assert pose["root"][:3] == pytest.approx([-1.2, 0.0, -0.4], abs=1e-5)
     assert pose["Hips"][:3] == pytest.approx([0.0, 0.9, 0.0], abs=1e-5)
     assert pose["Hips"][3:] == pytest.approx([0, 0, 0, 1], abs=1e-5), "the heading is in the root"
-    # Mirrored at x: a turn to the left is one about -Y in a left-handed world.
+    # Mirrored at x: a left turn is about -Y in a left-handed world.
     assert pose["root"][3:] == pytest.approx([0, -math.sin(turn / 2), 0, math.cos(turn / 2)], abs=1e-5)
     raised = unity_turn(unity_world(pose, "LeftUpperArm")[1], [-1.0, 0.0, 0.0])
     assert raised[1] == pytest.approx(math.sin(1.0), abs=1e-4)

@@ -1,4 +1,4 @@
-"""Page and WebSocket, by a client written from docs/live.md."""
+"""Page and WebSocket, with a client written from docs/live.md."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from play.conftest import PATIENCE, Running, Web
 
 @pytest.fixture(autouse=True)
 def nothing_logged(caplog: pytest.LogCaptureFixture) -> Iterator[None]:
-    """Whatever clients do, the log stays empty."""
+    """The log must stay empty, whatever clients do."""
     yield
     assert [r.getMessage() for r in caplog.records if r.levelno >= logging.WARNING] == []
 
@@ -53,7 +53,7 @@ def get(server: Running, path: str, **headers: str) -> tuple[int, dict[str, str]
 
 
 def closing_code(client: Web) -> int | None:
-    """Read until the connection is closed; its code."""
+    """Read until the connection is closed; returns the close code."""
     try:
         while True:
             client.read()
@@ -101,7 +101,7 @@ def test_a_vanished_client_frees_its_character(serve: Callable, web: Callable) -
     server = serve()
     one, two = web(server), web(server)
     one.until("characters", lambda e: len(e["characters"]) == 2)
-    # The connection breaks without a word: the socket is closed, and sends a reset.
+    # The connection breaks without a close frame: the socket is closed and sends a reset.
     two.socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     two.socket.socket.shutdown(socket.SHUT_RDWR)
     told = one.until("characters", lambda e: len(e["characters"]) == 1)
@@ -163,7 +163,7 @@ def test_requests_that_cost_much_count_for_more() -> None:
 
 @pytest.fixture
 def slow_work(monkeypatch: pytest.MonkeyPatch) -> list[int]:
-    """Putting a character on its feet takes much longer than a frame; at which frames it was done."""
+    """Make resets take much longer than a frame; the frames at which they happen."""
     at: list[int] = []
     streams, step = CharacterStream.reset, Session.step
     newest = [0]
@@ -233,7 +233,7 @@ def test_a_character_may_go_at_the_very_end_of_its_path(tiny_model: MotionModel)
 
 
 def test_a_client_that_leaves_while_something_is_sent_is_let_go() -> None:
-    """Before Python 3.12, wait_for swallows a cancellation that comes at the moment the sending is done."""
+    """Before Python 3.12, wait_for swallows a cancellation that arrives when the send completes."""
 
     async def leaves() -> None:
         client = Client(1, False, Limits(), now=0.0)
@@ -375,7 +375,7 @@ def test_a_recording_comes_down_as_it_was_sent(serve: Callable, web: Callable, t
     (tmp_path / "got.bvh").write_bytes(body)
     motion = bvh_to_motion(read_bvh(tmp_path / "got.bvh"))
     assert len(motion) == event["frames"] and event["seconds"] == pytest.approx(len(motion) / 60)
-    # A slow reader misses frames; those it saw are in the file, each at its number.
+    # A slow reader misses frames; those it got are in the file, each at its number.
     last = max(frames)
     first = last - len(motion) + 1
     assert min(frames) >= first and len(frames) <= len(motion)

@@ -1,1 +1,1 @@
-"""Wishes of connected users in, frames of live characters out: the server of `motionkit play`."""
+"""Requests of connected clients in, frames of live characters out: the server of `motionkit play`."""

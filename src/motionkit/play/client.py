@@ -1,4 +1,4 @@
-"""One connected client: what is still to be sent to it, and how much it may ask for."""
+"""One connected client: its queue of unsent messages, and its rate limit."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from typing import Any
 from motionkit.play.limits import Limits, RateLimit
 from motionkit.play.requests import ProtocolError, Request
 
-STALL_SECONDS = 10.0  # a client that takes in nothing for so long is closed
-MOST_EVENTS = 256  # that wait to be sent
-BYTES_PER_UNIT = 2048  # a longer message counts as several
-# Requests that take more work than most, in messages.
+STALL_SECONDS = 10.0  # a client that reads nothing for this long is closed
+MOST_EVENTS = 256  # most events that may wait in the queue
+BYTES_PER_UNIT = 2048  # a message costs one more for each of these
+# Extra cost of expensive requests, in messages.
 COSTS = {"add": 20, "body": 20, "reset": 20, "path": 5, "record": 10}
 
 
 class TooManyMessages(ProtocolError):
-    """A client that asks for more than limits.messages_per_second."""
+    """A client exceeds limits.messages_per_second."""
 
 
 class Client:
-    """The outbox of a client: all events in their order, but of the frames only the newest."""
+    """The send queue of a client: every event in order, but only the newest frame."""
 
     def __init__(self, number: int, as_json: bool, limits: Limits, now: float) -> None:
         self.number, self.as_json = number, as_json
@@ -33,23 +33,23 @@ class Client:
         self._wake = asyncio.Event()
         self._ending = self._gone = False
         self.stalled = self.let_go = False
-        self.heard = now  # when it last said something
+        self.heard = now  # time of its last message
 
     def charge(self, size: int, now: float) -> None:
-        """Count a message of so many bytes; raises TooManyMessages."""
+        """Count a message of this many bytes; raises TooManyMessages."""
         self.heard = now
         self._charge(1.0 + size / BYTES_PER_UNIT, now)
 
     def charge_work(self, request: Request, now: float) -> None:
-        """Count what a request costs beyond that; raises TooManyMessages."""
+        """Count the extra cost of a request; raises TooManyMessages."""
         self._charge(COSTS.get(request.do, 0), now)
 
     def _charge(self, cost: float, now: float) -> None:
         if not self._rate.allows(cost, now):
-            raise TooManyMessages(f"too many messages, at most {self._rate.per_second:g} a second are taken")
+            raise TooManyMessages(f"too many messages; send at most {self._rate.per_second:g} a second")
 
     def tell(self, event: dict[str, Any]) -> None:
-        """Send an event as soon as may be."""
+        """Queue an event."""
         if len(self._events) >= MOST_EVENTS:
             self.stalled = True
         else:
@@ -57,30 +57,30 @@ class Client:
         self._wake.set()
 
     def show(self, frame: str | bytes) -> None:
-        """Send a frame, in place of one that has not gone out yet."""
+        """Queue a frame; it replaces an unsent older one."""
         self._frame = frame
         self._wake.set()
 
     def end(self, event: dict[str, Any]) -> None:
-        """Send a last event, after which pump returns."""
+        """Queue a last event; pump returns after it."""
         self.tell(event)
         self._ending = True
 
     def dismiss(self, event: dict[str, Any]) -> None:
-        """Send a last event, after which the connection is to be closed."""
+        """Queue a last event and mark the connection to be closed after it."""
         self.let_go = True
         self.end(event)
 
     def leave(self) -> None:
-        """Send nothing any more, and let pump return."""
+        """Stop sending; pump returns."""
         self._gone = True
         self._wake.set()
 
     async def pump(self, send: Callable[[str | bytes], Awaitable[None]]) -> None:
-        """Send what is to be sent; returns after the last event, when the client takes nothing in, or after leave.
+        """Send queued messages until the last event, until the client stalls, or until leave is called.
 
-        Cancelling alone would not end it for sure: before Python 3.12, wait_for answers as if nothing had
-        happened when what it waits for is done at the same moment.
+        Cancelling the task is not enough to end it: before Python 3.12, wait_for can swallow a cancellation
+        that arrives at the moment the awaited send completes.
         """
         while not self.stalled and not self._gone:
             await self._wake.wait()

@@ -1,4 +1,4 @@
-"""Frames of the session, and their two forms on the wire: bytes for WebSocket, JSON for TCP (docs/live.md)."""
+"""Frames of the session and their two encodings: binary for WebSocket, JSON for TCP (docs/live.md)."""
 
 from __future__ import annotations
 
@@ -37,17 +37,17 @@ class Shown:
     """One character in one frame.
 
     Attributes:
-        id: of the character.
-        seq: of the newest request this frame obeys.
-        type: index of the type it is asked for.
-        performing: a type is shown once.
-        following: the share of its path that lies behind, None where none is followed.
-        recording: the frame is recorded.
+        id: identifies the character.
+        seq: sequence number of the newest request that this frame follows.
+        type: index of the current motion type.
+        performing: whether the type is performed once.
+        following: covered share of the path, None without a path.
+        recording: whether the frame is recorded.
         contacts: (4,) probabilities: left foot, left toe, right foot, right toe.
         heading: radians.
-        root: (3,) the hips in the world, cm.
-        rotations: (23, 4) quaternions in the parent's space.
-        positions: (23, 3) joints in the world, cm.
+        root: (3,) hip position in the world, cm.
+        rotations: (23, 4) local quaternions w, x, y, z.
+        positions: (23, 3) joint positions in the world, cm.
     """
 
     id: int
@@ -68,12 +68,12 @@ class WorldFrame:
     """One frame of the world.
 
     Attributes:
-        number: counts up by one.
+        number: frame counter.
         time: seconds since the session began.
-        step_ms: how long the step of all characters took.
-        fps: the rate frames are made at.
-        characters: all of them.
-        arrived: ids of those that came to the end of their path.
+        step_ms: time to compute all characters.
+        fps: current frame rate.
+        characters: all characters.
+        arrived: ids of characters that reached the end of their path.
     """
 
     number: int

@@ -1,4 +1,4 @@
-"""How much the live server lets anyone ask for; docs/live.md tells users."""
+"""Limits of the live server (docs/live.md)."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import asdict, dataclass
 
 @dataclass(frozen=True)
 class Limits:
-    """What hello tells every client, and the server holds to.
+    """Limits that the server enforces and announces in hello.
 
     Attributes:
-        clients: connected at the same time, by WebSocket and TCP together.
-        idle_seconds: after which a client that says nothing makes room for another, if all places are taken.
-        characters: in the world.
-        message_bytes: of one request.
-        messages_per_second: in the long run; as many may come at once.
-        path_points: of a drawn path.
-        path_cm: its length.
-        record_seconds: after which a recording ends by itself.
-        recordings: kept for download, the newest.
-        recording_bytes: of all of them together.
+        clients: most clients at a time, WebSocket and TCP together.
+        idle_seconds: silence after which a client may be closed to make room for another.
+        characters: most characters in the world.
+        message_bytes: largest request.
+        messages_per_second: sustained rate per client; one second's worth may come at once.
+        path_points: most points of a drawn path.
+        path_cm: greatest length of a path.
+        record_seconds: length at which a recording ends.
+        recordings: how many of the newest recordings are kept for download.
+        recording_bytes: total size of the kept recordings.
     """
 
     clients: int = 16
@@ -34,18 +34,18 @@ class Limits:
     recording_bytes: int = 100_000_000
 
     def told(self) -> dict[str, float]:
-        """The limits a client has to know of."""
+        """The limits as hello announces them."""
         return asdict(self)
 
 
 class RateLimit:
-    """A bucket that fills by messages_per_second and may hold a second's worth."""
+    """A token bucket: it fills at a rate per second and holds one second's worth."""
 
     def __init__(self, per_second: float, now: float) -> None:
         self.per_second, self.left, self.then = per_second, per_second, now
 
     def allows(self, cost: float, now: float) -> bool:
-        """Whether a message of a cost may come now; takes it out of the bucket if so."""
+        """Whether a message of this cost is allowed now; if so, its cost is taken from the bucket."""
         self.left = min(self.per_second, self.left + (now - self.then) * self.per_second)
         self.then = now
         if cost > self.left:

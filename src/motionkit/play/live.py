@@ -1,4 +1,4 @@
-"""The running session: clients come, ask and go, and every frame goes out to all of them on time."""
+"""The running session: clients join, send requests and leave; every frame goes to all of them on time."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from motionkit.play.requests import ProtocolError, Request, parse_request
 from motionkit.play.session import Recorded, Session
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
-REST = 3.0  # times as long as such work took, only frames and light requests follow work like a reset
+REST = 3.0  # after slow work such as a reset, the next has to wait this many times as long as it took
 
 
 class Live:
-    """A session with its clients and its clock; all of it runs in one event loop."""
+    """A session with its clients and its clock; it runs in one event loop."""
 
     def __init__(self, session: Session, clock: Callable[[], float] = time.perf_counter) -> None:
         self.session, self.clock = session, clock
@@ -29,19 +29,19 @@ class Live:
         limits = session.limits
         self.recordings = Recordings(limits.recordings, limits.recording_bytes)
         self.pacer = Pacer(session.model.fps, clock())
-        self.watchers: list[Callable[[WorldFrame], None]] = []  # told of every frame, as VMC is
+        self.watchers: list[Callable[[WorldFrame], None]] = []  # called with every frame, such as VMC output
         self._last_client = 0
-        self._joining = 0  # clients that wait for their character
-        self._changed = False  # the characters, since clients were told of them
+        self._joining = 0  # clients waiting for their character
+        self._changed = False  # whether characters changed since clients were last told
         self._working = asyncio.Lock()
-        self._rested = 0.0  # when work may begin again, on the clock
+        self._rested = 0.0  # clock time at which slow work may begin again
         self._writing = asyncio.Semaphore(1)
         self._tasks: set[asyncio.Task] = set()
 
     # ---- clients ----
 
     async def join(self, as_json: bool) -> Client | None:
-        """A new client with its hello under way; None if there are as many as there may be, and none is idle."""
+        """Add a client and queue its hello; returns None if the server is full and no client is idle."""
         if len(self.clients) + self._joining >= self.session.limits.clients and not self._let_one_go():
             return None
         self._joining += 1
@@ -52,7 +52,7 @@ class Live:
             self._joining -= 1
 
     def _let_one_go(self) -> bool:
-        """Close the client that has said nothing for longest, if that is long enough."""
+        """Close the client that has been silent longest, if it counts as idle."""
         quiet = min(self.clients.values(), key=lambda client: client.heard, default=None)
         if quiet is None or self.clock() - quiet.heard < self.session.limits.idle_seconds:
             return False
@@ -73,16 +73,16 @@ class Live:
         return client
 
     def leave(self, client: Client) -> None:
-        """A client has gone."""
+        """Remove a client that has disconnected."""
         if self.clients.pop(client.number, None) is not None:
             self.session.leave(client.number)
             self._changed = True
 
     async def take(self, client: Client, message: str | bytes) -> None:
-        """Act on a message of a client.
+        """Handle a message of a client.
 
         Raises:
-            ProtocolError: if it is no request, after which the client is to be closed.
+            ProtocolError: the message is invalid; the caller must close the client.
         """
         client.charge(len(message), self.clock())
         if isinstance(message, bytes):
@@ -113,10 +113,10 @@ class Live:
 
     @asynccontextmanager
     async def _turn(self) -> AsyncIterator[None]:
-        """A client's turn to do what takes as long as several frames.
+        """Reserve time for work that takes as long as several frames.
 
-        Clients have it one after the other, and together for a part of all time only: whoever asks for much
-        waits, and everybody's frames go on.
+        Clients take turns, and such work gets only a share of all time: a client that asks for much has to
+        wait, and frames keep going out to everyone.
         """
         async with self._working:
             await asyncio.sleep(max(0.0, self._rested - self.clock()))
@@ -139,7 +139,7 @@ class Live:
         task.add_done_callback(self._tasks.discard)
 
     async def _write(self, recorded: Recorded) -> None:
-        """Make the file beside the running clock, and tell its owner."""
+        """Write the file in a thread while frames go on, then tell its owner."""
         async with self._writing:
             data = await asyncio.to_thread(bvh_bytes, recorded.motion)
         token = self.recordings.add(data)
@@ -158,7 +158,7 @@ class Live:
     # ---- the clock ----
 
     async def run(self) -> None:
-        """Make and send frames until cancelled."""
+        """Compute and send frames until cancelled."""
         self.pacer = Pacer(self.session.model.fps, self.clock())
         while True:
             await self._until(self.pacer.begin)
@@ -169,11 +169,11 @@ class Live:
             self._send(frame)
 
     async def _until(self, then: float) -> None:
-        # Even when late: clients are heard between any two frames.
+        # Sleep even when late, so that requests are handled between any two frames.
         await asyncio.sleep(max(0.0, then - self.clock()))
 
     def _send(self, frame: WorldFrame) -> None:
-        # Once a frame at most, or who changes something all the time would fill everybody's outbox.
+        # At most once per frame, or a client with constant changes would fill every queue.
         if self._changed:
             self._changed = False
             self._tell_all({"event": "characters", "characters": self.session.told()})
@@ -181,7 +181,7 @@ class Live:
         for watcher in self.watchers:
             watcher(frame)
         for number in frame.arrived:
-            character = self.session.characters.get(number)  # it may have gone since the frame was made
+            character = self.session.characters.get(number)  # it may be gone since the frame was computed
             owner = None if character is None else self.clients.get(character.owner or 0)
             if owner is not None:
                 owner.tell({"event": "arrived", "character": number})
@@ -193,7 +193,7 @@ class Live:
             self._tell_all(self.pace_event())
 
     def _show(self, frame: WorldFrame) -> None:
-        forms: dict[bool, str | bytes] = {}  # each is made once for all, and only if somebody takes it
+        forms: dict[bool, str | bytes] = {}  # encode each form once, and only if a client uses it
         for client in self.clients.values():
             if client.as_json not in forms:
                 as_json = client.as_json
@@ -203,7 +203,7 @@ class Live:
             client.show(forms[client.as_json])
 
     def pace_event(self) -> dict[str, Any]:
-        """What clients are told when the machine falls behind or keeps up again."""
+        """The event for clients when the machine falls behind or catches up."""
         return {
             "event": "pace",
             "behind": self.pacer.behind,
@@ -213,5 +213,5 @@ class Live:
 
 
 def error_event(error: ControlError | ProtocolError, closing: bool) -> dict[str, Any]:
-    """What a client is told of its fault."""
+    """The event for a client that made an error."""
     return {"event": "error", "message": str(error), "closing": closing}

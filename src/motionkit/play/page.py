@@ -1,4 +1,4 @@
-"""What the server answers to plain HTTP: its page and recordings. Requests never name files."""
+"""HTTP responses: the page and recordings. No request path is ever used as a file name."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64})\.bvh")
 
 
 def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
-    """The page as it is served, with a figure for every body, by name."""
+    """The page with the figures of all bodies, as served."""
     rigs = {name: rig_data(_standing(skeleton)) for name, skeleton in bodies.items()}
     return fill_page("play.html", {"bodies": rigs}).encode()
 
 
 def _standing(skeleton: Skeleton) -> Motion:
-    """One frame of a body in cm as a motion in metres."""
+    """A one-frame motion of a body at rest, in metres (skeleton in cm)."""
     turns = quat_identity((1, len(skeleton)))
     return Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0).scaled(CM)
 
 
 def policy(host: str) -> str:
-    """The content security policy of the page: all it needs is in it, and it talks to this server only."""
+    """The content security policy of the page: it is self-contained and connects only to this server."""
     return (
         "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
         f"img-src data: blob:; connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
@@ -43,13 +43,13 @@ def policy(host: str) -> str:
 
 
 def host_name(host: str) -> str:
-    """The name in a Host header, without its port and an IPv6 address's brackets; empty if it is no such header."""
+    """The name in a Host header without port and IPv6 brackets; empty if the header is invalid."""
     match = _HOST.fullmatch(host)
     return "" if match is None else (match[1] or match[2]).lower()
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an address to listen on reaches this machine only."""
+    """Whether an address to listen on is reachable from this machine only."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -57,7 +57,7 @@ def is_loopback(address: str) -> bool:
 
 
 def known_names(listens_on: str) -> frozenset[str]:
-    """Names this server goes by, beside the numbers of its addresses."""
+    """Host names of this server, besides numeric addresses."""
     names = LOOPBACK_NAMES | {listens_on.lower()}
     return names if is_loopback(listens_on) else names | {socket.gethostname().lower()}
 
@@ -65,7 +65,7 @@ def known_names(listens_on: str) -> frozenset[str]:
 def host_allowed(host: str, names: Collection[str], numbers: bool) -> bool:
     """Whether a Host header names this server.
 
-    A web page elsewhere can make its own name point here (DNS rebinding), but not an address in numbers.
+    A foreign web page can make its own name point here (DNS rebinding), but not a numeric address.
     """
     name = host_name(host)
     if name in names:
@@ -78,11 +78,11 @@ def host_allowed(host: str, names: Collection[str], numbers: bool) -> bool:
 
 
 def origin_allowed(origin: str | None, host: str) -> bool:
-    """Whether a WebSocket may be opened from an origin: the page itself, or a program, which sends none."""
+    """Whether an origin may open a WebSocket: the page itself, or a program, which sends no Origin."""
     return origin is None or origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())
 
 
 def find_recording(path: str, recordings: Recordings) -> bytes | None:
-    """The file a path asks for, if it is one of the recordings."""
+    """The recording that a request path names, or None."""
     match = _RECORDING.fullmatch(path)
     return None if match is None else recordings.get(match.group(1))

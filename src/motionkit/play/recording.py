@@ -1,4 +1,4 @@
-"""Frames kept as they were sent, and the BVH files made of them."""
+"""Records frames as they were sent, and makes BVH files of them."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from motionkit.motion.rotations import quat_continuous
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
 
 Floats = NDArray[np.float32]
-_GROWTH = 600  # frames a recording has room for at first
+_GROWTH = 600  # initial capacity of a recording, frames
 
 
 class Recorder:
-    """The frames of one character from one moment on."""
+    """Records the frames of one character."""
 
     def __init__(self, skeleton: Skeleton, fps: float, most_frames: int) -> None:
         self.skeleton, self.fps, self.most_frames = skeleton, fps, most_frames
@@ -29,11 +29,11 @@ class Recorder:
 
     @property
     def full(self) -> bool:
-        """Whether no more frames are taken."""
+        """Whether the recording has reached its limit."""
         return self.frames >= self.most_frames
 
     def append(self, rotations: Floats, root: Floats) -> None:
-        """Take a frame: rotations (23, 4) and root (3,); nothing once it is full."""
+        """Append a frame: rotations (23, 4) and root (3,); does nothing once full."""
         if self.full:
             return
         if self.frames == len(self._values):
@@ -44,14 +44,14 @@ class Recorder:
         self.frames += 1
 
     def motion(self) -> Motion:
-        """What was recorded."""
+        """The recorded motion."""
         values = self._values[: self.frames].copy()
         rotations = quat_continuous(values[:, :-3].reshape(-1, JOINT_COUNT, 4))
         return Motion(self.skeleton, rotations, values[:, -3:], self.fps)
 
 
 def bvh_bytes(motion: Motion) -> bytes:
-    """A motion as the text of a BVH file; takes a second or so for minutes of motion."""
+    """A motion as the contents of a BVH file; takes about a second for minutes of motion."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "recording.bvh"
         write_bvh(file, motion)
@@ -59,14 +59,14 @@ def bvh_bytes(motion: Motion) -> bytes:
 
 
 class Recordings:
-    """Finished files in memory, by random tokens; the oldest go when there are too many."""
+    """Finished files in memory, keyed by random tokens; the oldest are dropped when there are too many."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         self.most, self.most_bytes = most, most_bytes
         self._files: OrderedDict[str, bytes] = OrderedDict()
 
     def add(self, data: bytes) -> str:
-        """Keep a file; answers its token."""
+        """Store a file; returns its token."""
         token = secrets.token_urlsafe(18)
         self._files[token] = data
         while len(self._files) > 1 and (
@@ -76,5 +76,5 @@ class Recordings:
         return token
 
     def get(self, token: str) -> bytes | None:
-        """The file of a token, None if there is none (any more)."""
+        """The file of a token, None if it is unknown or was dropped."""
         return self._files.get(token)

@@ -1,31 +1,31 @@
-"""Requests of clients: JSON text to checked values. Whatever comes, the only fault raised is ProtocolError."""
+"""Parses client requests: JSON text to checked values. Any invalid text raises ProtocolError only."""
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, NoReturn
+from typing import Any
 
 from motionkit.errors import MotionkitError
+from motionkit.files import parse_json
 from motionkit.inference.rollout import NOISE_KINDS
 from motionkit.play.limits import Limits
 
 MAX_SPEED = 1000.0  # cm/s
 MAX_PLACE = 1e6  # cm from the origin
 MAX_COUNT = 2**32 - 1
-MAX_NAME = 100  # characters of a type's or body's name
+MAX_NAME = 100  # characters of a type or body name
 MAX_TEMPERATURE = 2.0
-MAX_SECONDS = 60.0  # of a performance of a type without a length of its own
+MAX_SECONDS = 60.0  # of a performance
 
 
 class ProtocolError(MotionkitError):
-    """A message that is no request."""
+    """An invalid request."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """What a client asks for: do names it, fields hold a value for each field it knows."""
+    """A checked request: `do` names it, `fields` holds a value for each of its fields."""
 
     do: str
     fields: dict[str, Any]
@@ -36,7 +36,7 @@ Check = Callable[[Any], Any]
 
 def _number(low: float, high: float) -> Check:
     def check(value: Any) -> float:
-        # Comparisons are false for NaN, and hold for integers too large for a float.
+        # The comparison is False for NaN and works for integers too large for a float.
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
             raise ValueError(f"a number from {low:g} to {high:g}")
         return float(value)
@@ -94,7 +94,7 @@ def _or_null(check: Check) -> Check:
 _REQUIRED = object()
 _CHARACTER: dict[str, tuple[Check, Any]] = {"character": (_or_null(_count), None)}
 _SEQ: dict[str, tuple[Check, Any]] = {"seq": (_count, 0)}
-# The fields of every request: name to check and default.
+# Fields of every request: name to check function and default.
 REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
     "wish": {
         **_CHARACTER,
@@ -130,19 +130,15 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
 }
 
 
-def _refuse(word: str) -> NoReturn:
-    raise ValueError(f"{word} is no JSON")
-
-
-def parse_request(text: str | bytes) -> Request:
-    """The request in a message.
+def parse_request(text: str) -> Request:
+    """Parse and check a message.
 
     Raises:
-        ProtocolError: for text that is not JSON, an unknown request, or a field of the wrong kind.
+        ProtocolError: the text is not JSON, the request is unknown, or a field is unknown, missing or wrong.
     """
     try:
-        value = json.loads(text, parse_constant=_refuse)
-    except (ValueError, RecursionError) as error:
+        value = parse_json(text, "message", ProtocolError)
+    except ProtocolError as error:
         raise ProtocolError(f"expected a JSON object, found {_shown(text)} ({_first_line(error)})") from None
     if not isinstance(value, dict):
         raise ProtocolError(f"expected a JSON object, found {_shown(text)}")
@@ -167,7 +163,7 @@ def parse_request(text: str | bytes) -> Request:
 
 
 def _shown(value: Any) -> str:
-    """A value as it was sent, cut short."""
+    """A value for an error message, shortened."""
     try:
         text = repr(value)
     except ValueError:  # an integer with too many digits to print

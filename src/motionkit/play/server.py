@@ -1,4 +1,4 @@
-"""The sockets of `motionkit play`: page and WebSocket on one port, newline JSON on another, VMC to a third."""
+"""The sockets of `motionkit play`: web page and WebSocket, newline-delimited JSON over TCP, and VMC over UDP."""
 
 from __future__ import annotations
 
@@ -25,6 +25,7 @@ from websockets.http11 import Request as HttpRequest
 from websockets.http11 import Response
 
 from motionkit.errors import MotionkitError
+from motionkit.files import parse_json
 from motionkit.play.client import Client, TooManyMessages
 from motionkit.play.frames import WorldFrame
 from motionkit.play.live import Live, error_event
@@ -42,10 +43,10 @@ from motionkit.play.session import Session
 from motionkit.play.vmc import VmcBody, osc_bundles
 
 SOCKET_PATH = "/live"
-CLOSE_SECONDS = 1.0  # granted to clients when the server ends
+CLOSE_SECONDS = 1.0  # time for clients to close when the server ends
 WAITING_BYTES = 8192
-TOKEN_SECONDS = 10.0  # a TCP client has to send the token, where one is asked for
-WAITING_ROOM = 4  # times as many TCP connections as clients may be open
+TOKEN_SECONDS = 10.0  # time for a TCP client to send the token
+WAITING_ROOM = 4  # most open TCP connections, as a multiple of the client limit
 CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013
 
 
@@ -54,12 +55,12 @@ _METHOD = re.compile(rb"[A-Z]{1,%d}(?= |$)" % LONGEST_METHOD)
 
 
 class ServeError(MotionkitError):
-    """A port or address that cannot be used."""
+    """An unusable port or address."""
 
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """Where to listen and send; port 0 is any free one, None is not to."""
+    """Where to listen and send; port 0 picks a free one, None disables the output."""
 
     host: str = "127.0.0.1"
     port: int = 8642
@@ -70,7 +71,7 @@ class ServerOptions:
 
 @dataclass(frozen=True)
 class Addresses:
-    """Where the server is reached; url and socket hold the token, where one is asked for."""
+    """Addresses of the running server; url and socket include the token if one is required."""
 
     url: str
     socket: str
@@ -80,7 +81,7 @@ class Addresses:
 
 
 class PlayServer:
-    """A live session on its sockets."""
+    """Serves a live session on its sockets."""
 
     def __init__(self, session: Session, options: ServerOptions) -> None:
         self.options = options
@@ -88,24 +89,24 @@ class PlayServer:
         model = session.model
         bodies = {name: model.character(name) for name in model.characters}
         self._page = load_page(bodies) if options.page else None
-        self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # of the TCP port
+        self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
-        # Where others than this machine can connect, only those who were told the address may.
+        # If other machines can connect, they must know the token.
         self.token = None if is_loopback(options.host) else secrets.token_urlsafe(18)
-        self._cookie = ""  # its name; known with the port, as cookies do not tell ports apart
+        self._cookie = ""  # cookie name; it includes the port, because cookies are shared between ports
 
     async def run(self, ready: Callable[[Addresses], None] | None = None) -> None:
-        """Serve until cancelled or told to stop by SIGINT or SIGTERM.
+        """Serve until cancelled or stopped by SIGINT or SIGTERM.
 
         Raises:
-            ServeError: if a port is taken or an address is none of this machine's.
+            ServeError: a port is in use or an address does not belong to this machine.
         """
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
         async with AsyncExitStack() as open_:
             for number in (signal.SIGINT, signal.SIGTERM):
-                # Windows and threads other than the main one have no such handlers; Ctrl-C interrupts there.
+                # Windows and threads other than the main one lack handlers; there Ctrl-C raises KeyboardInterrupt.
                 with suppress(NotImplementedError, RuntimeError, ValueError):
                     loop.add_signal_handler(number, stop.set)
                     open_.callback(loop.remove_signal_handler, number)
@@ -118,7 +119,7 @@ class PlayServer:
             open_.push_async_callback(_cancelled, stopping)
             await asyncio.wait([clock, stopping], return_when=asyncio.FIRST_COMPLETED)
             if clock.done():
-                clock.result()  # a fault of ours, to be seen
+                clock.result()  # raises the error of the session
 
     async def _open(self, open_: AsyncExitStack) -> Addresses:
         host, options = self.options.host, self.options
@@ -137,7 +138,7 @@ class PlayServer:
                 server_header=None,
                 logger=_quiet_logger(),
             )
-        except (OSError, ValueError) as error:  # a name no address book takes is a ValueError
+        except (OSError, ValueError) as error:  # an invalid host name is a ValueError
             raise _serve_error(host, options.port, "--port", error) from None
         open_.push_async_callback(self._close_web, web)
         port = web.sockets[0].getsockname()[1]
@@ -160,7 +161,7 @@ class PlayServer:
     # ---- HTTP ----
 
     def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
-        """The response to GET, or to HEAD, which is the same without its body."""
+        """The response to GET, or to HEAD (the same without a body)."""
         assert isinstance(connection, _Connection)
         response = self._answer(request)
         if connection.method != b"HEAD":
@@ -168,13 +169,13 @@ class PlayServer:
         return _method_refused() if response is None else replace(response, body=b"")
 
     def _answer(self, request: HttpRequest) -> Response | None:
-        """The response to a plain request, None where a WebSocket may be opened."""
+        """The response to an HTTP request, None if a WebSocket may be opened."""
         try:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
         except MultipleValuesError:
-            return _response(HTTPStatus.BAD_REQUEST, "one Host and one Origin at most")
+            return _response(HTTPStatus.BAD_REQUEST, "send at most one Host and one Origin header")
         if not host_allowed(host, self._names, self._numbers):
-            return _response(HTTPStatus.FORBIDDEN, "this server does not go by that name")
+            return _response(HTTPStatus.FORBIDDEN, "the Host header does not name this server")
         path, _, query = request.path.partition("?")
         if path == SOCKET_PATH:
             if not origin_allowed(origin, host):
@@ -184,7 +185,7 @@ class PlayServer:
             if not self._knows_token(request, query):
                 return _token_missing()
             headers = {"Content-Security-Policy": policy(host)}
-            if self.token is not None:  # with which the page opens its socket
+            if self.token is not None:  # the page needs it to open its socket
                 headers["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             return _response(HTTPStatus.OK, self._page, "text/html; charset=utf-8", headers)
         recording = find_recording(path, self.live.recordings)
@@ -194,7 +195,7 @@ class PlayServer:
         return _response(HTTPStatus.NOT_FOUND, "not found")
 
     def _knows_token(self, request: HttpRequest, query: str) -> bool:
-        """Whether a request holds the token in its address or its cookie, or none is asked for."""
+        """Whether a request has the token in its URL or cookie, or no token is required."""
         told = parse_qs(query).get("token", [])
         for line in request.headers.get_all("Cookie"):
             with suppress(CookieError):
@@ -203,7 +204,7 @@ class PlayServer:
         return self.token is None or any(self._is_token(word) for word in told)
 
     def _is_token(self, word: object) -> bool:
-        # In the same time whatever is wrong with it.
+        # Constant time, so that timing does not reveal the token.
         return isinstance(word, str) and hmac.compare_digest(
             word.encode("utf-8", "replace"), (self.token or "").encode()
         )
@@ -246,7 +247,7 @@ class PlayServer:
                 writer.write(json.dumps(refused).encode() + b"\n")
             else:
                 await self._attend(client, lines, send, writer.transport.abort)
-            # What the client still sends is read, or the system would drop what it has not read of ours.
+            # Read what the client still sends, or the system may discard our unread answer.
             with suppress(OSError, asyncio.TimeoutError):
                 writer.write_eof()
                 await asyncio.wait_for(_read_away(reader), CLOSE_SECONDS)
@@ -255,19 +256,21 @@ class PlayServer:
             del self._connections[task]
 
     async def _tcp_fault(self, lines: AsyncIterator[str]) -> str | None:
-        """Why a TCP client may not join, None if it may: it has to send the token first, where one is asked for."""
+        """Why a TCP client may not join, or None; it must send the token first if one is required."""
         if len(self._connections) > WAITING_ROOM * self.live.session.limits.clients:
             return "too many connections"
         if self.token is None:
             return None
-        with suppress(ProtocolError, StopAsyncIteration, asyncio.TimeoutError, ValueError, RecursionError):
-            told = json.loads(await asyncio.wait_for(lines.__anext__(), TOKEN_SECONDS))
+        with suppress(ProtocolError, StopAsyncIteration, asyncio.TimeoutError):
+            told = parse_json(
+                await asyncio.wait_for(lines.__anext__(), TOKEN_SECONDS), "token", ProtocolError
+            )
             if isinstance(told, dict) and self._is_token(told.get("token")):
                 return None
-        return 'expected the token of this server first: {"token": "..."}'
+        return 'send the token of this server first: {"token": "..."}'
 
     async def _close_web(self, server: Server) -> None:
-        """Close port and connections; who has not ended by then, such as one who says nothing, is not waited for."""
+        """Close port and connections, without waiting for connections that do not end in time."""
         for client in self.live.clients.values():
             client.leave()
         server.close()
@@ -276,7 +279,7 @@ class PlayServer:
         await _cancelled(ended)
 
     async def _close_tcp(self, server: asyncio.Server) -> None:
-        """Close port and connections; the tasks of the latter end by themselves, as if the clients had gone."""
+        """Close port and connections; their tasks end as if the clients had disconnected."""
         server.close()
         for writer in self._connections.values():
             writer.transport.abort()
@@ -290,12 +293,12 @@ class PlayServer:
         send: Callable[[str | bytes], Awaitable[None]],
         abort: Callable[[], None],
     ) -> ProtocolError | None:
-        """Serve a client until it goes; answers the fault for which it is to be closed, if there was one."""
+        """Serve a client until it disconnects; returns the error for which it must be closed, or None."""
 
         def sent_all(_: asyncio.Task) -> None:
             if client.stalled:
                 abort()
-            elif client.let_go:  # once the last event is through
+            elif client.let_go:  # after the last event is sent
                 loop.call_later(CLOSE_SECONDS, abort)
 
         loop = asyncio.get_running_loop()
@@ -315,7 +318,7 @@ class PlayServer:
         return None
 
     async def _lines(self, reader: asyncio.StreamReader) -> AsyncIterator[str]:
-        """Lines of a TCP client; raises ProtocolError for one too long or not in UTF-8."""
+        """Lines of a TCP client; raises ProtocolError for a line that is too long or not UTF-8."""
         while True:
             try:
                 line = await reader.readuntil(b"\n")
@@ -323,11 +326,11 @@ class PlayServer:
                 return
             except asyncio.LimitOverrunError:
                 most = self.live.session.limits.message_bytes
-                raise ProtocolError(f"a line is longer than {most} bytes") from None
+                raise ProtocolError(f"expected lines of at most {most} bytes, found a longer one") from None
             try:
                 yield line.decode("utf-8")
             except UnicodeDecodeError:
-                raise ProtocolError("expected UTF-8, found other bytes") from None
+                raise ProtocolError("expected UTF-8 text, found other bytes") from None
 
     # ---- VMC ----
 
@@ -338,7 +341,7 @@ class PlayServer:
                 asyncio.DatagramProtocol, remote_addr=(host, port)
             )
         except (OSError, ValueError) as error:
-            raise ServeError(f"{host}:{port}: cannot be sent to ({_reason(error)})") from None
+            raise ServeError(f"{host}:{port}: cannot send to this address ({_reason(error)})") from None
         kept = session.keep()
         bodies: dict[str, VmcBody] = {}
 
@@ -356,7 +359,7 @@ class PlayServer:
 
 
 class _Connection(ServerConnection):
-    """A connection that tells HTTP methods apart: websockets takes in GET alone, some versions anything."""
+    """A connection that handles HTTP methods: websockets accepts only GET, some versions any method."""
 
     method: bytes | None = None
     _begun = b""
@@ -370,8 +373,8 @@ class _Connection(ServerConnection):
             word = _METHOD.match(data)
             if word is None or (word.end() == len(data) and len(data) <= LONGEST_METHOD):
                 if word is not None or not data:
-                    return  # the rest of the word is still to come
-                self.method = b""  # no HTTP: websockets closes it
+                    return  # the rest of the method is still to come
+                self.method = b""  # not HTTP: websockets closes the connection
             else:
                 self.method = word[0]
             self._begun = b""
@@ -386,13 +389,13 @@ class _Connection(ServerConnection):
         self._refused = True
         assert isinstance(self.transport, asyncio.Transport)
         self.transport.write(_method_refused().serialize())
-        # What it still sends is read for a while, or it might not get the answer.
+        # Keep reading for a while, or the client might not get the answer.
         self.transport.write_eof()
         asyncio.get_running_loop().call_later(CLOSE_SECONDS, self.transport.abort)
 
 
 def _send_late(transport: asyncio.BaseTransport) -> None:
-    """Keep little waiting on the way, so that a slow client gets new frames instead of old ones."""
+    """Limit the socket's buffers, so that a slow client gets new frames instead of old ones."""
     assert isinstance(transport, asyncio.WriteTransport)
     transport.set_write_buffer_limits(high=WAITING_BYTES)
     connection = transport.get_extra_info("socket")
@@ -406,7 +409,7 @@ async def _read_away(reader: asyncio.StreamReader) -> None:
 
 
 async def _cancelled(task: asyncio.Task) -> None:
-    """End a task and wait until it has."""
+    """Cancel a task and wait until it has ended."""
     task.cancel()
     with suppress(asyncio.CancelledError):
         await task
@@ -434,20 +437,18 @@ def _response(
 
 
 def _method_refused() -> Response:
-    return _response(
-        HTTPStatus.METHOD_NOT_ALLOWED, "only GET and HEAD are answered", more={"Allow": "GET, HEAD"}
-    )
+    return _response(HTTPStatus.METHOD_NOT_ALLOWED, "use GET or HEAD", more={"Allow": "GET, HEAD"})
 
 
 def _token_missing() -> Response:
     return _response(
         HTTPStatus.FORBIDDEN,
-        "this server asks for a token; use the whole address that motionkit play printed",
+        "this server requires a token; use the full address that motionkit play printed",
     )
 
 
 def reachable_name(host: str) -> str:
-    """The host to reach a server at that listens on a host: an address of this machine for all addresses."""
+    """The host name for clients of a server: an address of this machine if it listens on all addresses."""
     if host not in ("", "0.0.0.0", "::"):
         return host
     family, away, here = (
@@ -457,7 +458,7 @@ def reachable_name(host: str) -> str:
     )
     try:
         with socketlib.socket(family, socketlib.SOCK_DGRAM) as probe:
-            probe.connect((away, 9))  # sends nothing; only asks which way it would go
+            probe.connect((away, 9))  # sends nothing; only looks up the route
             return str(probe.getsockname()[0])
     except OSError:
         return here
@@ -466,10 +467,10 @@ def reachable_name(host: str) -> str:
 def _serve_error(host: str, port: int, option: str, error: OSError | ValueError) -> ServeError:
     number = getattr(error, "errno", None)
     if number == errno.EADDRINUSE:
-        return ServeError(f"{host}:{port}: the port is in use; give another with {option}")
+        return ServeError(f"{host}:{port}: the port is in use; choose another with {option}")
     if number == errno.EACCES:
-        return ServeError(f"{host}:{port}: this port is not for everybody; give one above 1023 with {option}")
-    return ServeError(f"{host}:{port}: cannot be listened on ({_reason(error)})")
+        return ServeError(f"{host}:{port}: no permission for this port; choose one above 1023 with {option}")
+    return ServeError(f"{host}:{port}: cannot listen on this address ({_reason(error)})")
 
 
 def _reason(error: OSError | ValueError) -> str:
@@ -477,7 +478,7 @@ def _reason(error: OSError | ValueError) -> str:
 
 
 def _quiet_logger() -> logging.Logger:
-    """Faults of ours are logged; what strangers send instead of HTTP is not."""
+    """A logger for our own errors; it skips invalid HTTP from strangers."""
     logger = logging.getLogger("motionkit.play")
     logger.addFilter(_is_ours)
     return logger

@@ -1,6 +1,6 @@
-"""The world of `motionkit play`: characters, what is wanted of them, and one frame after another.
+"""The world of `motionkit play`: characters and the requests of their users, one frame after another.
 
-Nothing here knows of networks or clocks, so the whole of it can be run and tested as fast as it goes.
+Nothing here knows of networks or real time, so a test can run it as fast as possible.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from motionkit.play.requests import Request
 
 PROTOCOL = 1
 CONTACT_NAMES = ("left foot", "left toe", "right foot", "right toe")
-SPACE_BETWEEN = 120.0  # cm between characters as they are put into the world
-PATH_JOINS_WITHIN = 30.0  # cm; a path that begins further away is led up to
+SPACE_BETWEEN = 120.0  # cm between the start places of characters
+PATH_JOINS_WITHIN = 30.0  # cm; a path that begins further away gets a line from the character to its start
 
 
 class Character:
-    """One character of the world and everything its user has asked for."""
+    """One character of the world and the requests of its user."""
 
     def __init__(
         self, model: MotionModel, number: int, slot: int, body: str, noise: Noise, stream: CharacterStream
     ) -> None:
-        """The stream is one for a single character, new or left by another."""
+        """The stream holds one character; it may be new or reused."""
         self.model, self.id, self.slot = model, number, slot
         self.owner: int | None = None
         self.body, self.stream = body, stream
         self.set_noise(noise)
         self.seq = 0
         self.recorder: Recorder | None = None
-        # In a row, to the left and right of the first in turn.
+        # In a row, alternating to the left and right of the first.
         self.place = (SPACE_BETWEEN * ((slot + 1) // 2) * (-1.0) ** slot, 0.0, 0.0)
         self._start(body, self.place)
 
@@ -58,21 +58,21 @@ class Character:
         self.body = body
 
     def reset(self) -> None:
-        """Stand again where it was put first; a recording goes on."""
+        """Return to the start place; a recording continues."""
         self._start(self.body, self.place)
 
     def set_body(self, body: str) -> None:
-        """Another body at the same place; raises ControlError for an unknown one."""
+        """Change the body at the same place; raises ControlError if it is unknown."""
         x, z, heading = self.stream.ground[0].tolist()
         self._start(body, (x, z, heading))
 
     def set_noise(self, noise: Noise) -> None:
-        """Draw its frames otherwise from now on."""
+        """Change how frames are sampled."""
         self.noise = noise
         self.stream.state.noise = noise
 
     def follow(self, points: list[tuple[float, float]], kind: str | None, speed: float | None) -> None:
-        """Follow a drawn path; raises ControlError if it is no path."""
+        """Follow a drawn path; raises ControlError if it is invalid."""
         x, z = self.stream.ground[0, :2].tolist()
         if math.dist(points[0], (x, z)) > PATH_JOINS_WITHIN:
             points = [(x, z), *points]
@@ -82,7 +82,7 @@ class Character:
         self.driver.set_wish(Wish(path=path))
 
     def step(self, number: int) -> Shown:
-        """The next frame; one that went astray in the network's numbers starts anew."""
+        """The next frame; the character is reset if its positions are not finite."""
         made = self.stream.step(self.driver(number, self.stream.ground))
         if not bool(np.isfinite(made.positions).all()):
             self.reset()
@@ -116,7 +116,7 @@ class Recorded:
 
 
 class Session:
-    """All characters and what their users ask for."""
+    """All characters and the requests of their users."""
 
     def __init__(
         self,
@@ -125,17 +125,17 @@ class Session:
         limits: Limits | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        """body is that of characters for which none is named; raises ControlError if it is unknown."""
+        """body is the default for new characters; raises ControlError if it is unknown."""
         model.character(body)
         self.model, self.body, self.limits = model, body, limits or Limits()
         self.characters: dict[int, Character] = {}
-        self.kept: int | None = None  # the character that stays when its client goes
+        self.kept: int | None = None  # id of the character that stays when its client leaves
         self.number = 0
         self._clock, self._began = clock, clock()
         self._last_id = 0
-        # Of characters that have gone. To make one takes as long as many frames, to reset one does not.
+        # Streams of removed characters: creating one takes as long as many frames, resetting one does not.
         self._spare: list[CharacterStream] = []
-        # Looking all bodies up takes as long as a frame: once, not at every hello.
+        # Looking up all bodies takes as long as a frame: do it once, not at every hello.
         self._bodies = [_body_told(name, model.character(name)) for name in model.characters]
 
     @property
@@ -144,7 +144,7 @@ class Session:
         return self._clock() - self._began
 
     def step(self, fps: float = 0.0) -> WorldFrame:
-        """Move the whole world on by one frame; fps is passed on as the rate frames are made at."""
+        """Advance the world by one frame; fps is reported as the current frame rate."""
         began = self._clock()
         self.number += 1
         followed = {c.id for c in self.characters.values() if c.driver.following is not None}
@@ -154,14 +154,14 @@ class Session:
         return WorldFrame(self.number, now - self._began, 1000.0 * (now - began), fps, made, arrived)
 
     def full(self) -> list[Recorded]:
-        """Recordings that have come to their limit, ended now."""
+        """End and return the recordings that have reached their limit."""
         done = [c for c in self.characters.values() if c.recorder is not None and c.recorder.full]
         return [self._end_recording(character) for character in done]
 
-    # ---- who is there ----
+    # ---- clients and characters ----
 
     def join(self, client: int, body: str | None = None) -> Character | None:
-        """A character for a client that has just come: the kept one if it is free, a new one, None without room."""
+        """Give a new client a character: the kept one if it is free, else a new one, None if there is no room."""
         kept = None if self.kept is None else self.characters.get(self.kept)
         if kept is not None and kept.owner is None:
             kept.owner = client
@@ -171,9 +171,9 @@ class Session:
         return self.add(client, body)
 
     def add(self, client: int | None, body: str | None = None) -> Character:
-        """Another character; raises ControlError for an unknown body or a world that is full."""
+        """Add a character; raises ControlError if the body is unknown or the world is full."""
         if len(self.characters) >= self.limits.characters:
-            raise ControlError(f"there is room for {self.limits.characters} characters, all of it is taken")
+            raise ControlError(f"the world is full: there is room for {self.limits.characters} characters")
         taken = {c.slot for c in self.characters.values()}
         slot = next(i for i in range(self.limits.characters) if i not in taken)
         body = body or self.body
@@ -186,13 +186,13 @@ class Session:
         return character
 
     def keep(self) -> Character:
-        """A character that is always there, for whoever shows it."""
+        """Add a character that stays without a client, for VMC output."""
         character = self.add(None)
         self.kept = character.id
         return character
 
     def leave(self, client: int) -> None:
-        """A client has gone, and its characters with it; a kept one is reset and waits for the next client."""
+        """Remove a client's characters; a kept one is reset and waits for the next client."""
         for character in [c for c in self.characters.values() if c.owner == client]:
             self._free(character)
 
@@ -205,7 +205,7 @@ class Session:
             self._spare.append(character.stream)
 
     def owned(self, client: int, number: int | None) -> Character:
-        """A client's character, its first without a number; raises ControlError if it has no such."""
+        """A client's character by number, or its first; raises ControlError if it has none such."""
         mine = [c for c in self.characters.values() if c.owner == client]
         if number is None and mine:
             return mine[0]
@@ -214,13 +214,13 @@ class Session:
                 return character
         raise ControlError("you have no character" if number is None else f"character {number} is not yours")
 
-    # ---- what they ask for ----
+    # ---- requests ----
 
     def obey(self, client: int, request: Request) -> Recorded | None:
-        """Do what a client asks for: any request but ping. Answers a recording if one ended.
+        """Carry out a request other than ping; returns a recording if one ended.
 
         Raises:
-            ControlError: for what cannot be done; nothing has changed then.
+            ControlError: the request cannot be carried out; nothing has changed.
         """
         fields = request.fields
         if request.do == "add":
@@ -239,7 +239,7 @@ class Session:
                 self._free(character)
             case "body":
                 if character.recorder is not None:
-                    raise ControlError("a recording has one body; end it first")
+                    raise ControlError("the body cannot change during a recording; end the recording first")
                 self.model.character(fields["body"])
                 character.set_body(fields["body"])
             case "reset":
@@ -258,13 +258,13 @@ class Session:
         length = float(np.hypot(steps[:, 0], steps[:, 1]).sum())
         if length > self.limits.path_cm:
             raise ControlError(
-                f"the path is {length:.0f} cm long, at most {self.limits.path_cm:.0f} are taken"
+                f"the path is {length:.0f} cm long, at most {self.limits.path_cm:.0f} cm are allowed"
             )
 
     def _record(self, character: Character, on: bool) -> Recorded | None:
         if on:
             if character.recorder is not None:
-                raise ControlError(f"character {character.id} is being recorded already")
+                raise ControlError(f"character {character.id} is already being recorded")
             skeleton = self.model.character(character.body)
             most = int(self.limits.record_seconds * self.model.fps)
             character.recorder = Recorder(skeleton, self.model.fps, most)
@@ -279,10 +279,10 @@ class Session:
         motion, character.recorder = character.recorder.motion(), None
         return Recorded(character.id, character.owner, motion)
 
-    # ---- what clients are told ----
+    # ---- events ----
 
     def hello(self, client: int, character: Character | None) -> dict[str, Any]:
-        """The event every client gets first."""
+        """The first event for every client."""
         model = self.model
         gaits = [(name, kind.gait) for name, kind in model.types.items()]
         return {
@@ -311,7 +311,7 @@ class Session:
         }
 
     def told(self) -> list[dict[str, Any]]:
-        """Every character as the event `characters` lists it."""
+        """All characters, as in the event `characters`."""
         return [
             {
                 "id": c.id,
@@ -326,7 +326,7 @@ class Session:
 
 
 def _body_told(name: str, body: Skeleton) -> dict[str, Any]:
-    """A body as hello lists it."""
+    """A body, as in hello."""
     return {
         "name": name,
         "offsets": [[round(v, 4) for v in row] for row in body.offsets.tolist()],

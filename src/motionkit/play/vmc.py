@@ -1,4 +1,4 @@
-"""Frames as VMC messages (OSC over UDP), which motion receivers of game engines read."""
+"""Frames as VMC messages (OSC over UDP) for motion receivers of game engines."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from motionkit.motion.rotations import quat_between, quat_inverse
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.play.frames import Floats, Shown
 
-BUNDLE_BYTES = 1400  # below what one Ethernet frame holds
-_IMMEDIATELY = struct.pack(">Q", 1)  # OSC's time tag that means at once
+BUNDLE_BYTES = 1400  # fits into one Ethernet frame
+_IMMEDIATELY = struct.pack(">Q", 1)  # OSC's time tag for "immediately"
 CM = 0.01  # metres
 
 # Unity's HumanBodyBones: bone, its parent bone, the joint that carries it.
@@ -46,7 +46,7 @@ _PARENTS = [1 + _NAMES.index(parent) if parent else 0 for _, parent, _ in BONES]
 
 
 def osc_string(text: str) -> bytes:
-    """A string as OSC has it: ended by zeros up to a multiple of four bytes."""
+    """An OSC string: padded with zeros to a multiple of four bytes, with at least one."""
     data = text.encode("ascii") + b"\0"
     return data + b"\0" * (-len(data) % 4)
 
@@ -65,7 +65,7 @@ def osc_message(address: str, *arguments: str | int | float) -> bytes:
 
 
 def osc_bundles(messages: Sequence[bytes], most_bytes: int = BUNDLE_BYTES) -> list[bytes]:
-    """Messages in bundles of at most so many bytes, to be acted on at once."""
+    """Pack messages into bundles of at most this many bytes, to be executed immediately."""
     head = osc_string("#bundle") + _IMMEDIATELY
     out, current = [], head
     for message in messages:
@@ -98,9 +98,9 @@ class VmcBody:
         self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)))[_JOINTS]
 
     def bones(self, shown: Shown) -> tuple[Floats, Floats]:
-        """MotionIndex (1 + B, 3) and rotations (1 + B, 4) of the root and then of BONES, each in its parent.
+        """Positions (1 + B, 3) and rotations (1 + B, 4) of the root and then of BONES, in parent space.
 
-        Still right-handed and in cm; rotations count from the T-pose.
+        Right-handed and in cm; rotations are relative to the T-pose.
         """
         world = self._kinematics.forward(shown.rotations[None], shown.root[None])[0, _JOINTS]
         half = 0.5 * shown.heading
@@ -108,7 +108,7 @@ class VmcBody:
         root_place = shown.root * np.array([1.0, 0.0, 1.0], np.float32)
         turns = np.concatenate([root_turn, np.matmul(world[:, :3, :3], self._from_rest)])
         places = np.concatenate([root_place[None], world[:, :3, 3]])
-        above = np.swapaxes(turns[_PARENTS], -1, -2)  # of the bones; the root itself is in the world
+        above = np.swapaxes(turns[_PARENTS], -1, -2)  # parents of the bones; the root stays in world space
         inside = np.matmul(above, turns[1:])
         ways = np.matmul(above, (places[1:] - places[_PARENTS])[..., None])[..., 0]
         return (
@@ -127,7 +127,7 @@ class VmcBody:
 
 
 def _unity(place: list[float], rotation: list[float]) -> list[float]:
-    """Place in metres and quaternion x, y, z, w, mirrored at x = 0: Unity's X points right, ours left."""
+    """Position in metres and quaternion x, y, z, w, mirrored at x = 0: Unity's X points right, ours left."""
     x, y, z = (CM * v for v in place)
     w, qx, qy, qz = rotation
     return [-x, y, z, qx, -qy, -qz, w]
