@@ -13,7 +13,7 @@ from motionkit.motion.skeleton import JOINT_COUNT, canonical_skeleton
 
 
 def swaying(frames: int = 120, fps: float = 60.0, seed: int = 0, speed: float = 100.0) -> Motion:
-    """A body that sways smoothly in all joints while its root goes along +Z at speed (cm/s)."""
+    """A body that sways smoothly in all joints while its root moves along +Z at `speed` cm/s."""
     draw = np.random.default_rng(seed)
     size = draw.random((JOINT_COUNT, 3), np.float64) * 0.3
     rate = 0.3 + draw.random((JOINT_COUNT, 3), np.float64)
@@ -36,7 +36,7 @@ def placed(motion: Motion, yaw: float = 0.0, move: tuple[float, float, float] = 
 
 
 def still_feet(frames: int = 60) -> Array:
-    """Feet (T, 4, 3) that stand: ankles at 9 cm, toes on the floor."""
+    """Standing feet (T, 4, 3): ankles at 9 cm, toes on the floor."""
     feet = np.zeros((frames, 4, 3), np.float64)
     feet[:, [0, 2], 1] = 9.0
     return feet

@@ -35,7 +35,7 @@ def test_the_middle_euler_angle_folds_at_90_degrees_and_the_geodesic_does_not() 
     assert geodesic_movement(through_the_pole).sum(-1) == pytest.approx(
         np.full((49,), 7.0, np.float32), abs=1e-6
     )
-    # Where y passes 90 degrees the outer two angles both jump by 180.
+    # When y passes 90 degrees, both outer angles jump by 180.
     assert float(euler_movement(through_the_pole).max()) > 300.0
 
 

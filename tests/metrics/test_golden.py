@@ -1,4 +1,4 @@
-"""Every metric of two committed clips: a change of any of these numbers is a change of a definition."""
+"""Every metric of two committed clips: if any of these values changes, a definition has changed."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from motionkit.metrics.report import evaluate_files
 
 CLIPS = Path(__file__).resolve().parents[2] / "examples" / "data"
 
-# Two runs of one CMU subject: id, of 127_08 (taken as generated), of 127_07 (its ground truth).
+# Two runs of one CMU subject: metric, value of 127_08 (as generated), value of 127_07 (as its ground truth).
 RUNS = {
     "bm-euler": (100.1124, 92.7465),
     "bm-geodesic": (60.6284, 55.7048),
@@ -28,7 +28,7 @@ RUNS = {
     "path-coverage": (1.0, 1.0),
 }
 
-# A cartwheel by itself.
+# A cartwheel, alone.
 CARTWHEEL = {
     "bm-euler": 45.79780,
     "bm-geodesic": 30.36268,
@@ -42,7 +42,7 @@ CARTWHEEL = {
 
 
 def near(value: float) -> object:
-    """Equal but for float32 sums in another order."""
+    """Equal up to the order of float32 sums."""
     return pytest.approx(value, rel=2e-3, abs=2e-4)
 
 

@@ -32,7 +32,7 @@ def test_table_of_a_pair(files: tuple[str, str]) -> None:
     assert result.exit_code == 0
     for word in ("ground truth", "generated", "ratio", "bm-euler", "ssim-window", "mpjpe", "path-coverage"):
         assert word in result.output
-    assert "ground truth 90 frames, generated 70: compared over the first 70" in result.output
+    assert "ground truth has 90 frames, generated 70; compared over the first 70" in result.output
     assert "afs: foot_height_cm 10.85, toe_height_cm 1.55" in result.output
 
 
@@ -93,7 +93,7 @@ def test_faults_are_one_line_without_a_traceback(
         ((files[0], str(bad)), 1, "bad.bvh:"),
         ((files[0], files[1], "--skip", "70"), 1, "nothing to compare"),
         ((files[0], str(tmp_path / "none.bvh")), 2, "does not exist"),
-        ((files[0], str(tmp_path)), 2, "two files or two folders"),
+        ((files[0], str(tmp_path)), 2, "both be files or both be folders"),
     ):
         monkeypatch.setattr(sys, "argv", ["motionkit", "metrics", *arguments])
         with pytest.raises(SystemExit) as stopped:

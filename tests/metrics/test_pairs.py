@@ -17,7 +17,7 @@ from .conftest import swaying
 
 @pytest.fixture
 def folders(tmp_path: Path) -> Path:
-    """truth/ and made/ with two pairs of the same names, one of them in a subfolder, and one file alone in each."""
+    """truth/ and made/ with two pairs of equal names, one in a subfolder, and one unpaired file each."""
     for number, name in enumerate(("a.bvh", "deep/b.bvh", "only-truth.bvh")):
         write_bvh(tmp_path / "truth" / name, swaying(frames=40, seed=number))
     for number, name in enumerate(("a.BVH", "deep/b.bvh", "b.bvh")):

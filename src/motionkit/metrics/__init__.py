@@ -1,1 +1,1 @@
-"""One or two motions in, named numbers out."""
+"""One or two motions in, named measures out."""

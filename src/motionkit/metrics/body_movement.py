@@ -1,4 +1,4 @@
-"""Body movement (BM): how much all joints turn from frame to frame."""
+"""Body movement (BM): how far all joints rotate from frame to frame."""
 
 from __future__ import annotations
 
@@ -9,40 +9,41 @@ from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricValue
 from motionkit.motion.rotations import quat_angle, quat_to_euler, wrap_angle
 
-EULER_ORDER = "ZYX"  # the order of the CMU files, and of what motionkit writes
+EULER_ORDER = "ZYX"  # the order of the CMU files and of motionkit's own files
 
 
 def euler_movement(local_rotations: Array) -> Array:
-    """Degrees (T - 1, J): the L1 change of each joint's Euler angles, each change folded into +-180.
+    """Sum of the absolute changes of each joint's Euler angles (T - 1, J) in degrees, changes wrapped to +-180.
 
-    Angles are ZYX with the middle one within +-90. Their rates grow without bound near the pole, and the
-    root's depend on which way the world's axes point; geodesic_movement has neither trait.
+    Angles are ZYX with the middle one within +-90. Near the pole their rates grow without bound, and the root's
+    value depends on the direction of the world axes; geodesic_movement has neither problem.
 
     Args:
-        local_rotations: (T, J, 4) quaternions in the parent's space.
+        local_rotations: (T, J, 4) quaternions w, x, y, z.
     """
     angles = quat_to_euler(local_rotations.astype(np.float64), EULER_ORDER)
     return np.rad2deg(np.abs(wrap_angle(np.diff(angles, axis=0))).sum(-1))
 
 
 def geodesic_movement(local_rotations: Array) -> Array:
-    """Degrees (T - 1, J): the angle of the rotation from each frame to the next.
+    """Angle (T - 1, J) in degrees of each joint's rotation from one frame to the next.
 
     Args:
-        local_rotations: (T, J, 4) quaternions in the parent's space.
+        local_rotations: (T, J, 4) quaternions w, x, y, z.
     """
     quat = local_rotations.astype(np.float64)
     return np.rad2deg(quat_angle(quat[:-1], quat[1:]))
 
 
 def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
-    """BM in degrees per frame: the movement of a frame summed over joints, averaged over time.
+    """BM in degrees per frame: movement summed over joints, averaged over frames.
 
     Args:
-        local_rotations: (T, J, 4) quaternions in the parent's space, at 60 fps.
+        local_rotations: (T, J, 4) quaternions w, x, y, z, at 60 fps.
         kind: "euler" (the paper's, id bm-euler) or "geodesic" (id bm-geodesic).
 
-    Raises MotionkitError for fewer than two frames or an unknown kind.
+    Raises:
+        MotionkitError: there are fewer than two frames, or the kind is unknown.
     """
     if kind not in ("euler", "geodesic"):
         raise MotionkitError(f"unknown kind of body movement {kind!r}, expected 'euler' or 'geodesic'")

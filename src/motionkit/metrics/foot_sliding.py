@@ -1,4 +1,4 @@
-"""Average foot sliding (AFS): how far feet near the ground move along it."""
+"""Average foot sliding (AFS): horizontal movement of feet near the ground."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from motionkit.metrics.value import MetricSettings, MetricValue
 
 
 def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
-    """AFS in cm per frame (paper, equation AFS): ground speed, weighted 1 on the floor down to 0 at height H.
+    """AFS in cm per frame (paper, equation AFS): ground speed, weighted from 1 on the floor to 0 at height H.
 
     Args:
         feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
         floor: height of the floor in cm.
-        settings: the heights H, foot_height and toe_height.
+        settings: foot_height and toe_height are the heights H.
 
-    Raises MotionkitError for fewer than two frames.
+    Raises:
+        MotionkitError: there are fewer than two frames.
     """
     settings = settings or MetricSettings()
     if len(feet) < 2:

@@ -1,4 +1,4 @@
-"""The floor of a clip, and what feet do against it: skating and sinking.
+"""The floor of a clip, and measures of feet against it: foot skate and penetration.
 
 Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up.
 """
@@ -12,31 +12,32 @@ from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
 from motionkit.motion.skeleton import FOOT_JOINTS
 
-TOES = (1, 3)  # of the four foot joints
-STANCE_SPEED = 30.0  # cm/s below which the lowest foot joint counts as standing
-STANCE_QUANTILE = 0.25  # of the standing heights: low, yet a body that sinks now and then cannot move it
-STANCE_FRAMES = 10  # with fewer standing frames, all frames are taken
-SINK_MARGIN = 0.5  # cm below the floor that measuring noise alone reaches
+TOES = (1, 3)  # indices in the four foot joints
+STANCE_SPEED = 30.0  # cm/s; the lowest foot joint stands below this speed
+STANCE_QUANTILE = 0.25  # of the standing heights: low, but robust to a body that sinks now and then
+STANCE_FRAMES = 10  # with fewer standing frames, all frames are used
+SINK_MARGIN = 0.5  # cm below the floor, within measurement noise
 
 
 def foot_positions(global_positions: Array) -> Array:
-    """The four foot joints (T, 4, 3) of canonical joints (T, 23, 3)."""
+    """The four foot joints (T, 4, 3) of canonical joint positions (T, 23, 3)."""
     return global_positions[:, list(FOOT_JOINTS)]
 
 
 def floor_height(feet: Array, fps: float = FRAME_RATE) -> float:
-    """Height in cm of the clip's own floor: the lower quartile of the lowest foot joint while it stands still.
+    """Floor height of a clip in cm: the lower quartile of the lowest foot joint's height while it stands still.
 
-    The level is that of the joints at rest, not of the soles under them.
+    This is the level of the standing joints, not of the soles below them.
 
     Args:
         feet: (T, 4, 3) foot joints in cm.
         fps: frames per second.
 
-    Raises MotionkitError if there are no frames.
+    Raises:
+        MotionkitError: there are no frames.
     """
     if len(feet) == 0:
-        raise MotionkitError("a floor cannot be found in a motion without frames")
+        raise MotionkitError("floor height needs at least 1 frame, found 0")
     feet = feet.astype(np.float64)
     foot = feet[..., 1].argmin(axis=1)
     lowest = feet[np.arange(len(feet)), foot, 1]
@@ -50,22 +51,23 @@ def floor_height(feet: Array, fps: float = FRAME_RATE) -> float:
 
 
 def ground_speed(feet: Array) -> Array:
-    """Distance (T - 1, 4) in cm that each foot joint moves along the ground from frame to frame."""
+    """Horizontal distance (T - 1, 4) in cm that each foot joint moves from frame to frame."""
     return np.linalg.norm(np.diff(feet.astype(np.float64)[..., [0, 2]], axis=0), axis=-1)
 
 
 def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
-    """The share of standing toe samples that move along the ground faster than a threshold.
+    """Share of standing toes that move along the ground faster than a threshold.
 
-    Each toe in each frame is a sample; it stands where its height above the floor is under a threshold
-    in this frame and the one before. The paper has no such metric; feet off the ground do not dilute it.
+    Each toe in each frame is a sample. It stands if its height above the floor is below skate_height in this
+    frame and the previous one. The paper has no such metric; unlike AFS, feet in the air do not dilute it.
 
     Args:
         feet: (T, 4, 3) foot joints in cm, at 60 fps.
         floor: height of the floor in cm.
         settings: thresholds skate_height and skate_speed.
 
-    Raises MotionkitError for fewer than two frames, or where no toe ever stands.
+    Raises:
+        MotionkitError: there are fewer than two frames, or no toe ever stands.
     """
     settings = settings or MetricSettings()
     if len(feet) < 2:
@@ -74,7 +76,9 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
     low = toes[..., 1] - floor < settings.skate_height
     standing = low[1:] & low[:-1]
     if not bool(standing.any()):
-        raise MotionkitError(f"no toe comes within {settings.skate_height:g} cm of the floor in two frames")
+        raise MotionkitError(
+            f"no toe is within {settings.skate_height:g} cm of the floor in two consecutive frames"
+        )
     skating = standing & (ground_speed(toes) * FRAME_RATE > settings.skate_speed)
     parameters: dict[str, float | str] = {
         "height_cm": settings.skate_height,
@@ -85,13 +89,14 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
 
 
 def penetration(feet: Array, floor: float) -> tuple[MetricValue, MetricValue]:
-    """How far the lowest foot joint sinks below the floor: mean over all frames, and largest, in cm.
+    """Depth of the lowest foot joint below the floor in cm: mean over all frames, and maximum.
 
     Args:
         feet: (T, 4, 3) foot joints in cm.
         floor: height of the floor in cm.
 
-    Raises MotionkitError if there are no frames.
+    Raises:
+        MotionkitError: there are no frames.
     """
     if len(feet) == 0:
         raise MotionkitError("penetration needs at least 1 frame, found 0")

@@ -1,4 +1,4 @@
-"""A BVH file in, a motion on the canonical joints out, with remarks on what had to be done."""
+"""A BVH file in, a motion on the canonical joints out, with notes on the conversion."""
 
 from __future__ import annotations
 
@@ -15,18 +15,25 @@ from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleto
 if TYPE_CHECKING:
     from motionkit.motion.retarget import RetargetReport
 
-PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin from a small child to a giant
+PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin of the smallest and the tallest people
 
 
 def load_canonical(
     path: str | Path, scale: float | None = None, fps: float | None = None
 ) -> tuple[Motion, list[str]]:
-    """A file's motion on the 23 canonical joints in cm at its own rate, and remarks for the reader.
+    """The motion of a BVH file on the 23 canonical joints, in cm at the file's rate, and notes for the reader.
 
-    A file that already has the 23 joints keeps its proportions and is taken to be in cm unless a scale
-    is given; any other rig is retargeted.
+    A file that already has the 23 joints keeps its proportions and is taken to be in cm; any other rig is
+    retargeted.
 
-    Raises BvhError for a file that cannot be read and SkeletonError for a rig that cannot be mapped.
+    Args:
+        path: BVH file of any rig.
+        scale: cm per file unit; detected by default, 1 for a file with the canonical joints.
+        fps: frame rate, if the file's header is wrong.
+
+    Raises:
+        BvhError: the file is invalid.
+        SkeletonError: the rig cannot be retargeted.
     """
     bvh = read_bvh(path)
     order = _canonical_order(bvh.skeleton)
@@ -39,7 +46,9 @@ def load_canonical(
     leg = leg_length(motion.skeleton)
     if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
         return motion, []
-    return motion, [f"{Path(path).name}: legs of {leg:.3g} cm; if the file is not in cm, give its scale"]
+    return motion, [
+        f"{Path(path).name}: legs of {leg:.3g} cm; if the file is not in cm, give its scale with --scale"
+    ]
 
 
 def _mapping_notes(name: str, report: RetargetReport) -> list[str]:
@@ -55,7 +64,7 @@ def _mapping_notes(name: str, report: RetargetReport) -> list[str]:
 
 
 def _canonical_order(skeleton: Skeleton) -> list[int] | None:
-    """For each canonical joint its index in a skeleton of the same joints and hierarchy, else None."""
+    """The index of each canonical joint in a skeleton with the same joints and hierarchy, else None."""
     if set(skeleton.names) != set(JOINT_NAMES) or len(skeleton) != JOINT_COUNT:
         return None
     for joint, name in enumerate(JOINT_NAMES):

@@ -1,4 +1,4 @@
-"""Many files, or many pairs of them, measured one after another, and the means over all."""
+"""Measures many files or pairs of files, and their means."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Pair = tuple[Path, Path | None]  # ground truth, generated
 
 @dataclass(frozen=True)
 class PairResult:
-    """A pair's report, or why there is none."""
+    """The report of a pair, or the error if it could not be measured."""
 
     ground_truth: Path
     generated: Path | None
@@ -25,7 +25,7 @@ class PairResult:
 
     @property
     def name(self) -> str:
-        """What to call the pair: the measured file."""
+        """The name of the pair: that of the measured file."""
         return (self.generated or self.ground_truth).name
 
     def as_dict(self) -> dict[str, Any]:
@@ -39,7 +39,7 @@ class PairResult:
 
 @dataclass(frozen=True)
 class MeanRow:
-    """One metric over many pairs; None where no pair gives it. lowest and highest are of the measured files."""
+    """One metric over many pairs; None if no pair has a value. lowest and highest are of the measured files."""
 
     id: str
     unit: str
@@ -51,10 +51,13 @@ class MeanRow:
 
 
 def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], list[Path]]:
-    """The BVH files below one folder, or those below two folders paired by their paths in them.
+    """List the BVH files below one folder, or pair those below two folders by their relative paths.
 
-    Returns the pairs, and the files of either folder that have no partner in the other. Raises MotionkitError
-    where that leaves nothing to measure.
+    Returns:
+        The pairs, and the files of either folder without a partner in the other.
+
+    Raises:
+        MotionkitError: there is nothing to measure.
     """
     truths = {
         path.relative_to(ground_truth).with_suffix(""): path for path in files_below(ground_truth, ".bvh")
@@ -74,7 +77,7 @@ def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], 
 def evaluate_pairs(
     pairs: Sequence[Pair], evaluate: Callable[[Path, Path | None], MetricReport]
 ) -> Iterator[PairResult]:
-    """Measure one pair after another; a pair that cannot be measured has its error in the place of a report."""
+    """Measure pairs in turn; a pair that cannot be measured has an error instead of a report."""
     for ground_truth, generated in pairs:
         try:
             yield PairResult(ground_truth, generated, evaluate(ground_truth, generated))
@@ -83,7 +86,7 @@ def evaluate_pairs(
 
 
 def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
-    """Each metric's mean over the pairs that give it, every pair counting the same however long it is."""
+    """The mean of each metric over the pairs that have a value; every pair has the same weight."""
     reports = [result.report for result in results if result.report is not None]
     rows = []
     for first in reports[0].rows if reports else ():

@@ -10,12 +10,13 @@ from motionkit.metrics.value import MetricValue
 
 
 def mean_position_error(generated: Array, reference: Array) -> MetricValue:
-    """MPJPE in cm (paper, equation MPJPE): joints relative to the root's position, heading kept.
+    """MPJPE in cm (paper, equation MPJPE): positions relative to the root's, with headings unchanged.
 
     Args:
         generated, reference: (T, J, 3) global positions in cm, the root first.
 
-    Raises MotionkitError if the shapes differ or hold no frames.
+    Raises:
+        MotionkitError: the shapes differ, or there are no frames.
     """
     if generated.shape != reference.shape:
         raise MotionkitError(

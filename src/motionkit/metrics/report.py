@@ -1,4 +1,4 @@
-"""All metrics of a motion, alone or beside its ground truth, aligned where that is honest."""
+"""All metrics of a motion, alone or against its ground truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 
-# Unit and the value of the ground truth against itself, for metrics that need a pair.
+# Unit of each metric that needs a pair, and its value for the ground truth against itself.
 PAIR_METRICS: dict[str, tuple[str, float]] = {
     "ssim-channel": ("", 1.0),
     "ssim-window": ("", 1.0),
@@ -40,19 +40,19 @@ _WITHOUT_RATIO = ("floor-height",)
 
 @dataclass(frozen=True)
 class MetricRow:
-    """One metric of a motion and, where there is one, of its ground truth."""
+    """One metric of a motion and, if there is one, of its ground truth."""
 
     motion: MetricValue
     ground_truth: MetricValue | None = None
 
     @property
     def id(self) -> str:
-        """The id of the definition."""
+        """The id of the metric."""
         return self.motion.id
 
     @property
     def ratio(self) -> float | None:
-        """The motion's value over the ground truth's, or None where that says nothing."""
+        """The motion's value divided by the ground truth's, or None where that is meaningless."""
         base = None if self.ground_truth is None else self.ground_truth.value
         if self.motion.value is None or not base or self.id in _WITHOUT_RATIO:
             return None
@@ -64,10 +64,10 @@ class MetricReport:
     """Every metric of one evaluation.
 
     Attributes:
-        rows: the metrics, in the order they are printed.
-        frames: frames that were compared, at fps.
-        fps: the rate of the per-frame metrics.
-        notes: what was done to make the motions comparable, and what the numbers then contain.
+        rows: the metrics, in printing order.
+        frames: number of frames compared, at fps.
+        fps: frame rate of the per-frame metrics.
+        notes: changes that made the motions comparable, and their effect on the values.
     """
 
     rows: tuple[MetricRow, ...]
@@ -76,11 +76,13 @@ class MetricReport:
     notes: tuple[str, ...] = ()
 
     def value(self, metric_id: str) -> float | None:
-        """The motion's value by id; raises MotionkitError for an id that is not in the report."""
+        """The motion's value of a metric; raises MotionkitError if the id is not in the report."""
         for row in self.rows:
             if row.id == metric_id:
                 return row.motion.value
-        raise MotionkitError(f"no metric {metric_id!r} among {', '.join(row.id for row in self.rows)}")
+        raise MotionkitError(
+            f"unknown metric {metric_id!r}, expected one of {', '.join(row.id for row in self.rows)}"
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Plain values for JSON."""
@@ -113,20 +115,21 @@ def evaluate_motion(
     skip: int = 0,
     align_start: bool = False,
 ) -> MetricReport:
-    """Every metric that one motion, or a motion beside its ground truth, can give.
+    """All metrics of a motion, alone or against its ground truth.
 
-    Both are brought to 60 fps and compared over the frames they share, counted from the first; the
-    report's notes say so where it changed anything.
+    Both motions are resampled to 60 fps and compared over their common frames, counted from the first; the
+    report's notes say what this changed.
 
     Args:
         motion: on the 23 canonical joints, in cm, at any rate.
-        reference: its ground truth, likewise.
-        settings: thresholds; the documented definitions if None.
-        skip: frames at 60 fps to leave out at the start of both, such as the frames a synthesis was given.
-        align_start: turn and move the motion along the ground so that the first frames compared agree.
+        reference: ground truth, likewise.
+        settings: thresholds; the documented definitions by default.
+        skip: frames at 60 fps to leave out at the start of both, such as those that primed the model.
+        align_start: turn and move the motion along the ground so that the first compared frames agree.
 
-    Raises MotionkitError where no two frames are left to compare, a number is not finite, or a skeleton
-    is not the canonical one.
+    Raises:
+        MotionkitError: fewer than two frames are left to compare, or a value is not finite.
+        SkeletonError: a skeleton is not the canonical one.
     """
     settings = settings or MetricSettings()
     motions = [motion] if reference is None else [motion, reference]
@@ -138,18 +141,18 @@ def evaluate_motion(
     if frames - skip < 2:
         lengths = " and ".join(str(len(each)) for each in reversed(whole))
         raise MotionkitError(
-            f"nothing to compare: {lengths} frames at 60 fps with {skip} skipped leave fewer than 2"
+            f"nothing to compare: {lengths} frames at 60 fps, less the {skip} skipped, leave fewer than 2"
         )
     notes += _length_notes(whole, frames, skip)
     cut = [each.cut(skip, frames) for each in whole]
     if reference is not None and align_start:
         cut[0] = placed_like(cut[0], cut[1])
-        notes.append("generated motion turned and moved along the ground to start as the ground truth does")
+        notes.append("generated motion turned and moved along the ground to start like the ground truth")
     rate = min([FRAME_RATE, *(each.fps for each in motions)])
     if rate < FRAME_RATE:
         notes.append(
-            f"jerk is taken at {rate:g} fps, the lowest rate given; body movement between the frames of "
-            "such a file is interpolated and reads low"
+            f"jerk is measured at {rate:g} fps, the lowest rate of the files; body movement of such a file is "
+            "interpolated between frames and reads low"
         )
     spans = [_same_time(each, skip, frames) for each in motions]
     columns = [_own_metrics(c, s, rate, settings) for c, s in zip(cut, spans, strict=True)]
@@ -171,16 +174,19 @@ def evaluate_files(
     scales: tuple[float | None, float | None] = (None, None),
     rates: tuple[float | None, float | None] = (None, None),
 ) -> MetricReport:
-    """evaluate_motion for BVH files of any rig: both are first mapped onto the 23 canonical joints.
+    """All metrics of BVH files of any rig: loads them on the 23 canonical joints and calls evaluate_motion.
 
     Args:
-        ground_truth: the file to measure, or to measure against.
-        generated: the file to measure beside it.
+        ground_truth: file to measure, or to measure against.
+        generated: file to measure against the ground truth.
         settings, skip, align_start: as in evaluate_motion.
-        scales: cm per file unit of both, to override what the files suggest.
-        rates: fps of both, where a header is wrong.
+        scales: cm per file unit of each file; detected by default.
+        rates: frame rate of each file, if its header is wrong.
 
-    Raises MotionkitError as evaluate_motion does, BvhError and SkeletonError for files that cannot be used.
+    Raises:
+        BvhError: a file is invalid.
+        SkeletonError: a rig cannot be retargeted.
+        MotionkitError: as evaluate_motion.
     """
     first, notes = load_canonical(ground_truth, scales[0], rates[0])
     if generated is None:
@@ -203,7 +209,7 @@ def _named(files: str, evaluate: Callable[[], MetricReport]) -> MetricReport:
 
 
 def placed_like(motion: Motion, reference: Motion) -> Motion:
-    """The motion turned about Y and moved along the ground so that its first frame faces and stands alike."""
+    """Turn the motion about Y and move it along the ground so that both start with equal place and heading."""
     yaws = [heading_angles(motion_kinematics(each)[1], each.fps)[0] for each in (motion, reference)]
     turn = quat_from_yaw(yaws[1] - yaws[0]).astype(motion.local_rotations.dtype)
     rotations = motion.local_rotations.copy()
@@ -220,17 +226,17 @@ def _check(motion: Motion, name: str) -> None:
             f"metrics need the {len(JOINT_NAMES)} canonical joints; the {name} has {len(motion.skeleton)}"
         )
     if not motion.fps > 0 or not math.isfinite(motion.fps):
-        raise MotionkitError(f"the {name} has {motion.fps} frames per second, expected a rate above 0")
+        raise MotionkitError(f"the {name} has {motion.fps} frames per second, expected more than 0")
     for values in (motion.local_rotations, motion.root_positions):
         if not bool(np.isfinite(values).all()):
             frame = int(np.flatnonzero(~np.isfinite(values.reshape(len(values), -1)).all(axis=1))[0])
-            raise MotionkitError(f"the {name} holds a number that is not finite in frame {frame}")
+            raise MotionkitError(f"the {name} has a value that is not finite in frame {frame}")
 
 
 def _own_metrics(
     motion: Motion, native: Motion, jerk_rate: float, settings: MetricSettings
 ) -> list[MetricValue]:
-    """What one motion can give: motion at 60 fps, and the same time at its native rate for the jerk."""
+    """The metrics of one motion: at 60 fps, and the same span at its native rate for jerk."""
     positions = motion_kinematics(motion)[1].astype(np.float64)
     feet = foot_positions(positions)
     floor = floor_height(feet) if settings.floor is None else settings.floor
@@ -274,7 +280,7 @@ def _units(*ids: str) -> dict[str, str]:
 def _measured(
     measure: Callable[[], MetricValue | tuple[MetricValue, ...]], units: dict[str, str]
 ) -> tuple[MetricValue, ...]:
-    """The values, or for each id a value of None with the reason for the refusal."""
+    """The values of a metric, or if it fails, None for each id with the reason."""
     try:
         result = measure()
     except MotionkitError as error:
@@ -283,7 +289,7 @@ def _measured(
 
 
 def _same_time(motion: Motion, skip: int, frames: int) -> Motion:
-    """The native frames within the time that frames skip to frames (exclusive) span at 60 fps."""
+    """The native frames within the time of frames `skip` to `frames` (exclusive) at 60 fps."""
     per_frame = motion.fps / FRAME_RATE
     start = math.ceil(skip * per_frame - 1e-6)
     return motion.cut(start, math.floor((frames - 1) * per_frame + 1e-6) + 1)
@@ -302,10 +308,10 @@ def _rate_notes(motions: list[Motion]) -> list[str]:
 
 
 def _length_notes(motions: list[Motion], frames: int, skip: int) -> list[str]:
-    notes = [f"the first {skip} frames are left out"] if skip else []
+    notes = [f"the first {skip} frames are skipped"] if skip else []
     if len({len(motion) for motion in motions}) > 1:
         mine, theirs = (len(motion) for motion in motions)
-        notes.append(f"ground truth {theirs} frames, generated {mine}: compared over the first {frames}")
+        notes.append(f"ground truth has {theirs} frames, generated {mine}; compared over the first {frames}")
     return notes
 
 
@@ -315,6 +321,6 @@ def _body_notes(motion: Motion, reference: Motion) -> list[str]:
         return []
     legs = [leg_length(each.skeleton) for each in (reference, motion)]
     return [
-        f"the bodies differ by {float(difference):.2g} cm a bone (legs {legs[0]:.1f} and {legs[1]:.1f} cm); "
-        "mpjpe contains that"
+        f"the bodies differ by {float(difference):.2g} cm per bone (legs {legs[0]:.1f} and {legs[1]:.1f} cm), "
+        "which adds to mpjpe"
     ]

@@ -15,10 +15,10 @@ from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multipl
 
 
 def joint_expmaps(motion: Motion) -> Array:
-    """Exponential maps (T, 69) in radians of a canonical motion's 23 joint rotations.
+    """Exponential maps (T, 69) in radians of the 23 joint rotations of a canonical motion.
 
-    The root's is relative to its heading, as in the paper's motion representation; neither place nor
-    facing of the clip matters.
+    The root's rotation is relative to its heading, as in the paper's representation, so the clip's place and
+    facing do not matter.
     """
     local = motion.local_rotations.astype(np.float64)
     yaw = heading_angles(motion_kinematics(motion)[1].astype(np.float64), motion.fps)
@@ -30,19 +30,20 @@ def joint_expmaps(motion: Motion) -> Array:
 def structural_similarity(
     generated: Array, reference: Array, kind: str = "window", settings: MetricSettings | None = None
 ) -> MetricValue:
-    """SSIM over sliding windows, averaged; 1 for equal sequences.
+    """Mean SSIM over sliding windows; 1 for equal sequences.
 
-    The paper's equation leaves out the factor 2 of the covariance term, without which equal sequences
-    would not reach the 1.0 of its own tables; the original (Wang et al. 2004) has it, and so has this.
+    The paper's equation omits the factor 2 of the covariance term, without which equal sequences would not
+    reach the 1.0 of its own tables. The original (Wang et al. 2004) has it, and so does this function.
 
     Args:
-        generated, reference: (T, C) channels over time, such as joint_expmaps gives.
-        kind: "window" takes all channels of a window as one set of samples (id ssim-window); "channel"
-            takes each channel of a window by itself and averages (id ssim-channel).
+        generated, reference: (T, C) channels over time, such as those of joint_expmaps.
+        kind: "window" treats all channels of a window as one set of samples (id ssim-window); "channel"
+            computes each channel of a window separately and averages (id ssim-channel).
         settings: window length and the constants K1 and K2.
 
-    Raises MotionkitError if shapes differ, there are no more frames than a window has, the reference is
-    constant, or the kind is unknown.
+    Raises:
+        MotionkitError: shapes differ, the sequences are not longer than a window, the reference is constant, or
+            the kind is unknown.
     """
     settings = settings or MetricSettings()
     if kind not in ("window", "channel"):
@@ -57,7 +58,7 @@ def structural_similarity(
     lowest = reference.min()
     spread = float(reference.max() - lowest)
     if spread < 1e-9:
-        raise MotionkitError("SSIM has no scale: every number of the ground truth is the same")
+        raise MotionkitError("SSIM is undefined: the ground truth is constant")
     index = _window_index(
         _windows(generated - lowest, settings.ssim_window, kind),
         _windows(reference - lowest, settings.ssim_window, kind),
@@ -74,7 +75,7 @@ def structural_similarity(
 
 
 def _windows(channels: Array, length: int, kind: str) -> Array:
-    """Samples on the last axis: (windows, C, length) by channel, (windows, C * length) all together."""
+    """Sliding windows with samples on the last axis: (windows, C, length) by channel, else (windows, C * length)."""
     windows = sliding_window_view(channels, length, axis=0)
     return windows if kind == "channel" else windows.reshape(len(windows), -1)
 

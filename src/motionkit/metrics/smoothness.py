@@ -1,4 +1,4 @@
-"""Jerk: how unevenly joints speed up; trembling raises it, over-smoothing lowers it."""
+"""Jerk, the third derivative of joint positions: jitter raises it, over-smoothing lowers it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from motionkit.metrics.value import FRAME_RATE, MetricValue
 
 
 def positions_at_rate(positions: Array, fps: float, rate: float) -> Array:
-    """Positions (T, ...) brought to another rate through the cubic over the four nearest frames.
+    """Resample positions (T, ...) from fps to rate by cubic interpolation over the four nearest frames.
 
-    Straight lines between frames have corners, which a third derivative would measure in place of the
-    motion. Whole ratios take the frames themselves.
+    Linear interpolation has corners, which would dominate a third derivative. If fps is a multiple of rate, the
+    result is a subset of the frames.
     """
     frames = len(positions)
     if abs(fps - rate) < 1e-6 * rate or frames < 4:
@@ -38,9 +38,10 @@ def mean_jerk(global_positions: Array, fps: float = FRAME_RATE, rate: float = FR
     Args:
         global_positions: (T, J, 3) in cm.
         fps: frames per second of the positions.
-        rate: the rate at which differences are taken; values at different rates do not compare.
+        rate: frame rate of the differences; values at different rates are not comparable.
 
-    Raises MotionkitError for fewer than four frames at that rate.
+    Raises:
+        MotionkitError: there are fewer than four frames at that rate.
     """
     positions = positions_at_rate(global_positions, fps, rate).astype(np.float64)
     if len(positions) < 4:

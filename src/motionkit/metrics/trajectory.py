@@ -1,4 +1,4 @@
-"""Trajectory distance: how closely the root's ground track keeps to a path."""
+"""Trajectory distance: how closely the root's ground track follows a path."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings, MetricValue
 
-_BLOCK = 64  # segments that one bounding box stands for
-_COVERAGE_STEP = 1.0  # cm between the samples of the reference path
-_MOST_SAMPLES = 100_000  # on paths longer than a kilometre they lie further apart
-_POINTS = 10_000  # compared with a block at a time
+_BLOCK = 64  # segments per bounding box
+_COVERAGE_STEP = 1.0  # cm between samples of the reference path
+_MOST_SAMPLES = 100_000  # on paths longer than a kilometre, samples are further apart
+_POINTS = 10_000  # points compared with a block at a time
 
 
 @dataclass(frozen=True, eq=False)
 class TrajectoryDistance:
-    """How a track keeps to a path.
+    """The distance between a track and a path.
 
     Attributes:
-        distances: (T,) cm from each point of the track to the nearest point of the path.
-        coverage: share of the path's length that the track passes within the tolerance.
-        tolerance: cm.
+        distances: (T,) distance of each point of the track to the nearest point of the path, cm.
+        coverage: share of the path's length within the tolerance of the track.
+        tolerance: distance within which a stretch of path is covered, cm.
     """
 
     distances: Array
@@ -41,7 +41,7 @@ class TrajectoryDistance:
         return float(self.distances.max())
 
     def values(self) -> tuple[MetricValue, MetricValue, MetricValue]:
-        """Mean, largest and coverage as metric values."""
+        """Mean, maximum and coverage as metric values."""
         return (
             MetricValue("path-mean", self.mean, "cm/frame"),
             MetricValue("path-max", self.max, "cm"),
@@ -50,14 +50,15 @@ class TrajectoryDistance:
 
 
 def ground_track(root_positions: Array) -> Array:
-    """The track (T, 2) as x, z of root positions (T, 3)."""
+    """The ground track (T, 2), x and z, of root positions (T, 3)."""
     return root_positions[..., [0, 2]]
 
 
 def distance_to_path(points: Array, path: Array) -> Array:
-    """Distance (T,) from points (T, 2) to the nearest place on the polyline through path (N, 2).
+    """Distance (T,) from points (T, 2) to the nearest point on the polyline path (N, 2).
 
-    Raises MotionkitError if either is empty or not of that shape.
+    Raises:
+        MotionkitError: either is empty or has another shape.
     """
     points, path = _checked(points, "track"), _checked(path, "path")
     if len(path) == 1:
@@ -65,7 +66,7 @@ def distance_to_path(points: Array, path: Array) -> Array:
     nearest = _distance_to_points(points, path[::_BLOCK])
     for first in range(0, len(path) - 1, _BLOCK):
         block = path[first : first + _BLOCK + 1]
-        # Only points that may be nearer to this block than to what was seen need its segments.
+        # Compare only points whose distance to the block's bounding box is less than the nearest found so far.
         outside = np.maximum(block.min(0) - points, 0.0) + np.maximum(points - block.max(0), 0.0)
         near = np.flatnonzero(np.linalg.norm(outside, axis=-1) < nearest)
         nearest[near] = np.minimum(nearest[near], _distance_to_segments(points[near], block))
@@ -81,7 +82,7 @@ def _distance_to_points(points: Array, places: Array) -> Array:
 
 
 def _distance_to_segments(points: Array, path: Array) -> Array:
-    """Distance (T,) from points (T, 2) to a polyline (N, 2) of few segments, each tried for each point."""
+    """Distance (T,) from points (T, 2) to a polyline (N, 2) of few segments, by brute force."""
     if len(points) > _POINTS:
         some = [points[i : i + _POINTS] for i in range(0, len(points), _POINTS)]
         return np.concatenate([_distance_to_segments(each, path) for each in some])
@@ -95,13 +96,14 @@ def _distance_to_segments(points: Array, path: Array) -> Array:
 def trajectory_distance(
     track: Array, path: Array, tolerance: float = MetricSettings.path_tolerance
 ) -> TrajectoryDistance:
-    """How closely a ground track (T, 2) keeps to a path (N, 2), both x, z in cm.
+    """Distance between a ground track (T, 2) and a path (N, 2), both x, z in cm.
 
-    Distances are to the segments of the path, so its sampling does not matter. Coverage counts the
-    stretches of the path that the track's own segments pass within the tolerance: a figure that stands
-    still on the path has distance zero and hardly any coverage.
+    Distances are to the segments of the path, so its sampling does not matter. Coverage is the share of the
+    path within `tolerance` cm of the track's segments: a body that stands still on the path has distance zero
+    and almost no coverage.
 
-    Raises MotionkitError if either is empty or the tolerance is not positive.
+    Raises:
+        MotionkitError: either is empty, or the tolerance is not positive.
     """
     if not tolerance > 0:
         raise MotionkitError(f"the path tolerance must be above 0 cm, found {tolerance:g}")
@@ -111,7 +113,7 @@ def trajectory_distance(
 
 
 def _sampled(path: Array) -> Array:
-    """Points (M, 2) at even arc length along a path (N, 2), about 1 cm apart up to a kilometre, ends included."""
+    """Points (M, 2) at even arc length along a path (N, 2), ends included, about 1 cm apart up to a kilometre."""
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=-1)
     arc = np.concatenate([[0.0], lengths.cumsum()])
     total = float(arc[-1])

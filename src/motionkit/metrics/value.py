@@ -1,4 +1,4 @@
-"""A measured number that says how it was measured, and the settings every measurement shares."""
+"""A measured value with its definition and parameters, and the settings shared by all metrics."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ FRAME_RATE = 60.0  # per-frame metrics are per frame at this rate
 
 @dataclass(frozen=True)
 class MetricValue:
-    """One number with the id of its definition (docs/metrics.md).
+    """One measured value (docs/metrics.md).
 
     Attributes:
-        id: the definition, such as "bm-euler".
-        value: the number, or None where it cannot honestly be given.
-        unit: "cm/frame", "deg/frame", "cm", "m/s^3", or "" for a plain share or index.
-        parameters: the thresholds the value depends on.
-        reason: why there is no value.
+        id: metric, such as "bm-euler".
+        value: the value, or None if it cannot be measured.
+        unit: "cm/frame", "deg/frame", "cm", "m/s^3", or "" for a share or index.
+        parameters: thresholds that the value depends on.
+        reason: why value is None.
     """
 
     id: str
@@ -38,4 +38,4 @@ class MetricSettings:
     ssim_k1: float = 0.01
     ssim_k2: float = 0.03
     path_tolerance: float = 10.0  # cm within which a stretch of the reference path counts as covered
-    floor: float | None = None  # cm, a known floor; None estimates each clip's own
+    floor: float | None = None  # cm, a known floor height; None estimates it for each clip
