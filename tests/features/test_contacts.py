@@ -10,7 +10,7 @@ from synthetic_motions import make_idle, make_jump, make_walk
 
 
 def body(frames: int = 30) -> Array:
-    """Joints (T, 23, 3) whose feet stand: ankles at 10 cm, toes at 4."""
+    """Joint positions (T, 23, 3) of standing feet: ankles at 10 cm, toes at 4 cm."""
     positions = np.full((frames, 23, 3), 100.0, np.float32)
     positions[:, FOOT_JOINTS, 1] = np.array([10.0, 4.0, 10.0, 4.0], np.float32)
     return positions

@@ -21,7 +21,7 @@ from motionkit.features.reference import REFERENCE_COUNT
 
 
 def circle(frames: int, radius: float = 200.0, rate: float = 0.8) -> Array:
-    """Ground track (T, 3) round a circle to the left at rate radians per second, facing along it."""
+    """Ground track (T, 3) along a circle to the left at `rate` radians per second, facing along it."""
     angle = rate * np.arange(frames, dtype=np.float64) / 60.0
     x, z = radius * (1 - np.cos(angle)), radius * np.sin(angle)
     return np.stack([x, z, angle], axis=-1)

@@ -147,7 +147,7 @@ def test_velocities_are_backward_differences_in_the_heading_frame() -> None:
     encoded = encode_motion(motion)
     step = encoded.features[1:, feature_layout().blocks["root_xz_velocity"]]
     assert np.allclose(step[:, 1], np.full((59,), 120.0, np.float32), atol=0.5)
-    assert np.abs(step[:, 0]).max() < 12.0  # the heading sways by 0.1 rad about the way
+    assert np.abs(step[:, 0]).max() < 12.0  # the heading sways by 0.1 rad around the path
     assert np.array_equal(encoded.features[0, 0], encoded.features[1, 0]), (
         "the first frame repeats the second"
     )
@@ -164,8 +164,8 @@ def test_root_height_is_that_of_the_hips() -> None:
 
 def test_ground_track_of_a_known_walk() -> None:
     features = np.zeros((61, 276), np.float32)
-    features[:, 0] = math.pi / 2  # turns a quarter in a second
-    features[:, 2] = 100.0  # goes where it faces at 100 cm/s
+    features[:, 0] = math.pi / 2  # a quarter turn per second
+    features[:, 2] = 100.0  # moves forward at 100 cm/s
     ground = integrate_ground(features, np.array([10.0, 20.0, 0.0], np.float32), 60.0)
     assert ground.shape == (61, 3)
     assert float(ground[-1, 2]) == pytest.approx(math.pi / 2)

@@ -1,4 +1,4 @@
-"""Real CMU clips through the features and back, as the issue of every release: nothing may be lost."""
+"""Round trip of real CMU clips through the features: nothing may be lost."""
 
 from pathlib import Path
 

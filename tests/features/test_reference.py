@@ -1,4 +1,4 @@
-"""Outlines of poses and the references made of them."""
+"""Pose embeddings and reference poses."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def poses(frames: int = 400, rank: int = 5) -> Array:
     return features
 
 
-def test_an_outline_keeps_what_differs() -> None:
+def test_an_embedding_keeps_what_differs() -> None:
     features = poses()
     pose_embedding = fit_pose_embedding(features, np.ones(len(features), np.float32), LAYOUT)
     shown = pose_embedding.of(features)
     assert shown.shape == (400, EMBEDDING_COUNT)
-    # Five directions and their mirror images: at most ten, so that sixteen tell all.
+    # Five directions and their mirror images: at most ten, so sixteen suffice.
     tell = np.concatenate([shown, np.ones((400, 1), np.float32)], axis=1)
     found = tell @ np.linalg.lstsq(tell, features[:, POSITIONS], rcond=None)[0]
     assert np.allclose(found, features[:, POSITIONS], atol=0.05)
@@ -68,7 +68,7 @@ def test_weights_say_which_frames_count() -> None:
     assert np.allclose(a.of(features), b.of(features), atol=1e-3)
 
 
-def test_a_guide_looks_ahead_and_holds_the_last_pose() -> None:
+def test_a_reference_looks_ahead_and_holds_the_last_pose() -> None:
     reference_clips = np.broadcast_to(np.arange(50.0, dtype=np.float32)[:, None], (50, EMBEDDING_COUNT))
     reference = reference_signal(reference_clips, np.array([0, 40]))
     assert reference.shape == (2, REFERENCE_COUNT)

@@ -28,10 +28,10 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     """Nodes from unnormalised features (1, 276) to the next ground and the body in the world."""
     layout = feature_layout(model.config.layout)
     blocks = layout.blocks
-    continuous = layout.version.startswith("sixd")
+    continuous = layout.root_is_sixd
     skeleton = model.character(character)
     share = np.float32(leg_length(skeleton) / leg_length(model.character("default")))
-    height = blocks["joint_positions"].start + (0 if continuous else 1)
+    height = layout.root_height
     # The columns that count, in their order, and what lies between.
     joints, root = blocks["joint_rotations"], blocks["root_rotation"]
     ends = [blocks["root_yaw_velocity"].stop, root.start, root.start + 3, joints.start, joints.stop]

@@ -1,1 +1,1 @@
-"""Motion in, the 276 numbers of every frame and the control signals out, and back."""
+"""Motion to the 276 features and the control signals of every frame, and back."""

@@ -1,4 +1,4 @@
-"""Which feet touch the floor: labels from speed and height."""
+"""Foot contact labels from the speed and height of the foot joints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from motionkit.arrays import Array
 from motionkit.motion.skeleton import FOOT_JOINTS
 
-# A joint touches when it is slow and low. Order: left foot, left toe, right foot, right toe. Heights in
+# A joint is in contact when it is slow and low. Order: left foot, left toe, right foot, right toe. Heights in
 # cm above the floor of the canonical skeleton, where the standing ankle is near 10 and the toe near 2.
 CONTACT_HEIGHTS = (14.0, 6.0, 14.0, 6.0)
 CONTACT_SPEED = 40.0  # cm per second
@@ -16,10 +16,10 @@ _FILTER = 5  # frames; removes single-frame flicker
 
 
 def foot_contacts(global_positions: Array, fps: float) -> Array:
-    """Contact labels (T, 4) of 0 and 1 for left foot, left toe, right foot, right toe.
+    """Contact labels (T, 4), 0 or 1, of left foot, left toe, right foot, right toe.
 
     Args:
-        global_positions: (T, 23, 3) canonical joints in cm, the floor at height zero.
+        global_positions: (T, 23, 3) positions of the canonical joints in cm, the floor at height zero.
         fps: frames per second.
     """
     feet = global_positions[:, list(FOOT_JOINTS)]
@@ -32,7 +32,7 @@ def foot_contacts(global_positions: Array, fps: float) -> Array:
 
 
 def _majority(labels: Array) -> Array:
-    """Each label becomes that of most of its neighbours in a short window (T, 4)."""
+    """Majority vote over a short window for labels (T, 4)."""
     half = _FILTER // 2
     padded = np.pad(labels, ((half, half), (0, 0)), mode="edge")
     return (sliding_window_view(padded, _FILTER, axis=0).mean(-1) > 0.5).astype(labels.dtype)

@@ -1,9 +1,8 @@
-"""Control signals C_n: skeleton, motion type, and where the root is to be over the coming second.
+"""Control signals C_n: skeleton, motion type, root trajectory of the next second, phase and reference poses.
 
-Paper section 3, "Control Signal Representation". Beside the paper's four there are a flag that says
-whether a trajectory is given, so that one model serves both with and without a path, and the phase of
-types that turn the body over, which says when to begin, and the reference (features/reference.py), which says what
-the body is to do next.
+Paper section 3, "Control Signal Representation". Three signals are added to the paper's: the trajectory mask,
+so that one model works with and without a path; the phase of types that turn the body over, which times the
+performance; and reference poses (features/reference.py), which say what the body does next.
 """
 
 from __future__ import annotations
@@ -22,61 +21,61 @@ TRAJECTORY_OFFSETS: tuple[int, ...] = (10, 20, 30, 40, 50, 60)  # frames ahead, 
 TRAJECTORY_COUNT = 4 * len(TRAJECTORY_OFFSETS)  # 6 positions (x, z), then 6 directions (x, z)
 SKELETON_COUNT = 3 * JOINT_COUNT
 TYPE_BLEND_FRAMES = 40
-# Rest-pose positions reach the network in units of 10 cm around the canonical body.
+# The network sees rest-pose positions as differences from the canonical body, in units of 10 cm.
 SKELETON_UNIT = 10.0
 
 
 @dataclass(frozen=True)
 class ControlLayout:
-    """Where each signal stands in the control vector: skeleton, type, trajectory, flag, phase, reference, flag."""
+    """Columns of the control vector: skeleton, types, trajectory and its mask, phase, reference and its gain."""
 
     types: tuple[str, ...]
 
     @property
     def skeleton(self) -> slice:
-        """The 69 rest-pose joint positions."""
+        """The 69 rest-pose joint positions (3 per joint)."""
         return slice(0, SKELETON_COUNT)
 
     @property
     def type(self) -> slice:
-        """The weights of the motion types."""
+        """The weights of the motion types, one per type."""
         return slice(SKELETON_COUNT, SKELETON_COUNT + len(self.types))
 
     @property
     def trajectory(self) -> slice:
-        """The 24 trajectory numbers, zero where none is given."""
+        """The 24 trajectory values, zero without a trajectory."""
         return slice(self.type.stop, self.type.stop + TRAJECTORY_COUNT)
 
     @property
     def flag(self) -> int:
-        """The column that is 1 where a trajectory is given."""
+        """The trajectory mask: 1 with a trajectory, else 0."""
         return self.trajectory.stop
 
     @property
     def phase(self) -> slice:
-        """Sine and cosine of the phase, both zero for types without one."""
+        """Sine and cosine of the phase, both zero for types without a phase."""
         return slice(self.flag + 1, self.flag + 3)
 
     @property
     def reference(self) -> slice:
-        """The 72 numbers of the reference, zero where none is given."""
+        """The 72 values of the reference poses, zero without a reference."""
         return slice(self.phase.stop, self.phase.stop + REFERENCE_COUNT)
 
     @property
     def reference_gain(self) -> int:
-        """The column that is 1 where a reference is given."""
+        """The reference gain, zero without a reference."""
         return self.reference.stop
 
     @property
     def size(self) -> int:
-        """Numbers in a control vector."""
+        """Length of a control vector."""
         return self.reference_gain + 1
 
 
 def future_trajectory(ground: Array, frames: Array) -> Array:
-    """Trajectory numbers (..., 24) of the given frames, in the heading frame of each.
+    """Trajectory values (..., 24) of frames, each in its own heading frame: positions in cm, then directions.
 
-    Beyond the last frame the root goes on as it went over the last six frames, facing as it did.
+    Beyond the last frame the root continues with the mean velocity of the last six frames and keeps its facing.
 
     Args:
         ground: (T, 3) root x, z (cm) and heading (radians).
@@ -99,17 +98,17 @@ def future_trajectory(ground: Array, frames: Array) -> Array:
 
 
 def trajectory_mirror() -> Array:
-    """Signs (24,) that mirror trajectory numbers at the plane x = 0."""
+    """Signs (24,) that mirror trajectory values at the plane x = 0."""
     return np.array([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)), np.float32)
 
 
 def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> Array:
-    """Type weights (T, count) that move linearly over the blend frames centred on each change.
+    """Type weights (T, count) that change linearly over `blend` frames centred on each change of type.
 
     Args:
-        type_ids: (T,) the type of every frame.
-        count: the number of types.
-        blend: frames a change takes (the paper's 40).
+        type_ids: (T,) type of every frame.
+        count: number of types.
+        blend: frames that a change takes (40 in the paper).
     """
     weights = np.eye(count, dtype=np.float32)[type_ids]
     if blend < 2 or bool((type_ids == type_ids[0]).all()):
@@ -121,7 +120,7 @@ def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> 
 
 
 def phase_signal(phase: Array) -> Array:
-    """Sine and cosine (..., 2) of a turn for progress (...) in [0, 1); zeros where it is negative: no phase."""
+    """Sine and cosine (..., 2) of phases (...) in [0, 1); zeros for negative phases, which mean no phase."""
     angle = 2.0 * np.pi * phase
     return np.stack([np.sin(angle), np.cos(angle)], axis=-1) * (phase >= 0)[..., None]
 
@@ -137,9 +136,18 @@ def control_vector(
     reference_gain: Array,
     trajectory_scaling: Scaling,
 ) -> Array:
-    """Control vectors (..., C): trajectory normalised; it and the reference zero where they are not given.
+    """Assemble control vectors (..., C), with C = layout.size.
 
-    progress (...) is that of phase_signal, negative for types without a phase; reference (..., 72) is as ReferenceMap shows it.
+    Args:
+        layout: columns of the control vector.
+        skeleton_B69: (..., 69) from skeleton_signal.
+        type_weights: (..., types); its leading dimensions are those of the result.
+        trajectory: (..., 24) unnormalised.
+        trajectory_mask: (...) 1 with a trajectory, 0 without.
+        phase: (...) in [0, 1), negative for types without a phase.
+        reference: (..., 72) reference poses relative to the current frame, from ReferenceMap.shown.
+        reference_gain: (...) 0 without a reference.
+        trajectory_scaling: normalises the trajectory.
     """
     shown = trajectory_scaling.normalize(trajectory) * trajectory_mask[..., None]
     parts = [skeleton_B69, type_weights, shown, trajectory_mask[..., None], phase_signal(phase)]
@@ -152,6 +160,6 @@ def control_vector(
 
 
 def skeleton_signal(skeleton: Skeleton) -> Array:
-    """The 69 skeleton numbers: rest-pose joint positions against the canonical body's."""
+    """The 69 skeleton values: rest-pose joint positions minus the canonical body's, in units of 10 cm."""
     difference = skeleton.rest_positions() - canonical_skeleton().rest_positions()
     return (difference / SKELETON_UNIT).reshape(SKELETON_COUNT)

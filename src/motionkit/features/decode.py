@@ -1,4 +1,4 @@
-"""The 276 numbers back to Motion: rotations as predicted, the root integrated from its velocities."""
+"""Features back to Motion: rotations as predicted, the root's path integrated from its velocities."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.features.encode import identity_reference_rotations
-from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout, root_height_column
+from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     expmap_to_quat,
@@ -22,28 +22,40 @@ from motionkit.motion.skeleton import Skeleton
 def decode_rotations(
     features: Array, reference_rotations: Array | None = None, layout: str = DEFAULT_LAYOUT
 ) -> Array:
-    """Local rotations (..., 23, 4) of features (..., 276), the root's relative to its heading."""
+    """Local rotations (..., 23, 4) of unnormalised features (..., 276), the root's relative to its heading.
+
+    Args:
+        features: (..., 276) unnormalised.
+        reference_rotations: (23, 4) as given to encode_motion; identity by default.
+        layout: version of the columns.
+    """
     reference_rotations = (
         identity_reference_rotations() if reference_rotations is None else reference_rotations
     )
-    blocks = feature_layout(layout).blocks
-    root = features[..., blocks["root_rotation"]]
-    root = sixd_to_quat(root) if layout.startswith("sixd") else expmap_to_quat(root)
-    expmaps = features[..., blocks["joint_rotations"]]
+    columns = feature_layout(layout)
+    root = features[..., columns.blocks["root_rotation"]]
+    root = (sixd_to_quat if columns.root_is_sixd else expmap_to_quat)(root)
+    expmaps = features[..., columns.blocks["joint_rotations"]]
     joints = expmap_to_quat(expmaps.reshape(*expmaps.shape[:-1], -1, 3))
     joints = quat_multiply(reference_rotations[1:].astype(joints.dtype), joints)
     return np.concatenate([root[..., None, :], joints], axis=-2)
 
 
 def root_height(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
-    """Height (...) in cm of the root above the floor."""
-    return features[..., root_height_column(layout)]
+    """Height (...) of the root above the floor in cm, from unnormalised features (..., 276)."""
+    return features[..., feature_layout(layout).root_height]
 
 
 def integrate_ground(features: Array, start: Array, fps: float, layout: str = DEFAULT_LAYOUT) -> Array:
-    """Root x, z and heading (..., T, 3) over time, from velocities and the place (..., 3) of the first frame.
+    """Root x, z (cm) and heading (radians) (..., T, 3) over time, integrated from the velocities in the features.
 
-    Velocities are those of encode_motion: to the frame before, in the later frame's heading.
+    Velocities are those of encode_motion: from the previous frame, in the later frame's heading frame.
+
+    Args:
+        features: (..., T, 276) unnormalised.
+        start: (..., 3) x, z and heading of the first frame.
+        fps: frames per second.
+        layout: version of the columns.
     """
     blocks = feature_layout(layout).blocks
     yaw_steps = features[..., blocks["root_yaw_velocity"]].astype(np.float64)[..., 1:, 0] / fps
@@ -56,7 +68,7 @@ def integrate_ground(features: Array, start: Array, fps: float, layout: str = DE
 
 
 def _after_zero(values: Array, axis: int) -> Array:
-    """The values with one zero before them along an axis."""
+    """Prepend one zero along an axis."""
     zero = np.zeros_like(np.take(values, [0], axis=axis))
     return np.concatenate([zero, values], axis=axis)
 
@@ -69,11 +81,15 @@ def decode_motion(
     reference_rotations: Array | None = None,
     layout: str = DEFAULT_LAYOUT,
 ) -> Motion:
-    """The motion that features (T, 276) describe, on a skeleton with the canonical joints.
+    """The motion of features (T, 276), on a skeleton with the canonical joints.
 
     Args:
-        start: (3,) root x, z and heading of the first frame; the origin facing +Z if not given.
-        reference_rotations: (23, 4) as given to encode_motion.
+        features: (T, 276) unnormalised.
+        skeleton: body with the canonical joints, cm.
+        fps: frames per second.
+        start: (3,) root x, z and heading of the first frame; the origin, facing +Z, by default.
+        reference_rotations: (23, 4) as given to encode_motion; identity by default.
+        layout: version of the columns.
     """
     start = np.zeros(3, np.float32) if start is None else start
     ground = integrate_ground(features, start, fps, layout)

@@ -1,4 +1,4 @@
-"""Motion to the 276 numbers of every frame (paper section 3)."""
+"""Motion to the 276 features of every frame (paper section 3)."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES
 
-# Beyond this angle from its reference a rotation is written the shorter way round again. Following a
-# track through pi up to here keeps dances continuous; going on to a full turn would give one pose two forms.
+# Beyond this angle from its reference, a rotation is written by its shorter equivalent. Following rotations through
+# pi up to this angle keeps dances continuous; allowing a full turn would give one pose two encodings.
 FOLD_ANGLE = 1.4 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
 class EncodedMotion:
-    """A motion in features, and where it was in the world.
+    """A motion as features, with its track on the ground.
 
     Attributes:
         features: (T, 276) unnormalised, columns as in the layout.
         contacts: (T, 4) left foot, left toe, right foot, right toe.
-        ground: (T, 3) root x, root z (cm) and heading (radians) in the world, from which controls are cut.
+        ground: (T, 3) root x, root z (cm) and heading (radians) in the world; trajectories are cut from it.
     """
 
     features: Array
@@ -46,7 +46,7 @@ class EncodedMotion:
 
 
 def identity_reference_rotations() -> Array:
-    """Reference rotations (23, 4) that leave the exponential maps as the paper has them."""
+    """Reference rotations (23, 4) that leave the exponential maps unchanged, as in the paper."""
     return quat_identity((JOINT_COUNT,))
 
 
@@ -55,20 +55,20 @@ def encode_motion(
 ) -> EncodedMotion:
     """Features, contacts and ground track of a motion on the canonical joints.
 
-    Velocities are differences to the frame before, in the heading frame of the later one, per second;
+    Velocities are differences from the previous frame, in the heading frame of the later one, per second;
     the first frame repeats the second one's.
 
     Args:
         motion: T >= 2 frames on the 23 canonical joints, cm.
-        reference_rotations: (23, 4) rotation each joint's exponential map is relative to; identity if not given.
-        layout: the version of the columns.
+        reference_rotations: (23, 4) the rotations that exponential maps are relative to; identity by default.
+        layout: version of the columns.
 
     Raises:
-        SkeletonError: if the joints are not the canonical ones or there are fewer than two frames.
+        SkeletonError: the joints are not the canonical ones, or there are fewer than two frames.
     """
     if motion.skeleton.names != JOINT_NAMES:
         raise SkeletonError(
-            "expected the 23 canonical joints; map the motion with motionkit.motion.retarget first"
+            f"expected the {JOINT_COUNT} canonical joints; map the motion with motionkit.motion.retarget first"
         )
     if len(motion) < 2:
         raise SkeletonError(f"expected at least 2 frames for velocities, found {len(motion)}")
@@ -91,11 +91,11 @@ def encode_motion(
     angular = np.concatenate([angular[:1], angular])
 
     frames = len(motion)
-    continuous = layout.startswith("sixd")
+    columns = feature_layout(layout)
     parts = {
         "root_yaw_velocity": _backward(yaw[:, None], motion.fps),
         "root_xz_velocity": rotate_ground(-yaw, velocities[:, 0, [0, 2]]),
-        "root_rotation": quat_to_sixd(root_rotation) if continuous else quat_to_expmap(root_rotation),
+        "root_rotation": (quat_to_sixd if columns.root_is_sixd else quat_to_expmap)(root_rotation),
         "joint_rotations": relative_expmaps(motion.local_rotations[:, 1:], reference_rotations[1:]).reshape(
             frames, -1
         ),
@@ -103,23 +103,26 @@ def encode_motion(
         "joint_positions": facing_positions.reshape(frames, -1),
         "joint_velocities": facing_velocities.reshape(frames, -1),
     }
-    if continuous:
+    if columns.root_is_sixd:  # without the root's x, z and sideways velocity
         parts["joint_positions"] = np.concatenate(
             [parts["joint_positions"][:, 1:2], parts["joint_positions"][:, 3:]], -1
         )
         parts["joint_velocities"] = parts["joint_velocities"][:, 1:]
-    features = np.concatenate([parts[name] for name in feature_layout(layout).blocks], axis=-1)
+    features = np.concatenate([parts[name] for name in columns.blocks], axis=-1)
     return EncodedMotion(features, foot_contacts(positions, motion.fps), ground)
 
 
 def _backward(values: Array, fps: float) -> Array:
-    """Differences to the frame before per second (T, ...); the first repeats the second."""
+    """Differences from the previous frame, per second (T, ...); the first repeats the second."""
     steps = np.diff(values, axis=0) * fps
     return np.concatenate([steps[:1], steps])
 
 
 def relative_expmaps(rotations: Array, reference_rotations: Array) -> Array:
-    """Exponential maps (T, J, 3) of rotations (T, J, 4) relative to reference_rotations (J, 4), followed through pi."""
+    """Exponential maps (T, J, 3) of rotations (T, J, 4) relative to reference_rotations (J, 4).
+
+    They stay continuous where a rotation passes through pi, up to FOLD_ANGLE.
+    """
     relative = quat_multiply(quat_inverse(reference_rotations), rotations)
     quats = relative.copy()
     fold = np.cos(0.5 * FOLD_ANGLE)
@@ -135,7 +138,7 @@ def relative_expmaps(rotations: Array, reference_rotations: Array) -> Array:
 
 
 def _expmap_any_branch(quat: Array) -> Array:
-    """Exponential maps (..., 3) up to 2 pi: the sign of the quaternion tells which way round."""
+    """Exponential maps (..., 3) of angles up to 2 pi; the quaternion's sign decides the direction of rotation."""
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quat[..., :1])
     scale = np.where(sine < 1e-6, np.full_like(sine, 2.0), angle / np.maximum(sine, 1e-6))

@@ -1,4 +1,4 @@
-"""The direction a body faces on the ground, without flips while it is upside down."""
+"""The facing direction of a body on the ground, without jumps while it is upside down."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ import numpy as np
 from motionkit.arrays import Array, normalized
 from motionkit.motion.skeleton import JOINT_NAMES
 
-# The trunk counts as upright within 60 degrees of vertical; beyond, its left-right axis tells nothing
-# sure about the facing.
+# The trunk counts as upright within 60 degrees of vertical; beyond that its left-right axis is no reliable measure of
+# the facing direction.
 UPRIGHT_COSINE = 0.5
 SMOOTHING_SECONDS = 0.08
 
 
 def heading_angles(global_positions: Array, fps: float) -> Array:
-    """Yaw (T,) in radians of the facing direction, continuous over time; 0 faces +Z, pi/2 faces +X.
+    """Heading (T,) in radians, continuous over time; 0 faces +Z, pi/2 faces +X.
 
-    Upright frames take the mean of the axes across hips and shoulders. Inverted spans take the shortest
-    arc from the last upright heading to the next. The result is smoothed lightly.
+    Upright frames use the mean of the axes across hips and shoulders. Between them, the heading takes the
+    shortest arc from the last upright frame to the next. The result is smoothed lightly.
 
     Args:
-        global_positions: (T, 23, 3) joints of the canonical skeleton in the world.
+        global_positions: (T, 23, 3) positions of the canonical joints in the world.
         fps: frames per second.
     """
     yaw, upright = _raw_heading(global_positions.astype(np.float64))
@@ -36,7 +36,7 @@ def _raw_heading(positions: Array) -> tuple[Array, Array]:
     across_shoulders = positions[:, at("LeftArm")] - positions[:, at("RightArm")]
     across = normalized(across_hips) + normalized(across_shoulders)
     trunk = normalized(positions[:, at("Neck")] - positions[:, 0])
-    # Facing is across x up: left along +X and up along +Y face +Z.
+    # The facing direction is across x up: left along +X and up along +Y give +Z.
     yaw = np.arctan2(-across[:, 2], across[:, 0])
     level = np.linalg.norm(across[:, [0, 2]], axis=-1) > 0.6
     return yaw, (trunk[:, 1] > UPRIGHT_COSINE) & level
@@ -60,7 +60,7 @@ def _bridge(yaw: Array, upright: Array) -> Array:
 
 
 def _smooth(values: Array, sigma: float) -> Array:
-    """Gaussian smoothing (T,) with the ends continued in a straight line."""
+    """Gaussian smoothing (T,); beyond its ends the signal is extrapolated linearly."""
     radius = max(1, math.ceil(3 * sigma))
     if len(values) < 3:
         return values

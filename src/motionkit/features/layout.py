@@ -1,7 +1,7 @@
-"""The one table that knows which of the 276 numbers means what.
+"""The table of the 276 feature columns: what each one means.
 
-Paper section 3; the split into 6 + 66 + 66 + 69 + 69 and the reason for it are in docs/features.md.
-Each of the 23 joints owns 12 of the numbers; the root's 12 are the data both body parts share.
+Paper section 3; docs/features.md explains the split into 6 + 66 + 66 + 69 + 69. Each of the 23 joints owns 12
+columns; both body parts share those of the root.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ CONTACT_COUNT = 4
 LAYOUTS = ("sixd-root-1", "expmap-root-1")
 DEFAULT_LAYOUT = "sixd-root-1"
 
-# What a reflection at the plane x = 0 does to the components of each kind of quantity.
+# Signs of the components of each kind of quantity under a reflection at the plane x = 0.
 _VECTOR = (-1.0, 1.0, 1.0)
 _AXIAL = (1.0, -1.0, -1.0)
 _SIXD = (1.0, -1.0, -1.0, -1.0, 1.0, 1.0)
@@ -28,7 +28,7 @@ _SIXD = (1.0, -1.0, -1.0, -1.0, 1.0, 1.0)
 
 @dataclass(frozen=True)
 class Column:
-    """One number: its block, the joint it belongs to, the component within the joint, its sign when mirrored."""
+    """One column: its block, its joint, its component within the joint, and its sign when mirrored."""
 
     block: str
     joint: int
@@ -38,11 +38,11 @@ class Column:
 
 @dataclass(frozen=True, eq=False)
 class FeatureLayout:
-    """Names for the columns of one version of the 276 numbers.
+    """The columns of one version of the features.
 
     Attributes:
-        version: what a model file says it was trained on.
-        columns: 276 descriptions, in order.
+        version: name of the version, as stored in model files.
+        columns: descriptions of the 276 columns, in order.
         blocks: block name to its slice.
     """
 
@@ -50,8 +50,19 @@ class FeatureLayout:
     columns: tuple[Column, ...]
     blocks: dict[str, slice]
 
+    @property
+    def root_is_sixd(self) -> bool:
+        """Whether the root's rotation is two matrix columns (6 values) instead of an exponential map (3)."""
+        return self.version == "sixd-root-1"
+
+    @property
+    def root_height(self) -> int:
+        """The column of the root's height above the floor."""
+        block = self.blocks["joint_positions"]
+        return next(i for i in range(block.start, block.stop) if self.columns[i].component == 1)
+
     def joint_columns(self, joint: int) -> list[int]:
-        """The 12 columns that belong to a joint, in order."""
+        """The 12 columns of a joint, in order."""
         return [index for index, column in enumerate(self.columns) if column.joint == joint]
 
     def mirror_map(self) -> tuple[Array, Array]:
@@ -67,16 +78,19 @@ def _block(name: str, joints: range | list[int], signs: tuple[float, ...]) -> li
 
 @cache
 def feature_layout(version: str = DEFAULT_LAYOUT) -> FeatureLayout:
-    """The layout of a version; raises ModelError for one this release does not know.
+    """The layout of a version.
 
     "expmap-root-1" is the paper's: the root's rotation as an exponential map, its position (0, y, 0).
-    "sixd-root-1" writes the root's rotation as two matrix columns, which have no jump when the body
-    turns over, and leaves out the root's constant x and z position and its sideways velocity (which
-    root_xz_velocity holds already) to stay at 276.
+    "sixd-root-1" has the root's rotation as two matrix columns, which do not jump when the body turns over. To
+    stay at 276 columns it omits the root's constant x and z position, and its sideways velocity, which
+    root_xz_velocity already holds.
+
+    Raises:
+        ModelError: the version is unknown.
     """
     if version not in LAYOUTS:
-        raise ModelError(f"feature layout {version!r} is unknown, expected one of {', '.join(LAYOUTS)}")
-    continuous = version.startswith("sixd")
+        raise ModelError(f"unknown feature layout {version!r}, expected one of {', '.join(LAYOUTS)}")
+    continuous = version == "sixd-root-1"
     others = range(1, JOINT_COUNT)
     parts = [
         _block("root_yaw_velocity", [0], (-1.0,)),
@@ -102,18 +116,11 @@ def _root_vector(name: str, components: tuple[int, ...]) -> list[Column]:
     return [Column(name, 0, k, _VECTOR[k]) for k in components]
 
 
-def root_height_column(version: str) -> int:
-    """The column of the root's height above the floor."""
-    layout = feature_layout(version)
-    block = layout.blocks["joint_positions"]
-    return next(i for i in range(block.start, block.stop) if layout.columns[i].component == 1)
-
-
 def contact_mirror() -> Array:
     """Indices (4,) that swap the contacts of the left and the right foot."""
     return np.array([2, 3, 0, 1])
 
 
 def column_names(version: str = DEFAULT_LAYOUT) -> list[str]:
-    """276 readable names such as joint_positions.LeftFoot.1, for logs and exports."""
+    """Readable names of the 276 columns, such as joint_positions.LeftFoot.1, for logs and exports."""
     return [f"{c.block}.{JOINT_NAMES[c.joint]}.{c.component}" for c in feature_layout(version).columns]

@@ -1,16 +1,16 @@
-"""The reference: an outline of the coming second's poses, which tells a body what to do next.
+"""Reference poses: embeddings of poses up to half a second ahead, which tell the body what to do next.
 
-The paper has no such signal. A walk can be told from its last steps; what comes next in a dance, and when a
-stance turns into a kick, cannot, and a network that has to guess answers with the mean of all guesses, which
-is to stand still. An outline writes a pose as a few numbers: where the joints are, along the directions in
-which recorded poses differ most (principal components). The reference of a frame is the outline of poses a little
-ahead of it. It says nothing of the way over the ground: that is the trajectory's.
+The paper has no such signal. A network can continue a walk from its last steps, but it cannot know what comes
+next in a dance or when a stance turns into a kick; if it has to guess, it predicts the mean of all continuations,
+which is to stand still. A pose embedding describes a pose by a few numbers: its joint positions along the
+principal components of recorded poses. The reference of a frame holds the embeddings of a few poses ahead of it.
+It says nothing about the path over the ground; that is the trajectory.
 
-The network is shown how far each of these poses is from the present one, which is nearly the movement it is to
-make, and brings a body that has strayed back to what is asked for.
+The network sees the difference between each of these poses and the current one. This is close to the movement it
+has to make, and it draws a body that has drifted back to the reference.
 
-Half of the directions are even and half are odd under left and right exchanged, so that the outline of a
-mirrored pose is the same outline with some signs changed.
+Each principal component is even or odd under a swap of left and right, so mirroring a pose only changes signs of
+its embedding.
 """
 
 from __future__ import annotations
@@ -26,34 +26,35 @@ from motionkit.features.normalize import Scaling
 EMBEDDING_COUNT = 24
 REFERENCE_OFFSETS: tuple[int, ...] = (5, 15, 30)  # frames ahead, at 60 fps
 REFERENCE_COUNT = EMBEDDING_COUNT * len(REFERENCE_OFFSETS)
-LEAST_SHARE = 1e-6  # of the largest variance, for a direction to count
-# Near poses differ less from the present one; in these units all three are of about the same size.
+LEAST_SHARE = 1e-6  # of the largest variance; directions with less are dropped
+# Nearer poses differ less from the current one; these factors bring all three to about the same size.
 REFERENCE_SCALES: tuple[float, ...] = (4.0, 2.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
 class PoseEmbedding:
-    """A linear map from unnormalised features to reference_clips, which have about unit size.
+    """A linear map from unnormalised features to pose embeddings, whose values have about unit size.
 
     Attributes:
-        matrix: (276, 24); only joint positions count.
-        offset: (24,) subtracted.
+        matrix: (276, 24); only joint positions have weights.
+        offset: (24,) subtracted from the product.
     """
 
     matrix: Array
     offset: Array
 
     def of(self, features: Array) -> Array:
-        """Outlines (..., 24) of features (..., 276), unnormalised."""
+        """Pose embeddings (..., 24) of unnormalised features (..., 276)."""
         return features @ self.matrix - self.offset
 
 
 def fit_pose_embedding(features: Array, weights: Array, layout: FeatureLayout) -> PoseEmbedding:
-    """The directions in which poses differ most, those even and those odd under mirroring together in order.
+    """Fit the principal components of the joint positions, each even or odd under mirroring, by variance.
 
     Args:
         features: (N, 276) unnormalised.
-        weights: (N,) how much each frame counts.
+        weights: (N,) weight of each frame.
+        layout: columns of the features.
     """
     block = layout.blocks["joint_positions"]
     poses = features[:, block].astype(np.float64)
@@ -63,7 +64,7 @@ def fit_pose_embedding(features: Array, weights: Array, layout: FeatureLayout) -
     rows = np.arange(poses.shape[1])
     swap[indices[block] - block.start, rows] = signs[block].astype(np.float64)
     mean = share @ poses
-    # Over poses and their mirror images, whose mean is even and whose covariance keeps even and odd apart.
+    # Average over poses and their mirror images: the mean is even, and the covariance separates even from odd.
     mean = 0.5 * (mean + mean @ swap)
     moved = poses - mean
     spread = moved.T @ (moved * share[:, None])
@@ -71,14 +72,13 @@ def fit_pose_embedding(features: Array, weights: Array, layout: FeatureLayout) -
     values, vectors = np.linalg.eigh(spread)
     best = np.argsort(-values, kind="stable")[:EMBEDDING_COUNT]
     directions = vectors[:, best]
-    # A direction and its negative are one: the largest number of each is positive, the first of those that left and
-    # right have in common.
+    # Fix the sign of each direction: its largest component is positive (the first one, where left and right tie).
     sizes = np.abs(directions)
     largest = (sizes > 0.999 * sizes.max(axis=0)).astype(np.int32).argmax(axis=0)
     directions = directions * np.sign(directions[largest, np.arange(len(best))])
-    # Where poses differ along fewer directions the others would be any, and other ones on another machine.
+    # Directions without variance are arbitrary and would depend on the machine: drop them.
     directions = directions * (values[best] > LEAST_SHARE * values[best[0]])
-    # Small directions stay small beside large ones, but are not lost.
+    # Directions of small variance stay small relative to large ones, but are not lost.
     scale = np.sqrt(np.maximum(values[best], 0.0))
     scale = np.maximum(np.maximum(scale, 0.3 * scale.max()), 1e-6)
     matrix = np.zeros((features.shape[1], EMBEDDING_COUNT), np.float64)
@@ -87,7 +87,7 @@ def fit_pose_embedding(features: Array, weights: Array, layout: FeatureLayout) -
 
 
 def reference_signal(reference_clips: Array, frames: Array) -> Array:
-    """Guides (..., 72) of frames (...), indices into reference_clips (T, 24); the last outline is held beyond its end."""
+    """Reference poses (..., 72) at frames (...) of a reference clip (T, 24); its last pose is held beyond its end."""
     ahead = frames[..., None] + np.array(REFERENCE_OFFSETS)
     return reference_clips[np.minimum(ahead, len(reference_clips) - 1)].reshape(
         *frames.shape, REFERENCE_COUNT
@@ -96,11 +96,11 @@ def reference_signal(reference_clips: Array, frames: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class ReferenceMap:
-    """What turns a reference into what the network is shown of it: gains x reference - (x @ matrix + constant).
+    """Maps reference poses to the network's input: gains * reference - (x @ matrix + constant).
 
     Attributes:
-        gains: (72,).
-        matrix, constant: (276, 72), (72,) of the present frame x, normalised.
+        gains: (72,) scale of each value.
+        matrix, constant: (276, 72) and (72,): the scaled embedding of the current normalised frame x.
     """
 
     gains: Array
@@ -108,13 +108,13 @@ class ReferenceMap:
     constant: Array
 
     def shown(self, reference: Array, x: Array) -> Array:
-        """Guides (..., 72) as seen from normalised frames x (..., 276)."""
+        """Reference poses (..., 72) relative to the current normalised frames x (..., 276)."""
         return self.gains * reference - (x @ self.matrix + self.constant)
 
 
-def reference_map(outline: PoseEmbedding, scaling: Scaling) -> ReferenceMap:
-    """The map of an outline and of the scaling of features."""
+def reference_map(embedding: PoseEmbedding, scaling: Scaling) -> ReferenceMap:
+    """The ReferenceMap of a pose embedding and the scaling of the features."""
     gains = np.array(REFERENCE_SCALES, np.float32).repeat(EMBEDDING_COUNT)
-    matrix = np.tile(scaling.std[:, None] * outline.matrix, len(REFERENCE_OFFSETS))
-    constant = np.tile(scaling.mean @ outline.matrix - outline.offset, len(REFERENCE_OFFSETS))
+    matrix = np.tile(scaling.std[:, None] * embedding.matrix, len(REFERENCE_OFFSETS))
+    constant = np.tile(scaling.mean @ embedding.matrix - embedding.offset, len(REFERENCE_OFFSETS))
     return ReferenceMap(gains, matrix * gains, constant * gains)

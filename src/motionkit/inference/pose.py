@@ -122,10 +122,11 @@ class PoseDecoder:
     """Local rotations and root place of a frame of features."""
 
     def __init__(self, layout: str, reference_rotations: Floats) -> None:
-        blocks = feature_layout(layout).blocks
-        self.continuous = layout.startswith("sixd")
+        columns = feature_layout(layout)
+        blocks = columns.blocks
+        self.continuous = columns.root_is_sixd
         self.root, self.joints = blocks["root_rotation"], blocks["joint_rotations"]
-        self.height = blocks["joint_positions"].start + (0 if self.continuous else 1)
+        self.height = columns.root_height
         self.reference_rotations = np.ascontiguousarray(reference_rotations[1:] @ LEFT).reshape(
             JOINT_COUNT - 1, 4, 4
         )

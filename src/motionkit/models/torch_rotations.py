@@ -82,10 +82,10 @@ def sixd_to_quat(sixd: Tensor) -> Tensor:
 
 def decode_rotations(features: Tensor, reference_rotations: Tensor, layout: str) -> Tensor:
     """Local rotations (..., 23, 4) of features (..., 276), unnormalised, the root's relative to its heading."""
-    blocks = feature_layout(layout).blocks
-    root = features[..., blocks["root_rotation"]]
-    root = sixd_to_quat(root) if layout.startswith("sixd") else expmap_to_quat(root)
-    expmaps = features[..., blocks["joint_rotations"]]
+    columns = feature_layout(layout)
+    root = features[..., columns.blocks["root_rotation"]]
+    root = (sixd_to_quat if columns.root_is_sixd else expmap_to_quat)(root)
+    expmaps = features[..., columns.blocks["joint_rotations"]]
     joints = expmap_to_quat(expmaps.reshape(*expmaps.shape[:-1], -1, 3))
     joints = quat_multiply(reference_rotations[1:].to(joints), joints)
     return torch.cat([root[..., None, :], joints], dim=-2)

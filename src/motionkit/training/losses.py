@@ -16,7 +16,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from motionkit.data.dataset import Dataset
-from motionkit.features.layout import feature_layout, root_height_column
+from motionkit.features.layout import feature_layout
 from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
 from motionkit.models.network import PartTransformer, Prediction
 from motionkit.models.torch_rotations import decode_rotations, quat_from_yaw, quat_multiply, quat_rotate
@@ -101,7 +101,7 @@ class FeatureSpace:
 
     def root_height(self, features: Tensor) -> Tensor:
         """Height (...) in cm of the root, from unnormalised features."""
-        return features[..., root_height_column(self.layout)]
+        return features[..., feature_layout(self.layout).root_height]
 
 
 def _mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -18,12 +18,12 @@ from motionkit.control.script import TypePart, crowd_controller
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
-from motionkit.features.layout import FeatureLayout
+from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.files import safe_name
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run, start_batch
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
-from motionkit.motion.skeleton import FOOT_JOINTS
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
 LOW_TOE = 5.0  # cm; the standing toe joint is at 4.1
 MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
@@ -98,12 +98,14 @@ def _real_frames(dataset: Dataset, kind: int) -> Array:
         if bool(chosen.any()) and taken < MAX_REAL_FRAMES:
             parts.append(dataset.read(clip).features[chosen][: MAX_REAL_FRAMES - taken])
             taken += len(parts[-1])
-    return np.concatenate(parts) if parts else np.zeros((0, 276), np.float32)
+    return np.concatenate(parts) if parts else np.zeros((0, FEATURE_COUNT), np.float32)
 
 
 def _score(kind: str, made: Array, real: Array, layout: FeatureLayout) -> TypeScore:
     positions = layout.blocks["joint_positions"]
-    distance = distances_between(made[::4, positions], real[:, positions]).min(axis=1).mean() / 23**0.5
+    distance = (
+        distances_between(made[::4, positions], real[:, positions]).min(axis=1).mean() / JOINT_COUNT**0.5
+    )
     height = root_height(made, layout.version)
     return TypeScore(
         kind,
@@ -116,7 +118,7 @@ def _score(kind: str, made: Array, real: Array, layout: FeatureLayout) -> TypeSc
 
 def _joint_speed(features: Array, layout: FeatureLayout) -> Array:
     turns = features[:, layout.blocks["joint_angular_velocities"]]
-    return np.linalg.norm(turns.reshape(len(features), 22, 3), axis=-1).mean()
+    return np.linalg.norm(turns.reshape(len(features), JOINT_COUNT - 1, 3), axis=-1).mean()
 
 
 def _slide(features: Array, layout: FeatureLayout) -> Array:

@@ -21,6 +21,7 @@ from torch.nn.parallel import DistributedDataParallel
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.features.control import ControlLayout
+from motionkit.features.layout import FEATURE_COUNT
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import save_model
 from motionkit.models.consistency import ConsistencyModules
@@ -42,8 +43,8 @@ from motionkit.training.scheduled_sampling import (
 from motionkit.training.scores import TypeScore, score_rollouts
 from motionkit.training.warm_start import warm_start
 
-# The paper's sum counts 276 columns; per column the gradient norm does not depend on their number.
-LOSS_SCALE = 1.0 / 276.0
+# The paper's loss is a sum over all columns; as a mean, the gradient norm does not depend on their number.
+LOSS_SCALE = 1.0 / FEATURE_COUNT
 # Options that may change when a run goes on: how long, how often it reports, what it writes.
 FREE_ON_RESUME = (
     "steps", "minutes", "checkpoint_seconds", "score_minutes", "score_seconds", "log_every", "half",
