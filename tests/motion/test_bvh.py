@@ -1,4 +1,4 @@
-"""Reading and writing BVH: every accepted variant, round trips, and files that appear whole or not at all."""
+"""Reading and writing BVH: every accepted variant, round trips, atomic writes."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from motionkit.motion.skeleton import Skeleton
 
 
 def same_file(a: BvhFile, b: BvhFile) -> bool:
-    """Whether two files say the same, to the digits that are written."""
+    """Whether two files are equal, up to the digits written."""
     return (
         a.skeleton.same_hierarchy(b.skeleton)
         and a.channels == b.channels

@@ -1,4 +1,4 @@
-"""Broken BVH files, one fault each: one clear line that names file and line, at once, no traceback."""
+"""Broken BVH files with one fault each give one clear error with file and line, and no traceback."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ FAULTS = [
     ("brace_open_missing.bvh", 16, "expected '{' after JOINT LeftLeg"),
     ("brace_open_twice.bvh", 17, "'{' without a joint"),
     ("channel_count_wrong.bvh", 9, "CHANNELS of JOINT Spine"),
-    ("channels_after_children.bvh", 13, "CHANNELS of JOINT Spine stands after its children"),
+    ("channels_after_children.bvh", 13, "CHANNELS of JOINT Spine comes after its children"),
     ("channels_of_end_site.bvh", 22, "an End Site has no CHANNELS"),
-    ("channels_twice.bvh", 10, "a second CHANNELS of JOINT Spine"),
+    ("channels_twice.bvh", 10, "second CHANNELS of JOINT Spine"),
     ("comma_decimals.bvh", 29, "expected numbers for frame 1, found '90,1'"),
-    ("duplicate_joint.bvh", 15, "a second joint named 'Spine' (the first is on line 6)"),
+    ("duplicate_joint.bvh", 15, "second joint named 'Spine' (the first is on line 6)"),
     ("empty.bvh", 1, "is empty"),
     ("frame_time_missing.bvh", 27, "expected 'Frame Time: SECONDS'"),
     ("frame_time_nan.bvh", 27, "finite"),
@@ -37,8 +37,8 @@ FAULTS = [
     ("frames_not_a_number.bvh", 26, "whole number of frames, found 'many'"),
     ("huge_frame_count.bvh", 26, "whole number of frames, found '99999999999999999999'"),
     ("infinite.bvh", 29, "value 2 of frame 1 is -inf"),
-    ("joint_in_end_site.bvh", 22, "JOINT 'Toe' stands inside an End Site"),
-    ("joint_outside_root.bvh", 25, "JOINT 'Lost' stands outside the ROOT"),
+    ("joint_in_end_site.bvh", 22, "JOINT 'Toe' is inside an End Site"),
+    ("joint_outside_root.bvh", 25, "JOINT 'Lost' is outside the ROOT"),
     ("joint_without_name.bvh", 15, "expected a name after JOINT"),
     ("long_row.bvh", 29, "expected 12 values in frame 1, found 13"),
     ("motion_missing.bvh", 30, "ends before its MOTION section"),
@@ -46,27 +46,27 @@ FAULTS = [
     ("nan_offset.bvh", 17, "OFFSET of JOINT LeftLeg, found 'nan'"),
     ("negative_frames.bvh", 26, "whole number of frames, found '-3'"),
     ("no_channels_at_all.bvh", 22, "declares no channels"),
-    ("no_root.bvh", 2, "JOINT 'Hips' stands outside the ROOT"),
+    ("no_root.bvh", 2, "JOINT 'Hips' is outside the ROOT"),
     ("not_a_bvh.bvh", 1, "expected HIERARCHY, found 'solid cube'"),
-    ("offset_after_child.bvh", 8, "an End Site stands before the OFFSET of JOINT Spine"),
-    ("offset_missing.bvh", 17, "LeftLeg stands before its OFFSET"),
+    ("offset_after_child.bvh", 8, "an End Site comes before the OFFSET of JOINT Spine"),
+    ("offset_missing.bvh", 17, "LeftLeg comes before its OFFSET"),
     ("offset_not_a_number.bvh", 17, "OFFSET of JOINT LeftLeg, found 'five'"),
     ("offset_of_end_site_missing.bvh", 21, "End Site has no OFFSET"),
-    ("offset_twice.bvh", 18, "a second OFFSET of JOINT LeftLeg"),
+    ("offset_twice.bvh", 18, "second OFFSET of JOINT LeftLeg"),
     ("offset_two_numbers.bvh", 17, "expected 3 numbers after OFFSET of JOINT LeftLeg, found 2"),
     ("overflow.bvh", 29, "value 2 of frame 1 is inf"),
     ("repeated_channel.bvh", 9, "a channel of JOINT Spine is listed twice"),
     ("short_row.bvh", 29, "expected 12 values in frame 1, found 11"),
-    ("too_few_rows.bvh", 30, "declares 4 frames but holds 3"),
-    ("too_many_rows.bvh", 30, "declares 2 frames but holds 3"),
+    ("too_few_rows.bvh", 30, "declares 4 frames but has 3"),
+    ("too_many_rows.bvh", 30, "declares 2 frames but has 3"),
     ("truncated_after_motion.bvh", 26, "expected 'Frames: COUNT'"),
-    ("truncated_between_rows.bvh", 29, "declares 3 frames but holds 2; the file is truncated"),
+    ("truncated_between_rows.bvh", 29, "declares 3 frames but has 2; the file is truncated"),
     ("truncated_in_hierarchy.bvh", 10, "ends before its MOTION section"),
     ("truncated_in_motion_header.bvh", 27, "expected 'Frame Time: SECONDS'"),
     ("truncated_in_row.bvh", 30, "expected 12 values in frame 2, found 5; the file is truncated"),
     ("truncated_in_word.bvh", 9, "ends before its MOTION section"),
-    ("truncated_without_rows.bvh", 27, "declares 3 frames but holds 0"),
-    ("two_roots.bvh", 25, "a second ROOT 'Other'"),
+    ("truncated_without_rows.bvh", 27, "declares 3 frames but has 0"),
+    ("two_roots.bvh", 25, "second ROOT 'Other'"),
     ("underscore_in_number.bvh", 29, "found '90_1'"),
     ("unknown_channel.bvh", 9, "unknown channel 'Wrotation' of JOINT Spine"),
     ("unknown_word.bvh", 9, "found 'CHANELS'"),
@@ -110,7 +110,7 @@ def test_hierarchy_ten_thousand_deep(tmp_path: Path) -> None:
         + "\n"
     )
     fault = fault_of(path)
-    assert "nested more than 200 deep" in str(fault) and fault.line == 3 + 4 * 200
+    assert "nested more than 200 levels deep" in str(fault) and fault.line == 3 + 4 * 200
 
 
 def test_too_many_joints(tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_fault_far_down_a_long_file(tmp_path: Path, good_text: str) -> None:
 
 
 def test_every_truncation_is_refused_or_whole(tmp_path: Path, good_text: str) -> None:
-    """Cut after any byte the file is refused; only inside the last number nobody can tell."""
+    """A file cut after any byte is refused, except inside the last number, where it cannot be detected."""
     path = tmp_path / "cut.bvh"
     last_number = good_text.rindex(" ") + 2
     for length in range(len(good_text)):
@@ -197,7 +197,7 @@ def test_random_damage_never_surprises(tmp_path: Path, good_text: str) -> None:
 
 
 def changed(folder: Path, text: str, line: int, old: str, new: str) -> Path:
-    """The text with one word of one line (from 1) changed, as a file."""
+    """A file with one word of one line (counted from 1) changed."""
     lines = text.split("\n")
     assert old in lines[line - 1]
     lines[line - 1] = lines[line - 1].replace(old, new, 1)
@@ -208,7 +208,7 @@ def changed(folder: Path, text: str, line: int, old: str, new: str) -> Path:
 
 @pytest.mark.parametrize("number", ["1e39", "-1e39", "1e308", "10000001", "-1.5e7"])
 def test_numbers_that_no_motion_has(tmp_path: Path, good_text: str, number: str) -> None:
-    """A position, an angle or an offset beyond ten million is refused with its line and itself."""
+    """A position, angle or offset beyond ten million is refused; the error names its line and value."""
     fault = fault_of(changed(tmp_path, good_text, 29, " 90.1 ", f" {number} "))
     assert fault.line == 29 and "value 2 of frame 1 is" in str(fault) and "up to 10,000,000" in str(fault)
     offset = good_text.split("\n")[16].split()[1]
@@ -281,7 +281,7 @@ def test_pipes_devices_and_huge_files_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("number", [float("nan"), float("inf"), 1e38])
 def test_a_motion_that_cannot_be_read_is_not_written(tmp_path: Path, make_motion, number: float) -> None:
-    """The good file at the place stays, whether a position, an angle or an offset is to blame."""
+    """An invalid position, angle or offset leaves the good file at the path unchanged."""
     path = tmp_path / "good.bvh"
     write_bvh(path, make_motion(4))
     before = path.read_bytes()

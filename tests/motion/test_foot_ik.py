@@ -30,7 +30,7 @@ LEGS = [JOINT_NAMES.index(s + n) for s in ("Left", "Right") for n in ("UpLeg", "
 
 
 def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
-    """Contacts (T, 4) with the feet down over the given frames."""
+    """Contacts (T, 4) with both feet down in the given frames."""
     contacts = np.zeros((frames, 4), np.float32)
     for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
         for start, end in spans:
@@ -39,7 +39,7 @@ def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, i
 
 
 def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Motion:
-    """A body whose standing feet slide with its root, at speed in cm/s; its knees bent by crouch radians."""
+    """A body whose feet slide with its root at `speed` cm/s, with knees bent by `crouch` radians."""
     return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
 
 
@@ -48,7 +48,7 @@ def toe_track(motion: Motion, toe: int) -> Array:
 
 
 def drift(motion: Motion, toe: int, start: int, end: int) -> float:
-    """How far a toe strays from where it is on average over some frames, cm; it may rise at their ends."""
+    """Largest distance of a toe from its mean place over some frames, cm; it may rise at their ends."""
     track = toe_track(motion, toe)[start:end]
     along, height = track[:, [0, 2]], track[2 * LIFT_FRAMES : -2 * LIFT_FRAMES, 1]
     aside = np.linalg.norm(along - along.mean(axis=0), axis=-1).max()
@@ -69,7 +69,7 @@ def test_a_locked_foot_of_a_sliding_walk_stays_where_it_is(crouch: float) -> Non
 
 
 def test_locks_close_together_all_hold() -> None:
-    """Three steps of one foot a few frames apart: no lock is disturbed by the easing of the next."""
+    """Three steps of one foot a few frames apart: the easing of one lock does not disturb another."""
     motion = sliding(100, 20.0)
     spans = [(20, 35), (38, 52), (56, 75)]
     locked = lock_feet(motion, feet_down(100, spans, []))
@@ -139,7 +139,7 @@ def test_bones_keep_their_lengths() -> None:
 
 
 def test_knees_bend_forward_when_the_hips_come_down() -> None:
-    """A lock with the hips 6 cm lower: both knees go forward, neither backward nor aside."""
+    """A lock with the hips 6 cm lower: both knees bend forward, neither backward nor sideways."""
     motion = make_idle(60)
     root = motion.root_positions.copy()
     root[20:40, 1] -= 6.0
@@ -201,7 +201,7 @@ def test_a_single_frame_comes_back() -> None:
 
 
 def test_a_foot_that_has_slid_too_far_steps_over() -> None:
-    """It would be seen to skate from its old place to the new one."""
+    """Otherwise it would skate visibly from its old place to the new one."""
     motion = sliding(120, 60.0)
     low = motion.root_positions.copy()
     low[:, 1] -= float(toe_track(motion, LEFT_TOE)[:, 1].max()) - 2.0

@@ -1,4 +1,4 @@
-"""Forward kinematics: simple poses, rigid moves, and bvhio as the oracle."""
+"""Forward kinematics: simple poses, rigid transforms, and comparison with bvhio."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]
 
 
 def bvh_with_order(order: str, six_channels: bool) -> str:
-    """A BVH of five joints, two branches, a moved root offset, random angles within all quadrants."""
+    """A BVH of five joints with two branches, a root offset, and random angles in all quadrants."""
     turns = " ".join(f"{axis}rotation" for axis in order)
     moves = "Yposition Xposition Zposition"
     root = f"CHANNELS 6 {moves} {turns}"

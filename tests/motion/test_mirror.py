@@ -1,4 +1,4 @@
-"""Mirroring: names, geometry, twice gives the original, rigs of every kind."""
+"""Mirroring: names, geometry, mirroring twice, and rigs of every kind."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def rotations(order: str) -> tuple[str, ...]:
 
 
 def random_motion(skeleton: Skeleton, frames: int = 7, seed: int = 0, spread: float = 0.4) -> Motion:
-    """Small random turns about the rest pose, so that the mean pose stays near it."""
+    """Small random rotations about the rest pose, so that the mean pose stays near it."""
     generator = np.random.default_rng(seed)
     quat = generator.standard_normal((frames, len(skeleton), 4), np.float32) * spread
     quat[..., 0] += 1.0
@@ -75,7 +75,7 @@ def world_aligned_rig(left: str = "Left{}", right: str = "Right{}", axis: int = 
 
 
 def bone_aligned_rig() -> Motion:
-    """A T-pose with wiggles: X runs along every bone, and the right side's axes are all inverted."""
+    """A T-pose with small rotations; X points along every bone, and all axes of the right side are inverted."""
     names = (
         "root",
         "hips",
@@ -290,7 +290,7 @@ def test_different_hierarchies_on_the_sides_are_refused() -> None:
     skeleton = world_aligned_rig()
     parents = list(skeleton.parents)
     parents[9] = 0
-    with pytest.raises(SkeletonError, match=r"LeftHand hangs from LeftArm but RightHand from Hips"):
+    with pytest.raises(SkeletonError, match=r"LeftHand has the parent LeftArm but RightHand has Hips"):
         mirror_motion(random_motion(replace(skeleton, parents=tuple(parents))))
 
 
@@ -321,7 +321,7 @@ def test_folder_goes_on_past_broken_files(tmp_path: Path) -> None:
     assert [p.name for p in (tmp_path / "out").rglob("*") if p.is_file()] == ["good.bvh"]
     with pytest.raises(MotionkitError, match=r"bad\.BVH"):
         list(mirror_folder(source, tmp_path / "strict", strict=True))
-    with pytest.raises(MotionkitError, match="no BVH file"):
+    with pytest.raises(MotionkitError, match="no .bvh files found"):
         list(mirror_folder(tmp_path / "out" / "nothing", tmp_path / "x"))
 
 
@@ -335,7 +335,7 @@ def test_files_twice_within_a_ten_thousandth(tmp_path: Path) -> None:
 
 
 def test_a_bone_without_length_whose_twin_is_ten_kilometres_long(make_motion) -> None:
-    """Its misfit is so large that a thousandth more is the same number."""
+    """Its misfit is so large that adding a thousandth does not change it."""
     bvh = motion_to_bvh(make_motion(4))
     bvh.skeleton.offsets[bvh.skeleton.index("LeftForeArm")] = 0.0
     bvh.skeleton.offsets[bvh.skeleton.index("RightForeArm"), 0] = -1e7

@@ -1,4 +1,4 @@
-"""Changing the rate of a motion."""
+"""Resampling a motion to another frame rate."""
 
 from __future__ import annotations
 

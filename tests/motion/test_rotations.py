@@ -1,4 +1,4 @@
-"""Properties of the rotation maths, with samples near no rotation and near half a turn."""
+"""Properties of the rotation functions, with samples near zero and near half a turn."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def expmaps(dtype: type) -> Array:
 
 
 def same_rotation(a: Array, b: Array) -> Array:
-    """How far two unit quaternions are apart, whichever their signs (...)."""
+    """The distance (...) between unit quaternions, regardless of sign."""
     return np.minimum(np.abs(a - b).max(-1), np.abs(a + b).max(-1))
 
 

@@ -1,4 +1,4 @@
-"""Units guessed from leg lengths."""
+"""Detection of units from leg lengths."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""BVH file in, Skeleton and Motion out, and back: rotations, kinematics, retargeting, mirroring."""
+"""BVH files to Skeleton and Motion and back: rotations, kinematics, retargeting, mirroring, foot IK."""

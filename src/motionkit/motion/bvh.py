@@ -1,7 +1,7 @@
-"""BVH files: reading, writing, and the way to and from Motion.
+"""BVH files: reading, writing, and conversion to and from Motion.
 
-bvhio reads the hierarchy, numpy the motion block: several times quicker than bvhio's own keyframes
-(benchmarks/bvh_reading.py) and exact in float64. Degrees exist in this file only.
+bvhio reads the hierarchy and numpy the motion block, which is several times faster than bvhio's keyframes
+(benchmarks/bvh_reading.py) and exact in float64. Only this file uses degrees.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from motionkit.motion.rotations import euler_to_quat, quat_continuous, quat_to_e
 from motionkit.motion.skeleton import Skeleton
 
 POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
-ROTATION_ORDER = "ZYX"  # the order of the CMU files, and of what motionkit writes
+ROTATION_ORDER = "ZYX"  # the order of the CMU files and of motionkit's own files
 
 
 @dataclass(frozen=True, eq=False)
 class BvhFile:
-    """What a BVH file says, in its own units.
+    """The contents of a BVH file, in its own units.
 
     Attributes:
         skeleton: hierarchy and rest pose, lengths in file units.
-        channels: for each joint its channel names, in the order of the file.
-        values: (T, C) the motion block, degrees and file units, channels of all joints side by side.
+        channels: the channel names of each joint, in file order.
+        values: (T, C) the motion block in degrees and file units; C counts the channels of all joints.
         frame_time: seconds per frame, as declared.
     """
 
@@ -44,13 +44,13 @@ class BvhFile:
 
     @property
     def fps(self) -> float:
-        """The declared rate, rounded to a whole number when it is within 1 % of one."""
+        """The declared frame rate, rounded to an integer if it is within 1 % of one."""
         rate = 1.0 / self.frame_time
         whole = round(rate)
         return float(whole) if whole and abs(rate - whole) < 0.01 * whole else rate
 
     def columns(self) -> list[range]:
-        """For each joint its columns in values."""
+        """The columns of each joint in values."""
         out, start = [], 0
         for names in self.channels:
             out.append(range(start, start + len(names)))
@@ -59,8 +59,8 @@ class BvhFile:
 
 
 def read_bvh(path: str | Path) -> BvhFile:
-    """Read a BVH file; raises BvhError naming file and line for anything that is not one."""
-    import bvhio  # a quarter of a second, for those who read
+    """Read a BVH file; raises BvhError, naming file and line, if it is invalid."""
+    import bvhio  # here, because the import takes a quarter of a second
 
     text = read_bvh_text(path)
     with tempfile.NamedTemporaryFile("w", suffix=".bvh", encoding="ascii", delete=False) as header:
@@ -92,7 +92,7 @@ def read_bvh(path: str | Path) -> BvhFile:
 
 
 def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) -> Motion:
-    """The motion in a BVH file, lengths multiplied by scale, at the declared rate unless fps is given."""
+    """The motion of a BVH file, with lengths multiplied by scale, at the declared frame rate or at fps."""
     frames, joints = bvh.values.shape[0], len(bvh.skeleton)
     rotations = np.zeros((frames, joints, 4), np.float64)
     offsets = bvh.skeleton.offsets.astype(np.float64)
@@ -122,9 +122,9 @@ def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) ->
 
 
 def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None = None) -> BvhFile:
-    """The BVH form of a motion, with the given channels or six for the root and ZYX rotations elsewhere.
+    """Convert a motion to BVH channels: those given, or six for the root and ZYX rotations for other joints.
 
-    Angles are unrolled over time, so that curves in an editor do not jump by 360 degrees.
+    Angles are unwrapped over time, so that curves in an editor do not jump by 360 degrees.
     """
     if channels is None:
         turns = tuple(f"{axis}rotation" for axis in ROTATION_ORDER)
@@ -151,7 +151,7 @@ def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None =
 
 
 def _unrolled_eulers(motion: Motion, orders: list[str]) -> Array:
-    """Euler angles (T, J, 3) in degrees: of two equal triples the nearer one, without 360-degree jumps."""
+    """Unwrapped Euler angles (T, J, 3) in degrees; of two equivalent triples, the one nearer to the previous frame."""
     first = np.zeros((len(motion), len(orders), 3))
     for joint, order in enumerate(orders):
         if len(order) not in (0, 3):
@@ -172,9 +172,11 @@ def _unrolled_eulers(motion: Motion, orders: list[str]) -> Array:
 
 
 def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) -> None:
-    """Write a BVH file, whole or not at all; lengths are multiplied by scale on the way out.
+    """Write a BVH file atomically, with lengths multiplied by scale.
 
-    Raises BvhError for numbers that read_bvh would refuse, such as NaN, before path is touched.
+    Raises:
+        BvhError: a value is one that read_bvh would refuse, such as NaN; path is unchanged then.
+        MotionkitError: path cannot be written.
     """
     bvh = (
         motion
@@ -194,7 +196,7 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
 
 
 def _check_numbers(path: str | Path, bvh: BvhFile) -> None:
-    """Raise BvhError if a number cannot stand in a file: what lies at path is worth more than that."""
+    """Raise BvhError for a value that a file cannot hold, so that it does not replace a good file at path."""
     found = implausible_value(bvh.values)
     if found:
         raise BvhError(path, f"not written: {found[1]}")
@@ -207,7 +209,7 @@ def _check_numbers(path: str | Path, bvh: BvhFile) -> None:
 
 
 def _depth_first(bvh: BvhFile) -> BvhFile:
-    """The same file with every joint right after its parent's earlier branches, as the format nests them."""
+    """The same file with its joints in depth-first order, as the format nests them."""
     skeleton = bvh.skeleton
     order: list[int] = []
     waiting = [0]
@@ -244,7 +246,7 @@ def _hierarchy_lines(bvh: BvhFile) -> list[str]:
     lines: list[str] = []
     for joint, parent in enumerate(skeleton.parents):
         depth[joint] = depth[parent] + 1 if parent >= 0 else 0
-        if joint:  # close what lies between the joint written last and this one
+        if joint:  # close the brackets between the previous joint and this one
             lines.extend("\t" * d + "}" for d in range(depth[joint - 1], depth[joint] - 1, -1))
         tab = "\t" * depth[joint]
         x, y, z = (float(v) for v in skeleton.offsets[joint])

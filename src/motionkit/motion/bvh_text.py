@@ -1,7 +1,7 @@
-"""Checks the text of a BVH file before any parser sees it, so that every fault has a line number.
+"""Checks the text of a BVH file before it is parsed, so that every error has a line number.
 
-The hierarchy's grammar is walked without recursion and written out again in the plainest form; the
-motion block is counted as bytes. What leaves this module is safe to hand to bvhio and to numpy.
+The grammar of the hierarchy is checked without recursion and the hierarchy rewritten in normal form; the motion
+block is checked as bytes. The output is safe to pass to bvhio and numpy.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,8 @@ MAX_BYTES = 512 * 2**20
 MAX_DEPTH = 200
 MAX_JOINTS = 2000
 MAX_NAME = 200
-# Of an offset, a position (10 km in millimetres) or an angle (28,000 turns in degrees). No real file reaches
-# it in any unit, and what is computed from such numbers stays far from the end of float32.
+# Limit for offsets, positions (10 km in millimetres) and angles (28,000 turns in degrees). No real file reaches it
+# in any unit, and results computed from such numbers stay far within the range of float32.
 MAX_NUMBER = 1e7
 SHORTEST_FRAME, LONGEST_FRAME = 1e-4, 1.0  # seconds
 CHANNEL_NAMES = {
@@ -37,8 +38,8 @@ WHOLE_NUMBER = re.compile(r"[0-9]{1,9}")
 class BvhText:
     """A checked file: a normalised header for bvhio, and the motion block as numbers.
 
-    In the header the joints are called j0, j1, ... in file order, so that no name (with spaces, in
-    Latin-1) can trouble the parser; names holds the real ones.
+    The header calls the joints j0, j1, ... in file order, so that no unusual name (with spaces, in Latin-1) can
+    confuse the parser; `names` holds the real names.
     """
 
     header: str
@@ -50,7 +51,7 @@ class BvhText:
 
 
 def read_bvh_text(path: str | Path) -> BvhText:
-    """Read and check a BVH file; raises BvhError with the line of the first fault."""
+    """Read and check a BVH file; raises BvhError with the line of the first error."""
     data = _read_bytes(path)
     text = _decode(path, data)
     lines = text.split("\n")
@@ -75,16 +76,14 @@ def _read_bytes(path: str | Path) -> bytes:
 
 def _decode(path: str | Path, data: bytes) -> str:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
-        raise BvhError(
-            path, "is UTF-16 text, expected plain ASCII, UTF-8 or Latin-1; save it again as UTF-8", 1
-        )
+        raise BvhError(path, "is UTF-16 text, expected ASCII, UTF-8 or Latin-1; save it as UTF-8", 1)
     if b"\x00" in data:
-        raise BvhError(path, "holds zero bytes, expected text; this is a binary or UTF-16 file", 1)
+        raise BvhError(path, "has zero bytes, expected text; this is a binary or UTF-16 file", 1)
     try:
         text = data.decode("utf-8-sig")
     except UnicodeDecodeError:
         text = data.decode("latin-1")
-    if not text.strip():  # spaces that only Unicode knows
+    if not text.strip():  # only Unicode spaces
         raise BvhError(path, "is empty, expected a BVH file that starts with HIERARCHY", 1)
     return text.replace("\r\n", "\n").replace("\r", "\n")
 
@@ -104,7 +103,7 @@ def _floats(path: str | Path, words: list[str], line: int, what: str) -> list[fl
     numbers = []
     for word in words:
         try:
-            number = float(word.replace("_", "?"))  # Python would read 1_0 as ten
+            number = float(word.replace("_", "?"))  # Python would read 1_0 as 10
         except ValueError:
             raise BvhError(path, f"expected numbers for {what}, found {word[:40]!r}", line) from None
         if not abs(number) <= MAX_NUMBER:
@@ -116,14 +115,14 @@ def _floats(path: str | Path, words: list[str], line: int, what: str) -> list[fl
 
 
 class _HierarchyWalk:
-    """Walks the tokens of a hierarchy with an explicit stack and collects the normalised text."""
+    """Checks the tokens of a hierarchy with an explicit stack and collects the normalised text."""
 
     def __init__(self, path: str | Path) -> None:
         self.path = path
         self.out: list[str] = ["HIERARCHY"]
         self.names: dict[str, int] = {}
-        self.open: list[dict] = []  # joints and end sites not yet closed
-        self.pending: dict | None = None  # a joint or end site named but without its bracket yet
+        self.open: list[dict[str, Any]] = []  # joints and end sites not yet closed
+        self.pending: dict[str, Any] | None = None  # a joint or end site whose bracket is still to come
         self.roots = 0
         self.channels = 0
 
@@ -137,18 +136,20 @@ class _HierarchyWalk:
         if not name:
             raise self.fail(f"expected a name after {kind}", line)
         if len(name) > MAX_NAME:
-            raise self.fail(f"a name of {len(name)} letters after {kind}, expected at most {MAX_NAME}", line)
+            raise self.fail(
+                f"expected a name of at most {MAX_NAME} characters after {kind}, found {len(name)}", line
+            )
         if kind == "ROOT":
             self.roots += 1
             if self.roots > 1:
-                raise self.fail(f"a second ROOT {name!r}; expected one character per file", line)
+                raise self.fail(f"second ROOT {name!r}; expected one character per file", line)
         elif not self.open:
-            raise self.fail(f"JOINT {name!r} stands outside the ROOT", line)
+            raise self.fail(f"JOINT {name!r} is outside the ROOT", line)
         if self.open and self.open[-1]["end"]:
-            raise self.fail(f"{kind} {name!r} stands inside an End Site", line)
+            raise self.fail(f"{kind} {name!r} is inside an End Site", line)
         if name in self.names:
             raise self.fail(
-                f"a second joint named {name!r} (the first is on line {self.names[name]}); names must differ",
+                f"second joint named {name!r} (the first is on line {self.names[name]}); names must differ",
                 line,
             )
         self.names[name] = line
@@ -160,27 +161,27 @@ class _HierarchyWalk:
 
     def end_site(self, line: int) -> None:
         if self.pending is not None or not self.open or self.open[-1]["end"]:
-            raise self.fail("an End Site stands outside a joint", line)
+            raise self.fail("an End Site is outside a joint", line)
         self._begin_child("an End Site", line)
         self.pending = {"label": "End Site", "end": True, "line": line}
         self.out.append("End Site")
 
     def _begin_child(self, child: str, line: int) -> None:
-        """Completes the parent: bvhio wants its OFFSET and CHANNELS before any child."""
+        """Complete the parent: bvhio needs its OFFSET and CHANNELS before any child."""
         if not self.open:
             return
         parent = self.open[-1]
         if not parent["offset"]:
-            raise self.fail(f"{child} stands before the OFFSET of {parent['label']}", line)
+            raise self.fail(f"{child} comes before the OFFSET of {parent['label']}", line)
         if not parent["channels"]:
             self._write_channels(parent, [])
         parent["children"] = True
 
     def enter(self, line: int) -> None:
         if self.pending is None:
-            raise self.fail("a '{' without a joint before it", line)
+            raise self.fail("found '{' without a joint before it", line)
         if len(self.open) >= MAX_DEPTH:
-            raise self.fail(f"joints nested more than {MAX_DEPTH} deep", line)
+            raise self.fail(f"joints nested more than {MAX_DEPTH} levels deep", line)
         self.pending.update(offset=False, channels=False, children=False)
         self.open.append(self.pending)
         self.pending = None
@@ -188,7 +189,7 @@ class _HierarchyWalk:
 
     def leave(self, line: int) -> None:
         if not self.open:
-            raise self.fail("a '}' too many", line)
+            raise self.fail("found a '}' too many", line)
         node = self.open.pop()
         if not node["offset"]:
             raise self.fail(f"{node['label']} has no OFFSET", line)
@@ -199,7 +200,7 @@ class _HierarchyWalk:
     def offset(self, words: list[str], line: int) -> None:
         node = self._node("OFFSET", line)
         if node["offset"]:
-            raise self.fail(f"a second OFFSET of {node['label']}", line)
+            raise self.fail(f"second OFFSET of {node['label']}", line)
         if len(words) != 3:
             raise self.fail(f"expected 3 numbers after OFFSET of {node['label']}, found {len(words)}", line)
         numbers = _floats(self.path, words, line, f"OFFSET of {node['label']}")
@@ -210,10 +211,10 @@ class _HierarchyWalk:
         node = self._node("CHANNELS", line)
         if node["end"]:
             raise self.fail("an End Site has no CHANNELS", line)
-        if node["children"]:  # the order of the columns would be anybody's guess
-            raise self.fail(f"CHANNELS of {node['label']} stands after its children", line)
+        if node["children"]:  # the order of the columns would be ambiguous
+            raise self.fail(f"CHANNELS of {node['label']} comes after its children", line)
         if node["channels"]:
-            raise self.fail(f"a second CHANNELS of {node['label']}", line)
+            raise self.fail(f"second CHANNELS of {node['label']}", line)
         if not words or words[0] != str(len(words) - 1):
             raise self.fail(
                 f"expected a count and that many names after CHANNELS of {node['label']}, "
@@ -228,19 +229,19 @@ class _HierarchyWalk:
         if len(set(names)) != len(names):
             raise self.fail(f"a channel of {node['label']} is listed twice", line)
         if not node["offset"]:
-            raise self.fail(f"CHANNELS of {node['label']} stands before its OFFSET", line)
+            raise self.fail(f"CHANNELS of {node['label']} comes before its OFFSET", line)
         self._write_channels(node, names)
 
-    def _write_channels(self, node: dict, names: list[str]) -> None:
+    def _write_channels(self, node: dict[str, Any], names: list[str]) -> None:
         node["channels"] = True
         self.channels += len(names)
         self.out.append(" ".join(["CHANNELS", str(len(names)), *names]))
 
-    def _node(self, word: str, line: int) -> dict:
+    def _node(self, word: str, line: int) -> dict[str, Any]:
         if self.pending is not None:
             raise self.fail(f"expected '{{' after {self.pending['label']}, found {word}", line)
         if not self.open:
-            raise self.fail(f"{word} stands outside a joint", line)
+            raise self.fail(f"{word} is outside a joint", line)
         return self.open[-1]
 
 
@@ -298,7 +299,7 @@ def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -
         raise BvhError(path, f"expected a whole number of frames, found {found[1][:40]!r}", frames_line + 1)
     frames = int(found[1])
     if frames == 0:
-        raise BvhError(path, "declares zero frames; there is no motion in it", frames_line + 1)
+        raise BvhError(path, "declares zero frames; the file has no motion", frames_line + 1)
     time_line = filled[1] if len(filled) > 1 else frames_line + 1
     found = FRAME_TIME.fullmatch(_plain(lines[time_line])) if len(filled) > 1 else None
     if found is None:
@@ -315,12 +316,12 @@ def _check_motion_header(path: str | Path, lines: list[str], motion_line: int) -
 
 
 def _plain(line: str) -> str:
-    """The line with single spaces: a pattern that has to try them all could take for ever."""
+    """The line with single spaces; on runs of spaces the patterns could take very long."""
     return " ".join(line.split())
 
 
 def _check_duration(path: str | Path, frames: int, frame_time: float, line: int) -> None:
-    """Refuse recordings whose length at 60 fps would ask for memory that the file itself never took."""
+    """Refuse recordings that would take far more memory at 60 fps than the file itself."""
     longest = longest_seconds(1.0 / frame_time)
     if frames * frame_time > longest * 1.001:  # an hour written at 0.0166667 is an hour
         raise BvhError(
@@ -337,9 +338,9 @@ def _read_rows(
     rows = [i for i in range(first_row, len(lines)) if lines[i].strip()]
     if len(rows) < frames:
         last = rows[-1] + 1 if rows else first_row
-        raise BvhError(path, f"declares {frames} frames but holds {len(rows)}; the file is truncated", last)
+        raise BvhError(path, f"declares {frames} frames but has {len(rows)}; the file is truncated", last)
     if len(rows) > frames:
-        raise BvhError(path, f"declares {frames} frames but holds {len(rows)}", rows[frames] + 1)
+        raise BvhError(path, f"declares {frames} frames but has {len(rows)}", rows[frames] + 1)
     counts = _words_per_line(lines, rows)
     wrong = np.flatnonzero(counts != channels)
     if wrong.size:
@@ -356,8 +357,8 @@ def _read_rows(
 
 
 def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
-    """The first frame of a motion block (T, C) with a number that no motion has, and words for it, or None."""
-    if not values.size or (values.min() >= -MAX_NUMBER and values.max() <= MAX_NUMBER):  # NaN is neither
+    """The first frame of a motion block (T, C) with an implausible value, and a message about it, or None."""
+    if not values.size or (values.min() >= -MAX_NUMBER and values.max() <= MAX_NUMBER):  # False for NaN
         return None
     row = int(np.flatnonzero(~(np.abs(values) <= MAX_NUMBER).all(axis=1))[0])
     column = int(np.flatnonzero(~(np.abs(values[row]) <= MAX_NUMBER))[0])
@@ -367,7 +368,7 @@ def implausible_value(values: NDArray[np.float64]) -> tuple[int, str] | None:
 
 
 def _words_per_line(lines: list[str], rows: list[int]) -> NDArray[np.int64]:
-    """Words in each row, counted on bytes: far quicker than splitting every line."""
+    """Number of words in each row, counted on bytes; far faster than splitting every line."""
     block = "\n".join(lines[i] for i in rows).encode("utf-8", "replace")
     data = np.frombuffer(b"\n" + block, dtype=np.uint8)
     space = data <= 32

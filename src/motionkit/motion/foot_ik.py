@@ -1,7 +1,7 @@
-"""Feet that stay where they touch: locks at contacts, eased in and out, reached by two-bone legs.
+"""Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
-Works on a whole motion of the canonical joints. While a foot is in contact its toe is held at one place
-on the floor; the knee bends to let it, and the hips come down where the leg is too short.
+Works on the canonical joints. While a foot is in contact, its toe is locked to one place on the floor; the knee
+bends to reach it, and the hips move down where the leg is too short.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from motionkit.motion.skeleton import JOINT_NAMES
 
 EASE_FRAMES = 8
 MIN_LOCK_FRAMES = 4
-# Contacts switch on above the first and off below the second probability, so that they do not flicker.
+# A contact begins above the first probability and ends below the second; the hysteresis avoids flicker.
 CONTACT_ON, CONTACT_OFF = 0.6, 0.4
-MAX_SLIDE = 16.0  # cm; a foot that slides further while "in contact" is not held back any more
-MAX_REACH = 0.999  # of the length of the straight leg
-TOE_HEIGHT = 2.5  # cm; no toe goes below this height (a standing one is recorded at 1.8 to 3.6)
-# A toe that moves along the ground is off it: by so many times its way in a frame, up to so many cm.
-# Of the recorded toes a quarter are lower, at any speed.
+MAX_SLIDE = 16.0  # cm; a foot that slides further during a contact is released
+MAX_REACH = 0.999  # share of the length of the straight leg
+TOE_HEIGHT = 2.5  # cm; lowest height of a toe (standing toes are recorded at 1.8 to 3.6)
+# A toe that moves along the ground is lifted: by this factor times its movement per frame, up to this many cm. A
+# quarter of recorded toes are lower, at any speed.
 CLEARANCE, MAX_CLEARANCE = 2.7, 5.0
-LIFT_FRAMES = 2  # a foot is up so many frames before it has to be, and begins to rise as many earlier
+LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
 
 
 @dataclass(frozen=True)
@@ -48,11 +48,14 @@ LEGS = (_leg("Left", (0, 1)), _leg("Right", (2, 3)))
 
 
 def lock_feet(motion: Motion, contacts: Array) -> Motion:
-    """The motion with its feet held still while they touch the floor.
+    """Lock the feet of a motion while they touch the floor.
 
     Args:
-        motion: T frames on the canonical joints, cm, the floor at height zero.
+        motion: T frames on the canonical joints, in cm, the floor at height zero.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
+
+    Returns:
+        The motion with changed leg rotations and root positions.
     """
     if len(motion) < 2:
         return motion
@@ -61,13 +64,13 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
     targets = [positions[:, leg.ankle] + shift for leg, shift in zip(LEGS, shifts, strict=True)]
     motion = _lower_hips(motion, positions, targets)
     for leg, target in zip(LEGS, targets, strict=True):
-        # Twice: the plane of a nearly straight leg is only known once it is bent.
+        # Twice: the plane of a nearly straight leg is known only after it is bent.
         motion = _reach(_reach(motion, leg, target), leg, target)
     return motion
 
 
 def locked_spans(contacts: Array) -> list[tuple[int, int]]:
-    """Stretches (start, end) in which a foot is in contact, from probabilities (T, 2) of ankle and toe."""
+    """Spans (start, end) of frames in contact, from probabilities (T, 2) of ankle and toe."""
     level = contacts.max(axis=-1).tolist()
     spans, start = [], None
     for t, value in enumerate([*level, 0.0]):
@@ -81,9 +84,9 @@ def locked_spans(contacts: Array) -> list[tuple[int, int]]:
 
 
 def _still_spans(toe: Array, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Spans cut where the foot has slid further than a lock may hold it back: it then takes a new place.
+    """Split spans where the foot slides further than MAX_SLIDE; a new lock begins there.
 
-    The frames in which it goes over are left out, so that it does not jump.
+    EASE_FRAMES before the split are left out, so that the foot does not jump.
     """
     out = []
     for start, end in spans:
@@ -97,7 +100,7 @@ def _still_spans(toe: Array, spans: list[tuple[int, int]]) -> list[tuple[int, in
 
 
 def _toe_shifts(toe: Array, contacts: Array) -> Array:
-    """How far (T, 3) the foot has to move at each frame: fully while locked, fading over the frames around."""
+    """The shift (T, 3) of the foot in each frame: full while locked, fading out before and after."""
     frames = len(toe)
     pulls, strength = np.zeros((frames, 3), np.float64), np.zeros((frames, 1), np.float64)
     weights = np.zeros((frames, 1), np.float64)
@@ -105,14 +108,14 @@ def _toe_shifts(toe: Array, contacts: Array) -> Array:
         lock = lower_median(toe[start:end], axis=0)
         shift = np.zeros_like(pulls)
         shift[start:end] = lock - toe[start:end]
-        # Outside the lock the shift at its edge fades away.
+        # Outside the lock, the shift at its edge fades out.
         shift[:start], shift[end:] = shift[start].copy(), shift[end - 1].copy()
         distance = np.zeros(frames, np.float64)
         distance[:start] = np.arange(start, 0, -1)
         distance[end:] = np.arange(1, frames - end + 1)
         x = np.clip(1.0 - distance / EASE_FRAMES, 0.0, 1.0)
         share = (x * x * (3.0 - 2.0 * x))[:, None]
-        # Frames between two near locks are shared by them; within a lock it alone counts.
+        # Frames between two near locks blend both; within a lock only that lock has weight.
         weight = share / (1.0 - share + 1e-9)
         pulls, weights = pulls + weight * shift, weights + weight
         strength = np.maximum(strength, share)
@@ -122,12 +125,12 @@ def _toe_shifts(toe: Array, contacts: Array) -> Array:
 
 
 def _lift(toe: Array) -> Array:
-    """How much higher (T,) a toe (T, 3) has to be, to stay off a floor that it moves along.
+    """The lift (T,) that keeps a toe (T, 3) off a floor that it moves along.
 
-    At the ends of a lock the toe comes down and leaves the floor, as a foot does at the ends of a step.
+    At the ends of a lock the toe comes down and leaves the floor, as in a step.
     """
     way = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=-1)
-    # The longer of the ways to a frame and from it.
+    # The larger of the movements to and from a frame.
     way = np.maximum(np.pad(way, (1, 0)), np.pad(way, (0, 1)))
     least = TOE_HEIGHT + np.minimum(CLEARANCE * way, MAX_CLEARANCE)
     missing = np.maximum(least - toe[:, 1], 0.0)
@@ -135,9 +138,9 @@ def _lift(toe: Array) -> Array:
 
 
 def _eased_most(size: Array, values: Array, half: int) -> Array:
-    """Of values (T, k) the one of largest size (T,) within half frames around each, smoothed over as many.
+    """Replace each of values (T, k) by the one of largest size (T,) within `half` frames, then smooth as widely.
 
-    So the smoothed ones nowhere fall short of what is needed.
+    The smoothed values are thus never smaller than needed.
     """
     kernel = np.hanning(2 * half + 3)[1:-1]
     kernel = (kernel / kernel.sum()).astype(values.dtype)
@@ -148,7 +151,7 @@ def _eased_most(size: Array, values: Array, half: int) -> Array:
 
 
 def _lower_hips(motion: Motion, positions: Array, targets: list[Array]) -> Motion:
-    """Move the root towards feet its legs cannot reach, smoothly over time."""
+    """Move the root smoothly towards feet that the legs cannot reach."""
     need = np.zeros_like(motion.root_positions)
     for leg, target in zip(LEGS, targets, strict=True):
         lengths = np.linalg.norm(motion.skeleton.offsets[[leg.knee, leg.ankle]], axis=-1).sum()
@@ -156,7 +159,7 @@ def _lower_hips(motion: Motion, positions: Array, targets: list[Array]) -> Motio
         distance = np.linalg.norm(reach, axis=-1, keepdims=True)
         missing = np.maximum(distance - MAX_REACH * lengths, 0.0)
         already = np.linalg.norm(positions[:, leg.ankle] - positions[:, leg.hip], axis=-1, keepdims=True)
-        # A leg that was straight before stays so; only what the lock adds is taken from the hips.
+        # A leg that was straight before stays straight; the hips only move by what the lock adds.
         missing = np.minimum(missing, np.maximum(distance - already, 0.0))
         move = reach / np.maximum(distance, 1e-6) * missing
         need = np.where(missing > np.linalg.norm(need, axis=-1, keepdims=True), move, need)
@@ -165,18 +168,18 @@ def _lower_hips(motion: Motion, positions: Array, targets: list[Array]) -> Motio
 
 
 def _reach(motion: Motion, leg: _Leg, target: Array) -> Motion:
-    """Bend one leg so that its ankle comes to target (T, 3); the foot keeps its orientation in the world."""
+    """Bend one leg so that its ankle reaches target (T, 3); the foot keeps its world orientation."""
     rotations, positions = motion_kinematics(motion)
     hip, knee, ankle = (positions[:, j] for j in (leg.hip, leg.knee, leg.ankle))
     thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
     reach = np.linalg.norm(target - hip, axis=-1)
     reach = np.minimum(np.maximum(reach, np.abs(thigh - shin) + 0.5), (thigh + shin) * MAX_REACH)
-    # Where nothing is asked for, nothing changes, a fully straight leg included.
+    # Frames already at the target do not change, even those with a fully straight leg.
     still = np.linalg.norm(target - ankle, axis=-1, keepdims=True) < 1e-3
     bend_now = _interior_angle(thigh, shin, np.linalg.norm(ankle - hip, axis=-1))
     bend_then = _interior_angle(thigh, shin, reach)
     axis = cross(hip - knee, ankle - knee)
-    # A straight leg has no plane; its knee bends about the thigh's own sideways axis.
+    # A straight leg has no plane; its knee bends about the thigh's sideways axis.
     sideways = quat_rotate(
         rotations[:, leg.hip], np.broadcast_to(np.array([1.0, 0.0, 0.0], np.float32), axis.shape)
     )
@@ -200,11 +203,11 @@ def _reach(motion: Motion, leg: _Leg, target: Array) -> Motion:
 
 
 def _interior_angle(a: Array, b: Array, opposite: Array) -> Array:
-    """The angle (T,) between sides a and b of a triangle."""
+    """The angle (T,) in radians between sides a and b of a triangle."""
     return np.arccos(np.clip((a * a + b * b - opposite * opposite) / (2 * a * b), -1.0, 1.0))
 
 
 def _about(axis: Array, angle: Array) -> Array:
-    """Rotations (T, 4) by angle about unit axes."""
+    """Rotations (T, 4) by angles (T,) in radians about unit axes (T, 3)."""
     half = 0.5 * angle[:, None]
     return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)

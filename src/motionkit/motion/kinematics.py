@@ -1,4 +1,4 @@
-"""Forward kinematics: from rotations in the parent's space to rotations and positions in the world."""
+"""Forward kinematics: local rotations to global rotations and positions."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ def forward_kinematics(
     """Global rotations (..., J, 4) and global positions (..., J, 3).
 
     Args:
-        local_rotations: (..., J, 4) quaternions in the parent's space.
-        root_positions: (..., 3) the root in the world.
+        local_rotations: (..., J, 4) quaternions w, x, y, z in parent space.
+        root_positions: (..., 3) root position in the world.
         offsets: (J, 3) or (..., J, 3) positions relative to the parent.
-        parents: J parent indices, parents first; the root's is -1.
-        local_positions: (..., J, 3) to use in place of offsets, for rigs whose joints translate.
+        parents: J parent indices, parents before children; the root's is -1.
+        local_positions: (..., J, 3) used instead of offsets, for rigs whose joints translate.
     """
     places = offsets if local_positions is None else local_positions
     rotations = [local_rotations[..., 0, :]]

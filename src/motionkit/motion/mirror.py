@@ -1,11 +1,10 @@
-"""The mirror image of a motion, on the same skeleton, for any rig whose joints have a left and a right.
+"""The mirror image of a motion on the same skeleton, for any rig with left and right joints.
 
-The world is reflected in an upright plane through the origin. The frame of each joint becomes that of
-its twin, seen in the mirror and then reflected once more by signs of its own, because a mirror image
-of a frame is left-handed: where M is the world's reflection and R(j) = diag(+-1, +-1, +-1) with
-determinant -1, the mirrored world rotation of joint j is M G(twin) R(j), and so the local one is
-R(parent) L(twin) R(j). Signs that carry the bones of one side onto those of the other give the exact
-mirror image of all positions when left and right are equally long.
+The world is reflected in a vertical plane through the origin. The frame of each joint becomes the mirror image of
+its twin's frame. A mirror image of a frame is left-handed, so it is reflected again, by signs of the joint: with the
+world's reflection M and R(j) = diag(+-1, +-1, +-1) of determinant -1, the mirrored global rotation of joint j is
+M G(twin) R(j), and its local rotation is R(parent) L(twin) R(j). With signs that map the bones of one side to those
+of the other, all positions are exactly mirrored if both sides have equal lengths.
 """
 
 from __future__ import annotations
@@ -27,8 +26,8 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import mean_rotation, quat_angle, quat_multiply
 from motionkit.motion.skeleton import Skeleton
 
-# How rigs mark a side, from the plainest to the vaguest. A mark counts only when the name with the
-# other side in its place exists too, so that "lowerback" or "rib" are nobody's left or right.
+# How rigs mark a side, from the clearest to the vaguest. A mark counts only if the name with the other side exists
+# too, so that names such as "lowerback" or "rib" have no side.
 _SIDE_MARKS = tuple(
     re.compile(pattern)
     for pattern in (
@@ -53,7 +52,7 @@ def _other_side(match: re.Match[str]) -> str:
 
 
 def _paired_marks(names: Sequence[str]) -> dict[int, tuple[int, bool]]:
-    """For each joint with a twin: the twin's index, and whether the joint itself is a left one."""
+    """For each joint with a twin: the twin's index, and whether the joint is a left one."""
     indices = {name: index for index, name in enumerate(names)}
     paired: dict[int, tuple[int, bool]] = {}
     for mark in _SIDE_MARKS:
@@ -67,35 +66,35 @@ def _paired_marks(names: Sequence[str]) -> dict[int, tuple[int, bool]]:
 
 
 def left_right_twins(names: Sequence[str]) -> tuple[int, ...]:
-    """For every joint the index of its twin on the other side of the body; central joints give their own."""
+    """The index of each joint's twin on the other side of the body; central joints are their own twins."""
     paired = _paired_marks(names)
     return tuple(paired[index][0] if index in paired else index for index in range(len(names)))
 
 
 def joint_sides(names: Sequence[str]) -> tuple[str, ...]:
-    """For every joint "left", "right", or "" where it has no twin."""
+    """The side of each joint: "left", "right", or "" without a twin."""
     paired = _paired_marks(names)
     return tuple(("left" if paired[i][1] else "right") if i in paired else "" for i in range(len(names)))
 
 
-# The reflections a joint's frame may need: of one axis, or of all three, as rigs have it whose right
-# side is built so that equal angles make mirrored poses.
+# The possible reflections of a joint's frame: of one axis, or of all three, for rigs whose right side is built so
+# that equal angles make mirrored poses.
 Signs = tuple[float, float, float]
 _REFLECTIONS: tuple[Signs, ...] = ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (1.0, 1.0, -1.0), (-1.0, -1.0, -1.0))
-# A bone speaks against a reflection that misses it by this share of its length more than another does;
+# A bone votes against a reflection if its error, as a share of its length, exceeds another reflection's by this much;
 # the sides of real subjects differ by far less.
 _SPEAKS_AGAINST = 0.5
-# So many of the bones must, for one odd prop or mesh node is not the rig.
+# Share of bones that must vote against it; a single prop or mesh node does not count as the rig.
 _ODD_SHARE = 0.15
-# Bones shorter than this share of the mean bone have no say: their direction is noise.
+# Bones shorter than this share of the mean bone do not vote: their direction is noise.
 _SHORT_SHARE = 0.05
-# A joint whose place varies less than this share of the mean bone hangs from a rigid bone.
+# A joint whose place varies by less than this share of the mean bone is at the end of a rigid bone.
 _RIGID_SHARE = 0.01
 
 
 @dataclass(frozen=True)
 class MirrorPlan:
-    """How to mirror a rig: for every joint its twin and its reflection, and the reflection of the world."""
+    """How to mirror a rig: the twin and the reflection of each joint, and the reflection of the world."""
 
     twins: tuple[int, ...]
     world: Signs
@@ -109,8 +108,10 @@ class MirrorPlan:
 def mirror_plan(motion: Motion) -> MirrorPlan:
     """Find twins by name and reflections by rest pose and mean pose.
 
-    The plan for a motion and for its mirror image is the same. Raises SkeletonError for a rig without
-    a left and a right, or whose sides hang from different joints.
+    The plan of a motion and of its mirror image are equal.
+
+    Raises:
+        SkeletonError: the rig has no left and right, or its sides have different hierarchies.
     """
     skeleton = motion.skeleton
     twins = _checked_twins(skeleton)
@@ -131,7 +132,7 @@ def _checked_twins(skeleton: Skeleton) -> tuple[int, ...]:
     if all(twin == joint for joint, twin in enumerate(twins)):
         some = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
         raise SkeletonError(
-            f"no joint has a left and a right by its name, expected some such as LeftArm: {some}"
+            f"no joint name has a left and a right, expected some such as LeftArm; found {some}"
         )
     for joint, twin in enumerate(twins):
         if twin == joint:
@@ -140,16 +141,16 @@ def _checked_twins(skeleton: Skeleton) -> tuple[int, ...]:
         if parent < 0 or other < 0 or twins[parent] != other:
             hangs = [names[p] if p >= 0 else "nothing" for p in (parent, other)]
             raise SkeletonError(
-                f"{names[joint]} hangs from {hangs[0]} but {names[twin]} from {hangs[1]}; "
+                f"{names[joint]} has the parent {hangs[0]} but {names[twin]} has {hangs[1]}; "
                 "mirroring needs the same hierarchy on both sides"
             )
     return twins
 
 
 def is_z_up(positions: Array, names: Sequence[str]) -> bool:
-    """Whether a motion's global positions (T, J, 3) have heads and feet apart along Z rather than Y.
+    """Whether Z is the up axis of global positions (T, J, 3): head and feet are apart along Z rather than Y.
 
-    For rigs without such names it is the axis along which the body is larger, in doubt Y.
+    For rigs without such joint names, the axis along which the body is larger decides, Y if in doubt.
     """
     high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
     low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
@@ -161,7 +162,7 @@ def is_z_up(positions: Array, names: Sequence[str]) -> bool:
 
 
 def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:
-    """Mean positions (J, 3) in the parent's space, and for every joint whether it stays there."""
+    """Mean positions (J, 3) in parent space, and whether each joint stays at its position."""
     count = len(motion.skeleton)
     if motion.local_positions is None:
         return motion.skeleton.offsets.astype(np.float64), (False,) + (True,) * (count - 1)
@@ -173,7 +174,7 @@ def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:
 
 
 def _common_axis(twins: tuple[int, ...], places: Array, rigid: tuple[bool, ...]) -> int | None:
-    """The axis along which all bones mirror their twins; None for a rig whose joints have own axes."""
+    """The axis along which all bones mirror their twins; None for a rig whose joints have individual axes."""
     own = places[[joint for joint, stays in enumerate(rigid) if stays]]
     other = places[[twins[joint] for joint, stays in enumerate(rigid) if stays]]
     reflections = np.array(_REFLECTIONS, own.dtype)
@@ -188,10 +189,10 @@ def _common_axis(twins: tuple[int, ...], places: Array, rigid: tuple[bool, ...])
 def _own_reflections(
     motion: Motion, twins: tuple[int, ...], places: Array, rigid: tuple[bool, ...], world: Signs
 ) -> tuple[Signs, ...]:
-    """For every joint the reflection that best carries its twin's bones and mean rotation onto its own.
+    """The reflection of each joint that best maps its twin's bones and mean rotation to its own.
 
-    Bones leave the turn about themselves open; a reflection that is wrong there puts the mean pose half
-    a turn off, which no natural asymmetry does.
+    Bones do not determine the rotation about themselves. A reflection that is wrong there turns the mean pose by
+    half a turn, which no natural asymmetry does.
     """
     skeleton = motion.skeleton
     rotations = motion.local_rotations.astype(np.float64)
@@ -203,9 +204,9 @@ def _own_reflections(
             found.append(found[twin])
             continue
         outer = found[parent] if joint else world
-        known = not joint or not rigid[joint]  # a joint that travels also turns any way
+        known = not joint or not rigid[joint]  # a joint that travels has no meaningful mean rotation
         costs = []
-        # The parent's own reflection comes first, so that it wins where nothing else decides.
+        # The parent's reflection comes first, so that it wins ties.
         for signs in sorted(_REFLECTIONS, key=lambda candidate: candidate != outer):
             bones = _bone_misfit(skeleton, joint, signs, twins, places, rigid)
             turned = reflect_rotations(means[twin], outer, signs)
@@ -224,12 +225,12 @@ def _bone_misfit(
     places: Array,
     rigid: tuple[bool, ...],
 ) -> float:
-    """By what share of their length the bones below a joint differ from their reflected twins."""
+    """The difference of the bones below a joint from their reflected twins, as a share of their length."""
     twin = twins[joint]
     below = [child for child in skeleton.children(joint) if rigid[child]]
     pairs = [(places[child], places[twins[child]]) for child in below]
     if not joint and all(twins[child] == child for child in below):
-        return 0.0  # where the hips stand over a root on the floor says nothing about left and right
+        return 0.0  # the place of the hips above a root on the floor says nothing about left and right
     if joint in skeleton.end_sites and twin in skeleton.end_sites:
         own, other = (np.array(skeleton.end_sites[j], places.dtype) for j in (joint, twin))
         pairs.append((own, other))
@@ -250,15 +251,17 @@ def reflect_rotations(quat: Array, outer: Signs, inner: Signs) -> Array:
 
 
 def _half_turn_axis(outer: Signs, inner: Signs) -> int | None:
-    """The axis of the half turn diag(outer) diag(inner), or None where the two are the same."""
+    """The axis of the half turn diag(outer) diag(inner), or None if both are equal."""
     return None if outer == inner else [a * b for a, b in zip(outer, inner, strict=True)].index(1.0)
 
 
 def mirror_motion(motion: Motion) -> Motion:
-    """The motion with left and right exchanged, on the same skeleton; any rig with a left and a right.
+    """Mirror a motion: left and right swapped, on the same skeleton, for any rig with left and right joints.
 
-    The world is reflected along the rig's left-right axis, X for the canonical skeleton. Raises
-    SkeletonError for a rig that has no sides.
+    The world is reflected along the rig's left-right axis, which is X for the canonical skeleton.
+
+    Raises:
+        SkeletonError: the rig has no left and right.
     """
     plan = mirror_plan(motion)
     skeleton, twins = motion.skeleton, plan.twins
@@ -280,11 +283,13 @@ def mirror_motion(motion: Motion) -> Motion:
 
 
 def mirror_bvh(bvh: BvhFile) -> BvhFile:
-    """A BVH file with left and right exchanged, in the same hierarchy and channels.
+    """Mirror a BVH file: left and right swapped, with the same hierarchy and channels.
 
-    Where twins list their channels in the same order, angles only change signs or shift by half turns,
-    so that mirroring twice gives the file back. Raises SkeletonError for a rig that has no sides or
-    whose twins have different channels.
+    If twins have their channels in the same order, angles only change signs or shift by half turns, so mirroring
+    twice restores the file.
+
+    Raises:
+        SkeletonError: the rig has no left and right, or twins have different channels.
     """
     motion = bvh_to_motion(bvh)
     plan = mirror_plan(motion)
@@ -306,7 +311,7 @@ def mirror_bvh(bvh: BvhFile) -> BvhFile:
             turned = _reflect_angles(bvh.values[:, theirs], order, outer, plan.joints[joint])
             if turned is None:
                 raise SkeletonError(
-                    f"{bvh.skeleton.names[joint]} has the rotation channels {order or 'none'} only; "
+                    f"{bvh.skeleton.names[joint]} has only the rotation channels {order or 'none'}; "
                     "its mirror image needs all three"
                 )
             values[:, own] = turned
@@ -334,11 +339,11 @@ def _check_channels(bvh: BvhFile, joint: int, twin: int) -> None:
 def _reflect_angles(
     angles: NDArray[np.float64], order: str, outer: Signs, inner: Signs
 ) -> NDArray[np.float64] | None:
-    """Euler angles (T, len(order)) in degrees of diag(outer) q diag(inner), or None if order cannot tell.
+    """Euler angles (T, len(order)) in degrees of diag(outer) q diag(inner), or None if order has too few axes.
 
-    Reflection turns an angle about axis k into -outer[k] times it. A half turn after the rotation
-    moves in front of all angles that follow its axis, and negates them; one about the middle axis is
-    written as half turns about the outer two, so that the middle angle stays within a quarter turn.
+    A reflection multiplies an angle about axis k by -outer[k]. A half turn after the rotation commutes past the
+    angles that follow its axis and negates them. A half turn about the middle axis is expressed by half turns about
+    the other two, so that the middle angle stays within a quarter turn.
     """
     signs = np.array([-outer["XYZ".index(axis)] for axis in order])
     half_turn = _half_turn_axis(outer, inner)
@@ -355,10 +360,10 @@ def _reflect_angles(
 
 
 def _half_turn_shift(angles: NDArray[np.float64], sign: float) -> float:
-    """180 degrees up or down, for a whole column at once, so that a second shift takes the first back.
+    """A shift of 180 degrees up or down for a whole column, chosen so that a second shift undoes the first.
 
-    Halves of the circle are numbered by the mean angle. Unreflected angles move from even halves up
-    and from odd ones down; reflected ones are reflected about the middle of their own half.
+    The mean angle selects a half circle. Unreflected angles move up from even halves and down from odd ones;
+    reflected angles are reflected about the middle of their half.
     """
     mean = float(angles.mean())
     if sign > 0:
@@ -367,7 +372,7 @@ def _half_turn_shift(angles: NDArray[np.float64], sign: float) -> float:
 
 
 def mirror_file(source: str | Path, target: str | Path) -> None:
-    """Read a BVH file and write its mirror image elsewhere; raises MotionkitError that names the file."""
+    """Write the mirror image of a BVH file; raises MotionkitError, naming the file, if that is impossible."""
     check_outputs([target], [source])
     bvh = read_bvh(source)
     try:
@@ -383,23 +388,27 @@ def mirror_folder(
     strict: bool = False,
     progress: Callable[[int, int], None] | None = None,
 ) -> Iterator[tuple[Path, MotionkitError | None]]:
-    """Mirror every BVH file below a folder into the same places below another, one at a time.
+    """Mirror every BVH file below a folder to the same place below another, one at a time.
 
-    Yields each file with None, or with its fault if it could not be mirrored; strict raises that fault. progress
-    is called with files done and files in all.
+    Args:
+        source: folder to read.
+        target: folder to write, outside source.
+        strict: raise the error of a file instead of yielding it.
+        progress: called with the number of files done and of all files.
+
+    Yields:
+        Each file with None, or with its error if it could not be mirrored.
 
     Raises:
-        OverwriteError: before anything is written, if a target would be a source, now or at the next call.
-        MotionkitError: if there is no BVH file.
+        OverwriteError: a target is also a source, or lies in it; nothing has been written.
+        MotionkitError: there is no BVH file.
     """
     source, target = Path(source), Path(target)
     if target.resolve().is_relative_to(source.resolve()):
-        raise OverwriteError(
-            f"{target}: lies in {source}, which is read; choose another place for the output"
-        )
+        raise OverwriteError(f"{target}: is inside the input folder {source}; choose another output folder")
     found = files_below(source, ".bvh")
     if not found:
-        raise MotionkitError(f"{source}: no BVH file in this folder, expected names that end with .bvh")
+        raise MotionkitError(f"{source}: no .bvh files found")
     places = [target / path.relative_to(source) for path in found]
     check_outputs(places, found)
     for done, (path, place) in enumerate(zip(found, places, strict=True)):

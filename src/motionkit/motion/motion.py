@@ -1,4 +1,4 @@
-"""A recording: rotations and root positions over time on one skeleton."""
+"""A motion: rotations and root positions over time on one skeleton."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ class Motion:
     """T frames of motion.
 
     Attributes:
-        skeleton: the J joints that move.
-        local_rotations: (T, J, 4) unit quaternions in the parent's space.
-        root_positions: (T, 3) the root joint in the world, in the skeleton's unit (cm inside motionkit).
+        skeleton: the J joints.
+        local_rotations: (T, J, 4) unit quaternions w, x, y, z in parent space.
+        root_positions: (T, 3) root joint in the world, in the skeleton's unit (cm within motionkit).
         fps: frames per second.
-        local_positions: (T, J, 3) where a rig moves joints against their parents (six-channel joints),
+        local_positions: (T, J, 3) for rigs whose joints translate relative to their parents (six-channel joints),
             else None; the root's row is not used.
     """
 
@@ -50,7 +50,7 @@ class Motion:
         )
 
     def scaled(self, factor: float) -> Motion:
-        """The same motion with every length multiplied."""
+        """The same motion with every length multiplied by a factor."""
         local = None if self.local_positions is None else self.local_positions * factor
         return replace(
             self,
@@ -61,18 +61,20 @@ class Motion:
 
 
 def longest_seconds(fps: float) -> float:
-    """The longest recording that is worked on: an hour, or four at the rates of real capture.
+    """The longest accepted recording in seconds: four hours at capture rates, one hour at slower rates.
 
-    At 60 fps both are frames that memory holds; a slow rate would make many of them from a small file.
+    Both fit in memory at 60 fps; at a slow rate even a small file would become many frames.
     """
     return 4 * 3600.0 if fps > 29.0 else 3600.0
 
 
 def resample(motion: Motion, fps: float) -> Motion:
-    """The motion at another rate: rotations by slerp, positions linearly; time of frame 0 is kept.
+    """Resample a motion to another frame rate: rotations by slerp, positions linearly.
 
-    The last frame falls at or before the last frame of the source. Raises MotionkitError for a motion that
-    lasts longer than longest_seconds().
+    Frame 0 keeps its time, and the last frame is at or before the last frame of the source.
+
+    Raises:
+        MotionkitError: the motion is longer than longest_seconds().
     """
     if len(motion) < 2 or abs(motion.fps - fps) < 1e-6 * fps:
         return replace(motion, fps=fps) if len(motion) < 2 else motion

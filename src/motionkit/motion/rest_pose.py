@@ -1,9 +1,8 @@
-"""How a source rig's rest pose differs from the canonical one, as one constant rotation per joint.
+"""The difference between a source rig's rest pose and the canonical one, as one constant rotation per joint.
 
-A canonical joint's global rotation is that of its source joint times this difference D, which turns
-canonical rest directions onto source rest directions. Two ways lead to it: from the rest pose, when
-that shows a standing human, or from the recorded poses, when the rest pose is only a construction
-(all bones along one axis, as in some exports).
+The global rotation of a canonical joint is that of its source joint times this difference D, which rotates
+canonical rest directions to source rest directions. D is computed from the rest pose if that shows a standing
+human. Otherwise (some exports have all bones along one axis) it is computed from the recorded poses.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_
 SIDES = ("Left", "Right")
 _CANONICAL = canonical_skeleton()
 _CANONICAL_REST = _CANONICAL.rest_positions()
-# Where a bone points: the first of these that the source has.
+# A bone points to the first of these joints that the source has.
 _AHEAD: dict[str, tuple[str, ...]] = {
     "LowerBack": ("Spine", "Spine1", "Neck"),
     "Spine": ("Spine1", "Neck"),
@@ -47,27 +46,27 @@ _AHEAD: dict[str, tuple[str, ...]] = {
         ("Shoulder", "Arm"), ("Arm", "ForeArm"), ("ForeArm", "Hand"),
     )
 }  # fmt: skip
-# Limb bones follow the source exactly. Elsewhere joints sit at different spots inside the body from rig
-# to rig (a collar bone's root, a spine's curve); up to these angles that is anatomy, not posture.
+# Limb bones follow the source exactly. The places of other joints inside the body differ between rigs (the root of
+# a collar bone, the curve of a spine); up to these angles in degrees that is anatomy, not posture.
 _TOLERANCE = {"Shoulder": 60.0, "Hand": 30.0, "Neck": 45.0, "Neck1": 45.0, "Head": 60.0}
 _TOLERANCE_ELSEWHERE = 40.0
-_NO_POSTURE = 110.0  # an End Site this far off is a leftover, not a hand or a head
+_NO_POSTURE = 110.0  # degrees; an End Site this far off is a leftover, not a hand or a head
 _LIMBS = ("UpLeg", "Leg", "Arm", "ForeArm")
-# The axis knees and elbows bend about, in the canonical rest pose (as in every CMU recording).
+# Bending axes of knees and elbows in the canonical rest pose (as in every CMU recording).
 _HINGES: dict[str, tuple[float, float, float]] = {
     "LeftLeg": (0.93969, 0.34202, 0.0),
     "RightLeg": (0.93969, -0.34202, 0.0),
     "LeftForeArm": (0.0, -0.86603, 0.5),
     "RightForeArm": (0.0, 0.86603, -0.5),
 }
-_BENT = math.radians(25.0)  # a joint bent this much shows its hinge
+_BENT = math.radians(25.0)  # a joint bent this much reveals its hinge axis
 _UPRIGHT = math.radians(25.0)
 _REFERENCE_FRAMES = 256
 
 
 @dataclass(frozen=True, eq=False)
 class SourceRig:
-    """A source skeleton with its canonical joints found: rest positions (J, 3) and free bone ends."""
+    """A source skeleton with its mapped joints, rest positions (J, 3) and bone ends."""
 
     skeleton: Skeleton
     rig: RigMap
@@ -79,7 +78,7 @@ class SourceRig:
         return None if joint is None else self.rest[joint]
 
     def bone(self, name: str) -> tuple[Array, Array] | None:
-        """The bone from a joint on, canonical and source rest vectors (3,), or None if it has no end."""
+        """The bone of a joint, as canonical and source rest vectors (3,), or None if it has no end."""
         return self._bones.get(name)
 
     @cached_property
@@ -104,7 +103,7 @@ class SourceRig:
 
 
 def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
-    """Where a joint's bone ends (3,), from End Sites and the joints below: the mean, thumbs left out."""
+    """The end (3,) of a joint's bone: its End Site, or the mean of the joints below, except thumbs."""
     end = skeleton.end_sites.get(joint)
     if end is not None and math.hypot(*end) > tiny:
         return np.array(end, np.float32)
@@ -121,19 +120,19 @@ def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
 
 
 def tiny_length(skeleton: Skeleton) -> float:
-    """What counts as no length at all in this skeleton's unit."""
+    """The length below which a bone counts as zero, in the skeleton's unit."""
     return 1e-2 * float(np.linalg.norm(skeleton.offsets[1:], axis=-1).max())
 
 
 def frame_from(lateral: Array, up: Array) -> Array:
-    """Rotations (..., 4) whose Y axis is up (..., 3) and whose X axis is as near lateral as can be."""
+    """Rotations (..., 4) whose Y axis is up (..., 3) and whose X axis is nearest to lateral (..., 3)."""
     y = normalized(up)
     x = normalized(lateral - (lateral * y).sum(-1, keepdims=True) * y)
     return matrix_to_quat(np.stack([x, y, cross(x, y)], axis=-1))
 
 
 def body_frame(source: SourceRig) -> Array:
-    """Which way the rest pose stands and faces (4,): snapped to the axes when it is near them."""
+    """The orientation (4,) of the body in the rest pose, snapped to the axes if it is near them."""
     hips, arms = (_pair(source, part) for part in ("UpLeg", "Arm"))
     frame = frame_from(hips[0] - hips[1], (arms[0] + arms[1] - hips[0] - hips[1]) / 2)
     matrix = quat_to_matrix(frame)
@@ -154,7 +153,7 @@ def angle_between(a: Array, b: Array) -> Array:
 
 
 def stands(source: SourceRig, frame: Array) -> bool:
-    """Whether the rest pose is a standing human: legs down, spine up, arms not across, limbs straight."""
+    """Whether the rest pose is a standing human: legs down, spine up, arms not crossed."""
     down, up = np.array([0.0, -1.0, 0.0], np.float32), np.array([0.0, 1.0, 0.0], np.float32)
     limits: list[tuple[str, Array, float]] = [(name, up, 60.0) for name in ("LowerBack", "Spine")]
     for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
@@ -163,7 +162,7 @@ def stands(source: SourceRig, frame: Array) -> bool:
         limits += [(f"{side}Arm", outward, 105.0), (f"{side}ForeArm", outward, 120.0)]
     for name, direction, limit in limits:
         bone = source.bone(name)
-        # Written so that a frame that could not be built (NaN) does not stand either.
+        # Negated, so that a frame that could not be computed (NaN) does not stand either.
         if bone is not None and not float(angle_between(quat_rotate(frame, direction), bone[1])) <= limit:
             return False
     return True
@@ -181,7 +180,7 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
             out[joint] = _foot_difference(source, frame, name, *bone)
         elif part in _LIMBS or part == "Hand":
             parent = out[PARENTS[joint]]
-            if part == "Arm":  # collar bones may lie anywhere: arms are measured against the chest
+            if part == "Arm":  # collar bones vary between rigs: measure arms relative to the chest
                 parent = frame
             out[joint] = _turned(parent, bone, 0.0 if part in _LIMBS else _TOLERANCE["Hand"])
         elif part == "Foot":
@@ -192,12 +191,12 @@ def rest_differences(source: SourceRig, frame: Array) -> Array:
 
 
 def _forward(frame: Array) -> Array:
-    """Where a body frame faces (3,)."""
+    """The facing direction (3,) of a body frame."""
     return quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
 
 
 def _turned(base: Array, bone: tuple[Array, Array] | None, tolerance: float) -> Array:
-    """base, or base turned the shortest way onto the source bone where that is further off than tolerance."""
+    """base, turned the shortest way onto the source bone if that is more than tolerance degrees off."""
     if bone is None:
         return base
     canonical = quat_rotate(base, bone[0])
@@ -208,11 +207,11 @@ def _turned(base: Array, bone: tuple[Array, Array] | None, tolerance: float) -> 
 
 
 def _foot_difference(source: SourceRig, frame: Array, name: str, canonical: Array, bone: Array) -> Array:
-    """Feet stand flat in a rest pose, however high their ankle sits: heading and roll are what counts."""
+    """The difference of a foot: it stands flat in the rest pose, so only heading and roll count."""
     to_frame = quat_inverse(frame)
     in_frame = quat_rotate(to_frame, bone)
     pitch = math.degrees(math.asin(float(-in_frame[1] / np.linalg.norm(in_frame))))
-    if not -30.0 < pitch < 70.0:  # hanging toes
+    if not -30.0 < pitch < 70.0:  # the toes hang
         return _turned(frame, (canonical, bone), 0.0)
     hip, ankle = (source.place(name.replace("Foot", part)) for part in ("UpLeg", "Foot"))
     assert hip is not None and ankle is not None
@@ -233,26 +232,26 @@ def quat_from_roll(roll: Array) -> Array:
 
 
 def _spread(leg: Array) -> Array:
-    """How far a leg vector (..., 3) points to the left of straight down, in radians."""
+    """The angle (...) in radians by which a leg vector (..., 3) points to the left of straight down."""
     return np.arctan2(leg[..., 0], -leg[..., 1])
 
 
 def _canonical_spread(foot: str) -> Array:
-    """The canonical legs stand apart, and a foot rolls with its shin when they come together."""
+    """The spread of a canonical leg; a foot rolls with its shin when the legs come together."""
     hip = JOINT_NAMES.index(foot.replace("Foot", "UpLeg"))
     return _spread(_CANONICAL_REST[JOINT_NAMES.index(foot)] - _CANONICAL_REST[hip])
 
 
 def _heading(vector: Array) -> Array:
-    """The angle (...) about Y that turns +Z towards a vector (..., 3)."""
+    """The angle (...) in radians about Y that turns +Z towards a vector (..., 3)."""
     return np.arctan2(vector[..., 0], vector[..., 2])
 
 
 def posed_differences(source: SourceRig, rotations: Array, positions: Array) -> Array:
     """The differences D (23, 4) from recorded poses: global rotations (T, J, 4), positions (T, J, 3), Y up.
 
-    Pelvis and chest are framed by the hips or shoulders and the spine while the body is upright; limbs
-    by their bones and the axis that knees and elbows bend about; feet stand flat when they are lowest.
+    The frames of pelvis and chest come from hips, shoulders and spine while the body is upright; those of limbs from
+    their bones and the bending axes of knees and elbows; feet are flat when they are lowest.
     """
     step = max(1, len(positions) // (4 * _REFERENCE_FRAMES))
     poses = _Poses(source, rotations[::step], positions[::step])
@@ -260,7 +259,7 @@ def posed_differences(source: SourceRig, rotations: Array, positions: Array) -> 
 
 
 class _Poses:
-    """Reference poses of a source rig, and the canonical global rotations read from them."""
+    """Recorded poses of a source rig, and the canonical global rotations computed from them."""
 
     def __init__(self, source: SourceRig, rotations: Array, positions: Array) -> None:
         self.source = source
@@ -274,7 +273,7 @@ class _Poses:
         )
         limit = max(_UPRIGHT, float(np.quantile(self.lean, 0.05)))
         self.upright = self.lean <= limit
-        self.geometry: dict[str, Array] = {}  # canonical global rotations (T, 4), as far as seen
+        self.geometry: dict[str, Array] = {}  # canonical global rotations (T, 4) of the joints done so far
         self.out = quat_identity((len(JOINT_NAMES),))
 
     def place(self, name: str) -> Array | None:
@@ -319,14 +318,14 @@ class _Poses:
         return self.out
 
     def seen(self, name: str) -> Array:
-        """The canonical global rotation (T, 4) of the nearest joint above that the source has."""
+        """The canonical global rotation (T, 4) of the nearest ancestor done so far."""
         joint = PARENTS[JOINT_NAMES.index(name)]
         while JOINT_NAMES[joint] not in self.geometry:
             joint = PARENTS[joint]
         return self.geometry[JOINT_NAMES[joint]]
 
     def settle(self, name: str, geometry: Array, frames: Array) -> None:
-        """Take the mean difference over some frames, and the rotation of all frames from it."""
+        """Set a joint's difference to the mean over some frames, and its rotation in all frames accordingly."""
         if name not in self.source.rig.places:
             return
         difference = quat_multiply(quat_inverse(self.turn(name)), geometry)[frames]

@@ -1,8 +1,8 @@
-"""Any human rig in, the canonical skeleton of 23 joints out, in cm, Y up.
+"""Retargeting of any human rig to the canonical skeleton of 23 joints, in cm, Y up.
 
-Joints are found by name and hierarchy (rig_names), rest poses are compared (rest_pose), the unit is
-guessed (units). Rotations are carried over in the world, so joints in between (a hip joint, a second
-root, extra spine joints) are composed in.
+Joints are found by name and hierarchy (rig_names), rest poses are compared (rest_pose), and the unit is detected
+(units). Rotations are transferred in world space, so joints in between (a hip joint, a second root, extra spine
+joints) are included.
 """
 
 from __future__ import annotations
@@ -41,25 +41,25 @@ from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_
 from motionkit.motion.units import check_leg, guess_scale
 
 _TORSO = ("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder")
-# A source bone shorter than this share of the leg is a gap in the rig, not a bone of that length.
+# A source bone shorter than this share of its canonical length is a gap in the rig, not a short bone.
 _GAP = 0.01
 
 
 @dataclass(frozen=True, eq=False)
 class RetargetReport:
-    """What was found in a rig and done to it.
+    """What retargeting found in a rig, and what it changed.
 
     Attributes:
-        source_joints: how many joints the file has.
-        mapped: canonical joint to source joint.
-        missing: canonical joints with no source; they do not move against their parent.
-        ignored: source joints not used.
+        source_joints: number of joints in the file.
+        mapped: canonical joint name to source joint name.
+        missing: canonical joints without a source; they keep their rest pose relative to their parents.
+        ignored: unused source joints.
         scale: cm per file unit.
-        scale_source: how the scale was found.
+        scale_source: how the scale was determined.
         leg_length: thigh plus shin of this body, cm.
-        root_scale: what root positions were multiplied with beyond the unit (canonical leg / own leg).
-        notes: rest-pose differences, a turned up axis and the like.
-        body: (23, 3) offsets in cm of this body: own bone lengths in canonical rest directions.
+        root_scale: extra factor of root positions (canonical leg length / this body's).
+        notes: rest-pose differences, a changed up axis and the like.
+        body: (23, 3) offsets of this body in cm: its bone lengths in canonical rest directions.
     """
 
     source_joints: int
@@ -77,7 +77,7 @@ class RetargetReport:
 def retarget_file(
     path: str | Path, scale: float | None = None, fps: float | None = None, own_body: bool = False
 ) -> tuple[Motion, RetargetReport]:
-    """Read a BVH file and retarget it; raises BvhError or SkeletonError naming the file."""
+    """Read a BVH file and retarget it; arguments as for retarget. Raises BvhError or SkeletonError."""
     bvh = read_bvh(path)
     try:
         return retarget(bvh, scale, fps, own_body)
@@ -88,16 +88,20 @@ def retarget_file(
 def retarget(
     bvh: BvhFile, scale: float | None = None, fps: float | None = None, own_body: bool = False
 ) -> tuple[Motion, RetargetReport]:
-    """The motion on the canonical skeleton, at the file's own rate (or fps), and a report.
+    """Retarget a BVH file to the canonical skeleton, at its own frame rate.
 
     Args:
         bvh: any human rig.
-        scale: cm per file unit; guessed from the leg length if not given.
-        fps: the true rate where the file's header is wrong.
-        own_body: keep this body's bone lengths; else the canonical ones, with root positions scaled
-            by the ratio of leg lengths about the world's origin.
+        scale: cm per file unit; detected from the leg length by default.
+        fps: frame rate, if the file's header is wrong.
+        own_body: keep this body's bone lengths. Otherwise the motion has the canonical body, and root positions are
+            scaled about the world's origin by the ratio of leg lengths.
 
-    Raises SkeletonError if the rig is not a human one.
+    Returns:
+        The motion and a report.
+
+    Raises:
+        SkeletonError: the rig is not a known human rig.
     """
     bvh = _median_offsets(bvh)
     names = bvh.skeleton.names
@@ -146,7 +150,7 @@ def retarget(
 
 
 def _median_offsets(bvh: BvhFile) -> BvhFile:
-    """With six-channel joints the channels place a joint, not its OFFSET: their median stands for it."""
+    """Replace the OFFSET of six-channel joints by the median of their position channels."""
     offsets = bvh.skeleton.offsets.copy()
     for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
         for name, column in zip(names, columns, strict=True):
@@ -156,9 +160,9 @@ def _median_offsets(bvh: BvhFile) -> BvhFile:
 
 
 def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
-    """The file without the joints that move nothing canonical (fingers, meshes, helpers).
+    """Remove joints that no canonical joint needs (fingers, meshes, helpers).
 
-    Bones that ended in such joints get an End Site in their place.
+    Bones that ended in such joints get an End Site instead.
     """
     skeleton = bvh.skeleton
     needed: set[int] = set()
@@ -186,14 +190,14 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
 
 
 def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
-    """The world axis (3,) that bodies stand along: by the recorded poses, Y and the rest pose favoured."""
+    """The up axis (3,) of the world, by the recorded poses, with a preference for Y and the rest pose."""
     places = source.rig.places
     arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
     hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
     mean = normalized(arms - hips).mean(0)
     votes = np.abs(mean) + np.array([0.0, 0.3, 0.0], np.float32)
     sign = np.where(mean < 0, -1.0, 1.0)
-    if frame is not None:  # a whole clip may be spent on the floor or upside down
+    if frame is not None:  # the body may be on the floor or upside down for a whole clip
         rest = quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
         axis = int(np.abs(rest).argmax())
         votes[axis] += 0.4
@@ -209,13 +213,15 @@ def _leg(source: SourceRig) -> float:
         for part in ("UpLeg", "Leg"):
             bone = source.bone(f"{side}{part}")
             if bone is None:
-                raise SkeletonError(f"{side}{part}: a bone without length, nothing to scale by")
+                raise SkeletonError(
+                    f"{side}{part} is a bone of zero length, so the scale cannot be determined"
+                )
             total += float(np.linalg.norm(bone[1]))
     return total / 2.0
 
 
 def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> Array:
-    """Global rotations (T, 23, 4) of the canonical joints; those without a source follow their parent."""
+    """Global rotations (T, 23, 4) of the canonical joints; joints without a source follow their parent."""
     carriers: list[int] = []  # the canonical joint whose source moves each canonical joint
     for joint, name in enumerate(JOINT_NAMES):
         carriers.append(joint if name in rig.turns else carriers[PARENTS[joint]])
@@ -224,16 +230,16 @@ def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> A
 
 
 def _to_local(rotations: Array) -> Array:
-    """Rotations (T, 23, 4) in the parent's space from global ones, signs continuous in time."""
+    """Local rotations (T, 23, 4) of global ones, with signs continuous in time."""
     parents = rotations[:, list(PARENTS[1:])]
     local = quat_multiply(quat_inverse(parents), rotations[:, 1:])
     return quat_continuous(quat_normalize(np.concatenate([rotations[:, :1], local], axis=1)))
 
 
 def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton) -> Array:
-    """Where the hips must be (T, 3) for the middle between the thighs to be where the source has it.
+    """Hip positions (T, 3) that put the middle between the thighs where the source has it.
 
-    Rigs put their hip joint anywhere between the thighs and the navel; the legs must not notice.
+    Rigs place their hip joint anywhere between thighs and navel; this must not move the legs.
     """
     thighs = [positions[:, rig.places[f"{side}UpLeg"]] for side in SIDES]
     sockets = [target.offsets[target.index(f"{side}UpLeg")] for side in SIDES]
@@ -242,10 +248,10 @@ def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton
 
 
 def _body(source: SourceRig, shape: Array, scale: float) -> tuple[Array, tuple[str, ...]]:
-    """This body's offsets (23, 3) in cm, canonical in direction, and notes on lengths that were assumed.
+    """This body's offsets (23, 3) in cm, in canonical directions, and notes on assumed lengths.
 
-    A length that the rig lacks is the canonical one in proportion to the legs. Where the rig's torso is
-    built otherwise, it is scaled as a whole, by its height and widths in shape (T, J, 3), cm.
+    A length missing in the rig is the canonical one, in proportion to the legs. If the rig's torso lacks joints, the
+    torso is scaled as a whole, by its height and widths in shape (T, J, 3), cm.
     """
     canonical = canonical_skeleton()
     rest = canonical.rest_positions()
@@ -263,7 +269,7 @@ def _body(source: SourceRig, shape: Array, scale: float) -> tuple[Array, tuple[s
         if own * scale < _GAP * share * usual:
             assumed.append(name)
             continue
-        while joint != above:  # joints that the rig lacks share the length with the one below them
+        while joint != above:  # joints missing in the rig share the length with the one below them
             ratios[joint] = own * scale / usual
             joint = PARENTS[joint]
     if not all(name in source.rig.places for name in _TORSO):
@@ -274,7 +280,7 @@ def _body(source: SourceRig, shape: Array, scale: float) -> tuple[Array, tuple[s
     body = canonical.offsets * ratios[:, None]
     if not assumed:
         return body, ()
-    return body, (f"no length in the file for {', '.join(assumed)}: taken in proportion to the legs",)
+    return body, (f"the file has no length for {', '.join(assumed)}; assumed in proportion to the legs",)
 
 
 def _own_length(source: SourceRig, above: str, name: str) -> float | None:
@@ -282,14 +288,14 @@ def _own_length(source: SourceRig, above: str, name: str) -> float | None:
     top, bottom = source.place(above), source.place(name)
     if top is not None and bottom is not None:
         return float(np.linalg.norm(bottom - top))
-    if above.endswith(("ForeArm", "Foot")):  # a hand or toe that only an End Site tells of
+    if above.endswith(("ForeArm", "Foot")):  # a hand or toe that is only an End Site
         bone = source.bone(above)
         return None if bone is None else float(np.linalg.norm(bone[1]))
     return None
 
 
 def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tuple[str, ...], float]]:
-    """How much larger than the canonical one the torso is: in height, at the shoulders, at the hips."""
+    """The size of the torso relative to the canonical one: height, shoulder width, hip width, head height."""
 
     places = source.rig.places
 
@@ -309,7 +315,7 @@ def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tu
         (("LeftArm", "RightArm"), arms),
         (("LeftUpLeg", "RightUpLeg"), hips),
     ]
-    if "Head" in places:  # necks begin anywhere: the head belongs as high above the shoulders as it was
+    if "Head" in places:  # necks begin at different heights: keep the head's height above the shoulders
         middle = (shape[:, places["LeftArm"]] + shape[:, places["RightArm"]]) / 2
         above = float(lower_median(length(shape[:, places["Head"]] - middle)))
         neck, head = rest[JOINT_NAMES.index("Neck")], rest[JOINT_NAMES.index("Head")]
@@ -319,13 +325,13 @@ def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tu
 
 
 def _pose_notes(up: Array, frame: Array, standing: bool, differences: Array) -> tuple[str, ...]:
-    """In words, how the source's axes and rest pose differ."""
+    """Notes on how the source's axes and rest pose differ."""
     notes = []
     if float(up[1]) < 0.5:
         axis = int(np.abs(up).argmax())
         notes.append(f"up axis {'+' if float(up[axis]) > 0 else '-'}{'XYZ'[axis]} turned to +Y")
     if not standing:
-        notes.append("the rest pose is not a standing human: reference poses taken from the motion")
+        notes.append("the rest pose is not a standing human; rest rotations were taken from the motion")
         return tuple(notes)
     facing = quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
     axis = int(np.abs(facing).argmax())
@@ -336,5 +342,5 @@ def _pose_notes(up: Array, frame: Array, standing: bool, differences: Array) -> 
         f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
     ]
     if turned:
-        notes.append(f"rest pose differs by degrees: {', '.join(turned)}")
+        notes.append(f"the rest pose differs, in degrees: {', '.join(turned)}")
     return tuple(notes)

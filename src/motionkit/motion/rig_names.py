@@ -1,9 +1,9 @@
-"""Which joint of a foreign rig is which: names tell the limbs, the hierarchy tells the torso.
+"""Maps the joints of other rigs to canonical joints: limbs by name, the torso by hierarchy.
 
-A name gives a side and a part ("mixamorig:LeftUpLeg", "Bip01 L Thigh", "thigh.L", "lThigh" are all the
-left thigh). Words that rigs use differently ("LeftShoulder" is a collar bone here, an upper arm there;
-"LeftHip", "LeftLeg" likewise) are settled by what else the same side has. Spine, neck and collar
-joints are found on the paths between the limbs, whatever they are called.
+A name gives a side and a part: "mixamorig:LeftUpLeg", "Bip01 L Thigh", "thigh.L" and "lThigh" are all the left
+thigh. Some words differ between rigs: "LeftShoulder" is a collar bone in one and an upper arm in another, and
+"LeftHip" and "LeftLeg" are ambiguous too; the other joints of the same side decide. Spine, neck and collar joints
+are found on the paths between the limbs, whatever their names.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ import numpy as np
 from motionkit.errors import SkeletonError
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 
-# Part -> the words for it, lower case, without separators and digits. "shoulder", "arm", "hip" and
-# "leg" stand for themselves because they are ambiguous.
+# Part to its words, in lower case, without separators and digits. "shoulder", "arm", "hip" and "leg" are separate
+# parts because they are ambiguous.
 PARTS: dict[str, tuple[str, ...]] = {
     "thigh": ("thigh", "upleg", "upperleg", "uleg", "legupper", "femur", "thighbend"),
     "hip": ("hip",),
@@ -37,7 +37,7 @@ PARTS: dict[str, tuple[str, ...]] = {
     "hips": ("hips", "pelvis"),
     "neck": ("neck", "lowerneck", "upperneck", "necklower", "neckupper", "neckbase", "neckmiddle"),
     "head": ("head", "skull"),
-    # Known to be none of ours: what lies between or beside the joints that count.
+    # Known joints that are not mapped: those between or beside the canonical ones.
     "other": (
         "hipjoint", "buttock", "end", "nub", "site", "tip", "roll", "twist", "ik", "pole", "target",
         "effector", "rigmesh", "mesh", "helper", "finger", "fingers", "fingerbase", "thumb", "index",
@@ -47,7 +47,7 @@ PARTS: dict[str, tuple[str, ...]] = {
 }  # fmt: skip
 WORDS: dict[str, str] = {word: part for part, words in PARTS.items() for word in words}
 SIDES: dict[str, str] = {"left": "Left", "right": "Right", "l": "Left", "r": "Right"}
-# Where the canonical spine joints sit between hips (0) and shoulders (1).
+# Places of the canonical spine joints between hips (0) and shoulders (1).
 SPINE_SHARES: dict[str, float] = {"LowerBack": 0.0, "Spine": 0.28, "Spine1": 0.56}
 
 _TOKENS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
@@ -58,26 +58,26 @@ _SIDED_WORD = re.compile(rf"(?:({_SIDE})({_WORD})|({_WORD})({_SIDE})|({_WORD}))"
 
 @dataclass(frozen=True)
 class RigMap:
-    """Where the canonical joints are in a source skeleton.
+    """The canonical joints of a source skeleton.
 
     Attributes:
-        places: canonical name to the index of the source joint that sits there.
-        turns: canonical name to the index of the source joint whose rotation counts; another one than
-            the place where twist joints follow it along the same bone.
+        places: canonical name to the index of the source joint at its place.
+        turns: canonical name to the index of the source joint with its rotation; this differs from the place if
+            twist joints follow along the same bone.
     """
 
     places: dict[str, int]
     turns: dict[str, int]
 
     def missing(self) -> tuple[str, ...]:
-        """Canonical joints that the source does not have."""
+        """Canonical joints that the source lacks."""
         return tuple(name for name in JOINT_NAMES if name not in self.places)
 
 
 def name_part(name: str) -> tuple[str, str]:
-    """Side ("Left", "Right" or "") and part (a key of PARTS, or "") that a joint name speaks of.
+    """Side ("Left", "Right" or "") and part (a key of PARTS, or "") of a joint name.
 
-    Prefixes and namespaces ("mixamorig:", "Character1_", "Armature|") are left out.
+    Prefixes and namespaces ("mixamorig:", "Character1_", "Armature|") are ignored.
     """
     tokens = [token.lower() for token in _TOKENS.findall(name)]
     for start in range(len(tokens)):
@@ -91,12 +91,12 @@ def name_part(name: str) -> tuple[str, str]:
 
 
 def map_rig(skeleton: Skeleton) -> RigMap:
-    """Find the canonical joints in a skeleton; raises SkeletonError if it is not a human rig."""
+    """Find the canonical joints in a skeleton; raises SkeletonError if it is not a known human rig."""
     return _Mapper(skeleton).map()
 
 
 class _Mapper:
-    """The hierarchy with its parts by name; methods pick joints from the limbs inward."""
+    """The hierarchy with parts by name; its methods map the limbs first, then the torso."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self.names = skeleton.names
@@ -123,14 +123,14 @@ class _Mapper:
         return RigMap(ordered, {name: self._turn(name) for name in ordered})
 
     def path(self, joint: int) -> list[int]:
-        """From the root to the joint, both included."""
+        """The joints from the root to a joint, both included."""
         out = [joint]
         while self.parents[out[-1]] >= 0:
             out.append(self.parents[out[-1]])
         return out[::-1]
 
     def common(self, *joints: int) -> int:
-        """The deepest joint above (or at) all of these."""
+        """The deepest common ancestor of these joints, which may be one of them."""
         paths = [self.path(joint) for joint in joints]
         shared = [steps[0] for steps in zip(*paths, strict=False) if len(set(steps)) == 1]
         return shared[-1]
@@ -139,9 +139,9 @@ class _Mapper:
         return [j for j, parent in enumerate(self.parents) if parent == joint]
 
     def find(self, side: str, *parts: str, under: int | None = None, carries: bool = False) -> int | None:
-        """The joint of one of these parts with the most joints below it, strictly below `under` if given.
+        """The joint of one of these parts with the most descendants, below `under` if given.
 
-        Rigs repeat names for helpers and meshes; those are leaves, which `carries` leaves out.
+        Rigs repeat names for helpers and meshes; those are leaves, and `carries` excludes them.
         """
         found = [
             j
@@ -155,7 +155,7 @@ class _Mapper:
 
     @staticmethod
     def first(*joints: int | None) -> int | None:
-        """The first that is there."""
+        """The first that is not None."""
         return next((joint for joint in joints if joint is not None), None)
 
     def put(self, name: str, joint: int | None) -> int | None:
@@ -166,14 +166,14 @@ class _Mapper:
     def _leg(self, side: str) -> None:
         leg = self.find(side, "leg", carries=True)
         if leg is not None and self.find(side, "shin", under=leg) is None:
-            leg = None  # a "leg" with no shin below it is the shin
+            leg = None  # a "leg" without a shin below it is the shin
         thigh = self.first(self.find(side, "thigh", carries=True), leg, self.find(side, "hip", carries=True))
         if self.put(f"{side}UpLeg", thigh) is None:
             return
         shin = self.put(f"{side}Leg", self.find(side, "shin", "leg", under=thigh))
         if shin is None:
             return
-        # Some rigs call their only foot joint a toe; in others the foot is what hangs below the ankle.
+        # Some rigs call their only foot joint a toe; in others the foot is the joint below the ankle.
         foot = self.first(self.find(side, "foot", under=shin), self.find(side, "toe", under=shin))
         if self.put(f"{side}Foot", foot) is not None:
             toe = self.first(self.find(side, "toe", under=foot), self.find(side, "foot", under=foot))
@@ -195,11 +195,10 @@ class _Mapper:
         if lacking:
             seen = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
             raise SkeletonError(
-                f"not a human rig that is known here: no joint found for {', '.join(lacking)}; "
-                f"joints seen: {seen}"
+                f"not a known human rig: no joint found for {', '.join(lacking)}; the file has the joints {seen}"
             )
         if len(set(self.places.values())) < len(self.places):
-            raise SkeletonError("not a human rig that is known here: one joint answers for two limbs")
+            raise SkeletonError("not a known human rig: one joint matches two limbs")
 
     def _hips(self) -> None:
         thighs = self.places["LeftUpLeg"], self.places["RightUpLeg"]
@@ -207,7 +206,7 @@ class _Mapper:
         above = [j for j in self.path(fork) if self.parts[j] in (("", "hips"), ("", "hip"))]
         if fork in thighs:
             raise SkeletonError(
-                f"one thigh hangs below the other: {', '.join(self.names[j] for j in thighs)}"
+                f"one thigh is a descendant of the other: {', '.join(self.names[j] for j in thighs)}"
             )
         self.places["Hips"] = above[-1] if above else fork
 
@@ -227,7 +226,7 @@ class _Mapper:
         return chest
 
     def length(self, above: int, below: int) -> float:
-        """Rest length along the hierarchy from the first path's fork to a joint."""
+        """Rest length along the hierarchy from the common ancestor to `below`."""
         path = self.path(below)
         start = path.index(self.common(above, below))
         return float(sum(np.linalg.norm(self.offsets[j]) for j in path[start + 1 :]))
@@ -252,7 +251,7 @@ class _Mapper:
             self.places[f"{side}Shoulder"] = between[0]
 
     def _turn(self, name: str) -> int:
-        """The last joint along a limb bone before the next placed joint: twist joints count."""
+        """The last joint along a limb bone before the next mapped joint, twist joints included."""
         below = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
         place = self.places[name]
         for side in ("Left", "Right"):
@@ -263,7 +262,7 @@ class _Mapper:
 
 
 def _spine_names(heights: list[float], top: float) -> tuple[str, ...]:
-    """The canonical spine joints whose share of the way from hips to shoulders is nearest."""
+    """The canonical spine joints nearest to these heights between hips and shoulders."""
 
     def misfit(names: tuple[str, ...]) -> float:
         return sum(abs(SPINE_SHARES[n] - h / top) for n, h in zip(names, heights, strict=True))

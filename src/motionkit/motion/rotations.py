@@ -1,7 +1,7 @@
-"""Rotation mathematics. models/torch_rotations.py has the few functions that losses differentiate.
+"""Rotation functions; models/torch_rotations.py has the few that losses differentiate.
 
-Quaternions are (..., 4) as w, x, y, z. Matrices are (..., 3, 3) and act on columns. An exponential
-map (..., 3) is axis times full angle, in radians. All functions take any leading dimensions.
+Quaternions are (..., 4) in the order w, x, y, z. Matrices are (..., 3, 3) and act on columns. An exponential map
+(..., 3) is axis times full angle in radians. All functions accept any leading dimensions.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from numpy.typing import DTypeLike
 
 from motionkit.arrays import Array, cross, length, normalized
 
-# Below this angle the trigonometric quotients are replaced by their series, so gradients stay finite.
+# Below this angle, series replace the trigonometric quotients, which avoids 0 / 0.
 SMALL_ANGLE = 1e-4
 
 
@@ -30,12 +30,12 @@ def quat_normalize(quat: Array) -> Array:
 
 
 def quat_inverse(quat: Array) -> Array:
-    """The inverse of unit quaternions (..., 4): the conjugate."""
+    """The inverse (conjugate) of unit quaternions (..., 4)."""
     return np.concatenate([quat[..., :1], -quat[..., 1:]], axis=-1)
 
 
 def quat_multiply(a: Array, b: Array) -> Array:
-    """The product a b (..., 4): rotates by b first, then by a."""
+    """The product a b (..., 4), which rotates by b first, then by a."""
     aw, ax, ay, az = np.moveaxis(a, -1, 0)
     bw, bx, by, bz = np.moveaxis(b, -1, 0)
     return np.stack(
@@ -50,7 +50,7 @@ def quat_multiply(a: Array, b: Array) -> Array:
 
 
 def quat_rotate(quat: Array, vector: Array) -> Array:
-    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    """Vectors (..., 3) rotated by unit quaternions (..., 4)."""
     axis = quat[..., 1:]
     twice_cross = 2.0 * cross(axis, vector)
     return vector + quat[..., :1] * twice_cross + cross(axis, twice_cross)
@@ -70,8 +70,7 @@ def quat_to_matrix(quat: Array) -> Array:
 def matrix_to_quat(matrix: Array) -> Array:
     """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3).
 
-    Each of the four components gives one candidate row; the candidate with the largest leading
-    component is the well-conditioned one.
+    Each of the four components gives one candidate; the one with the largest leading component is best conditioned.
     """
     m = np.moveaxis(matrix.reshape(*matrix.shape[:-2], 9), -1, 0)
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m
@@ -91,7 +90,7 @@ def matrix_to_quat(matrix: Array) -> Array:
 
 
 def expmap_to_quat(expmap: Array) -> Array:
-    """Unit quaternions (..., 4) of exponential maps (..., 3); any angle, 2 pi and beyond included."""
+    """Unit quaternions (..., 4) of exponential maps (..., 3) of any angle."""
     squared = (expmap * expmap).sum(-1, keepdims=True)
     small = squared < SMALL_ANGLE**2
     angle = np.sqrt(np.where(small, np.ones_like(squared), squared))
@@ -102,7 +101,7 @@ def expmap_to_quat(expmap: Array) -> Array:
 
 
 def quat_to_expmap(quat: Array) -> Array:
-    """Exponential maps (..., 3) of unit quaternions (..., 4), the shorter way round: angle <= pi."""
+    """Exponential maps (..., 3) of unit quaternions (..., 4), with angles of at most pi."""
     quat = np.where(quat[..., :1] < 0, -quat, quat)
     w, xyz = quat[..., :1], quat[..., 1:]
     squared = (xyz * xyz).sum(-1, keepdims=True)
@@ -114,10 +113,10 @@ def quat_to_expmap(quat: Array) -> Array:
 
 
 def unwrap_expmap(expmap: Array) -> Array:
-    """Exponential maps (T, ..., 3) of the same rotations, each frame the branch nearest the one before.
+    """Exponential maps (T, ..., 3) of the same rotations, each frame on the branch nearest to the previous frame.
 
-    A rotation by angle a about an axis is also one by a - 2 pi k; following the nearest branch keeps
-    a track through pi continuous, except where it passes near a full turn.
+    A rotation by an angle a is also one by a - 2 pi k. Following the nearest branch keeps a sequence through pi
+    continuous, except near a full turn.
     """
     out = expmap.copy()
     for t in range(1, expmap.shape[0]):
@@ -126,18 +125,18 @@ def unwrap_expmap(expmap: Array) -> Array:
         axis = current / np.maximum(angle, 1e-8)
         along = (previous * axis).sum(-1, keepdims=True)
         turns = np.round((along - angle) / (2 * math.pi))
-        # Only near pi can another branch be meant; near zero the axis itself is noise.
+        # Another branch is possible only near pi; near zero the axis itself is noise.
         turns = np.where(angle < 0.5, np.zeros_like(turns), np.clip(turns, -1, 1))
         out[t] = axis * (angle + 2 * math.pi * turns)
     return out
 
 
 def quat_between(source: Array, target: Array) -> Array:
-    """The smallest rotation (..., 4) that turns directions source onto target (..., 3)."""
+    """The smallest rotation (..., 4) that rotates directions source (..., 3) to target (..., 3)."""
     source, target = normalized(source), normalized(target)
     normal = cross(source, target)
     w = 1.0 + (source * target).sum(-1, keepdims=True)
-    # Opposite directions: any axis at right angles will do.
+    # Opposite directions: rotate about any perpendicular axis.
     x, y = np.eye(3, dtype=source.dtype)[:2]
     sideways = cross(source, np.where(np.abs(source[..., :1]) < 0.9, x, y))
     opposite = w < 1e-6
@@ -146,7 +145,7 @@ def quat_between(source: Array, target: Array) -> Array:
 
 
 def quat_slerp(a: Array, b: Array, fraction: Array) -> Array:
-    """Spherical interpolation from a to b (..., 4) at fraction (...), the shorter way round."""
+    """Spherical interpolation from a to b (..., 4) at fraction (...), by the shorter arc."""
     dot = (a * b).sum(-1, keepdims=True)
     b = np.where(dot < 0, -b, b)
     dot = np.minimum(np.abs(dot), 1.0)
@@ -161,38 +160,38 @@ def quat_slerp(a: Array, b: Array, fraction: Array) -> Array:
 
 
 def quat_continuous(quat: Array) -> Array:
-    """The same rotations (T, ..., 4) with signs chosen so that neighbours in time are close."""
+    """The same rotations (T, ..., 4) with signs chosen so that neighbouring frames are close."""
     dots = (quat[1:] * quat[:-1]).sum(-1)
     flips = np.cumprod(np.where(dots < 0, -1.0, 1.0).astype(quat.dtype), axis=0)
     return np.concatenate([quat[:1], quat[1:] * flips[..., None]], axis=0)
 
 
 def quat_from_yaw(yaw: Array) -> Array:
-    """Rotations (..., 4) about Y by yaw (...)."""
+    """Rotations (..., 4) about Y by yaw (...) in radians."""
     zero = np.zeros_like(yaw)
     return np.stack([np.cos(0.5 * yaw), zero, np.sin(0.5 * yaw), zero], axis=-1)
 
 
 def wrap_angle(angle: Array) -> Array:
-    """Angles folded into [-pi, pi)."""
+    """Angles wrapped to [-pi, pi)."""
     return np.remainder(angle + math.pi, 2 * math.pi) - math.pi
 
 
 def rotate_ground(yaw: Array, xz: Array) -> Array:
-    """Ground vectors (..., 2) as x, z, turned about Y by yaw (...)."""
+    """Ground vectors (..., 2), x and z, rotated about Y by yaw (...)."""
     sine, cosine = np.sin(yaw), np.cos(yaw)
     x, z = np.moveaxis(xz, -1, 0)
     return np.stack([cosine * x + sine * z, -sine * x + cosine * z], axis=-1)
 
 
 def quat_to_sixd(quat: Array) -> Array:
-    """The first two matrix columns (..., 6): a form without jumps (Zhou et al. 2019)."""
+    """The first two matrix columns (..., 6), a continuous representation (Zhou et al. 2019)."""
     matrix = quat_to_matrix(quat)
     return np.concatenate([matrix[..., :, 0], matrix[..., :, 1]], axis=-1)
 
 
 def sixd_to_quat(sixd: Array) -> Array:
-    """Unit quaternions (..., 4) of two columns (..., 6), made orthonormal first (Gram-Schmidt)."""
+    """Unit quaternions (..., 4) of two matrix columns (..., 6), orthonormalised by Gram-Schmidt."""
     first = normalized(sixd[..., :3], 1e-8)
     second = sixd[..., 3:] - (first * sixd[..., 3:]).sum(-1, keepdims=True) * first
     second = normalized(second, 1e-8)
@@ -200,9 +199,11 @@ def sixd_to_quat(sixd: Array) -> Array:
 
 
 def euler_to_quat(euler: Array, order: str) -> Array:
-    """Rotations (..., 4) of intrinsic Euler angles (..., len(order)) in radians, as BVH channels list them.
+    """Rotations (..., 4) of intrinsic Euler angles (..., len(order)) in radians, in the order of BVH channels.
 
-    order is a word over X, Y, Z, such as "ZYX": the first angle turns about the first axis, outermost.
+    Args:
+        euler: angles, one for each axis of order.
+        order: axes such as "ZYX"; the first one is the outermost rotation.
     """
     quat = quat_identity(euler.shape[:-1], euler.dtype)
     for index, axis in enumerate(order):
@@ -217,7 +218,7 @@ def euler_to_quat(euler: Array, order: str) -> Array:
 def quat_to_euler(quat: Array, order: str) -> Array:
     """Intrinsic Euler angles (..., 3) in radians of rotations (..., 4), for an order of three distinct axes.
 
-    The middle angle lies within [-pi/2, pi/2]. At the pole the last angle is put to zero.
+    The middle angle is in [-pi/2, pi/2]. At the pole the last angle is zero.
     """
     i, j, k = ("XYZ".index(axis) for axis in order)
     sign = 1.0 if (j - i) % 3 == 1 else -1.0

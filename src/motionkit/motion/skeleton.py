@@ -1,4 +1,4 @@
-"""Joint hierarchies, and the canonical skeleton of 23 joints that every motion is mapped onto."""
+"""Joint hierarchies, and the canonical skeleton of 23 joints to which every motion is retargeted."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Skeleton:
     Attributes:
         names: J joint names, parents before children; the first is the root.
         parents: J parent indices; the root's is -1.
-        offsets: (J, 3) positions relative to the parent in the rest pose, where all rotations are identity.
-        end_sites: joint index to the (3,) offset of the point that ends its bone.
+        offsets: (J, 3) positions relative to the parent in the rest pose, in which all rotations are identity.
+        end_sites: joint index to the (3,) offset of the end of its bone.
     """
 
     names: tuple[str, ...]
@@ -30,36 +30,35 @@ class Skeleton:
         return len(self.names)
 
     def index(self, name: str) -> int:
-        """The index of a joint by name; raises SkeletonError if there is none."""
+        """The index of a joint by name; raises SkeletonError if it is unknown."""
         try:
             return self.names.index(name)
         except ValueError:
-            raise SkeletonError(f"no joint named {name!r} among {', '.join(self.names)}") from None
+            raise SkeletonError(f"unknown joint {name!r}, expected one of {', '.join(self.names)}") from None
 
     def children(self, joint: int) -> list[int]:
-        """Indices of the joints whose parent this is."""
+        """Indices of the joint's children."""
         return [j for j, parent in enumerate(self.parents) if parent == joint]
 
     def rest_positions(self) -> Array:
-        """(J, 3) joint positions of the rest pose, the root at the origin."""
+        """Joint positions (J, 3) of the rest pose, the root at the origin."""
         positions = [np.zeros(3, self.offsets.dtype)]
         for joint in range(1, len(self)):
             positions.append(positions[self.parents[joint]] + self.offsets[joint])
         return np.stack(positions)
 
     def scaled(self, factor: float) -> Skeleton:
-        """The same skeleton with every length multiplied."""
+        """The same skeleton with every length multiplied by a factor."""
         ends = {j: (x * factor, y * factor, z * factor) for j, (x, y, z) in self.end_sites.items()}
         return Skeleton(self.names, self.parents, self.offsets * factor, ends)
 
     def same_hierarchy(self, other: Skeleton) -> bool:
-        """Whether names and parents agree (lengths may differ)."""
+        """Whether names and parents are equal (lengths may differ)."""
         return self.names == other.names and self.parents == other.parents
 
 
-# Name, parent, offset in cm. Directions are those of the CMU rest pose (arms level, legs spread 20
-# degrees), lengths and directions the median over the CMU subjects, made symmetric; see
-# docs/conventions.md for the command that measures them.
+# Name, parent, offset in cm. The rest pose is that of CMU (arms level, legs spread 20 degrees); the offsets are
+# medians over the CMU subjects, made symmetric. docs/conventions.md has the command that measures them.
 _CANONICAL: tuple[tuple[str, str, tuple[float, float, float]], ...] = (
     ("Hips", "", (0.0, 0.0, 0.0)),
     ("LeftUpLeg", "Hips", (9.14, -10.04, 4.01)),
@@ -96,17 +95,17 @@ _CANONICAL_ENDS: dict[str, tuple[float, float, float]] = {
 JOINT_NAMES: tuple[str, ...] = tuple(name for name, _, _ in _CANONICAL)
 JOINT_COUNT = len(JOINT_NAMES)
 PARENTS: tuple[int, ...] = tuple(JOINT_NAMES.index(p) if p else -1 for _, p, _ in _CANONICAL)
-# The four joints whose contact with the floor is labelled, in the order of the contact columns.
+# The four joints with contact labels, in the order of the contact columns.
 FOOT_JOINTS: tuple[int, ...] = tuple(
     JOINT_NAMES.index(name) for name in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase")
 )
-STANDING_HEIGHTS = (10.5, 4.1, 10.5, 4.1)  # cm above the floor, of these joints of a foot that stands flat
+STANDING_HEIGHTS = (10.5, 4.1, 10.5, 4.1)  # heights of these joints while the feet stand flat, cm
 # Thigh plus shin as a share of standing height (anthropometric tables; also the CMU subjects).
 LEG_TO_STATURE = 0.491
 
 
 def mirrored_name(name: str) -> str:
-    """The canonical name on the other side of the body; central joints map to themselves."""
+    """The canonical joint name on the other side of the body; central joints map to themselves."""
     if name.startswith("Left"):
         return "Right" + name[4:]
     if name.startswith("Right"):
@@ -114,20 +113,24 @@ def mirrored_name(name: str) -> str:
     return name
 
 
-# For every canonical joint the index of its twin on the other side.
+# The index of each canonical joint's twin on the other side.
 MIRROR_JOINTS: tuple[int, ...] = tuple(JOINT_NAMES.index(mirrored_name(name)) for name in JOINT_NAMES)
 
 
 def canonical_skeleton(offsets: Array | None = None) -> Skeleton:
-    """The canonical skeleton of 23 joints in cm, facing +Z, left along +X, with other offsets (23, 3) if given.
+    """The canonical skeleton of 23 joints in cm, facing +Z with left along +X.
 
-    End sites keep their share of the length of the bone they end.
+    Args:
+        offsets: (23, 3) of another body in cm; end sites are scaled with the bones they end.
+
+    Raises:
+        SkeletonError: offsets have another shape.
     """
     default = np.array([offset for _, _, offset in _CANONICAL], np.float32)
     ends = {JOINT_NAMES.index(name): end for name, end in _CANONICAL_ENDS.items()}
     if offsets is not None:
         if tuple(offsets.shape) != (JOINT_COUNT, 3):
-            raise SkeletonError(f"expected offsets of shape (23, 3), found {tuple(offsets.shape)}")
+            raise SkeletonError(f"expected offsets of shape ({JOINT_COUNT}, 3), found {tuple(offsets.shape)}")
         for joint, end in ends.items():
             share = float(np.linalg.norm(offsets[joint]) / np.maximum(np.linalg.norm(default[joint]), 1e-6))
             ends[joint] = (end[0] * share, end[1] * share, end[2] * share)
@@ -136,7 +139,7 @@ def canonical_skeleton(offsets: Array | None = None) -> Skeleton:
 
 
 def leg_length(skeleton: Skeleton) -> float:
-    """Thigh plus shin of a canonical skeleton, the mean of both sides, in its own unit."""
+    """Thigh plus shin of a canonical skeleton in its unit, the mean of both sides."""
     lengths = np.linalg.norm(skeleton.offsets, axis=-1)
     names = ("LeftLeg", "LeftFoot", "RightLeg", "RightFoot")
     return float(sum(lengths[skeleton.index(name)] for name in names)) / 2.0
