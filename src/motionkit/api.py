@@ -84,7 +84,7 @@ def synthesize(
             several texts are taken in turn by the characters of count.
         model: the bundled model by default.
         seconds: length of the whole; by default 4 s for each type, one performance of a flip.
-        count: how many motions, made as one batch.
+        count: how many motions, made in one batch; motion i is that of seed + i.
         noise: how frames are drawn; correlated noise of temperature 0.05 by default.
         character: the body to move; several names with commas are taken in turn.
         init: a BVH file to start from.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib.util
 import re
 from pathlib import Path
@@ -90,15 +89,6 @@ def test_every_page_in_docs_is_linked() -> None:
 def blocks(page: Path, language: str) -> list[str]:
     """The fenced blocks of a page in one language."""
     return re.findall(rf"^```{language}\n(.*?)^```", page.read_text("utf-8"), re.DOTALL | re.MULTILINE)
-
-
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
-def test_python_examples_import_what_exists(page: Path) -> None:
-    for code in blocks(page, "python"):
-        imports: list[ast.stmt] = [
-            node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.Import | ast.ImportFrom)
-        ]
-        exec(compile(ast.Module(imports, []), page.name, "exec"), {})
 
 
 def test_the_path_examples_are_paths(tmp_path: Path) -> None:

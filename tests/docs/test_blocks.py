@@ -1,0 +1,171 @@
+"""Every Python and console block in README.md and docs runs, page by page, in a folder that has the files it names."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from motionkit.cli.main import cli
+from motionkit.motion.bvh import read_bvh
+
+ROOT = Path(__file__).resolve().parents[2]
+SAMPLE = ROOT / "examples" / "data"
+PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md")), ROOT / "benchmarks" / "README.md"]
+BLOCK = re.compile(r"^```(\w+)\n(.*?)^```", re.DOTALL | re.MULTILINE)
+# Budgets: the last value of an option counts, and training ends by steps or minutes, whichever is earlier.
+TINY_RUN = "--preset tiny --steps 2 --batch 4 --window 32 --splices 4 --device cpu --force".split()
+SMALL_EVALUATION = "--quick --seeds 1".split()
+
+
+def blocks(page: Path) -> list[tuple[str, str]]:
+    """Language and text of the fenced blocks of a page."""
+    return BLOCK.findall(page.read_text("utf-8"))
+
+
+def commands(text: str) -> list[list[str]]:
+    """The words of each command of a block, without comments."""
+    lines = text.replace("\\\n", " ").splitlines()
+    return [words for line in lines if (words := shlex.split(line, comments=True))]
+
+
+@pytest.fixture
+def workplace(
+    tmp_path: Path,
+    clips_folder: Path,
+    dataset_folder: Path,
+    tiny_model_file: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Path:
+    """The current folder: the files that the pages name."""
+    for name in ("examples", "docs"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    for name in ("my-motion", "cmu"):
+        shutil.copytree(clips_folder, tmp_path / name)
+    for name in ("mine", "free"):
+        shutil.copytree(dataset_folder, tmp_path / "datasets" / name)
+    shutil.copy(tiny_model_file, tmp_path / "mine.safetensors")
+    for name in ("walk", "truth", "made", "ground_truth", "generated"):
+        shutil.copy(SAMPLE / "16_45.bvh", tmp_path / f"{name}.bvh")
+    (way,) = (text for language, text in blocks(ROOT / "docs" / "paths.md") if language == "json")
+    for name in ("route", "way"):
+        (tmp_path / f"{name}.json").write_text(way)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CI", "1")  # opens no browser
+    return tmp_path
+
+
+def run_command(words: list[str]) -> None:
+    """Run a command of a page with a small budget; what installs or serves is only checked."""
+    if words[:2] == ["pip", "install"]:
+        extras = re.findall(r"\[([\w,]+)\]", " ".join(words))
+        known = (ROOT / "pyproject.toml").read_text("utf-8")
+        assert all(f"\n{extra} = [" in known for group in extras for extra in group.split(","))
+        return
+    only_check = words[0] == "torchrun" or words[1] == "play" or "cmu/" in words
+    if words[0] == "torchrun":
+        words = ["motionkit", *words[words.index("motionkit") + 1 :]]
+    assert words[0] == "motionkit", words
+    name, arguments = words[1], words[2:]
+    if only_check:
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None
+        command.make_context(name, list(arguments))
+        return
+    arguments += {"train": TINY_RUN, "preprocess": ["--jobs", "1"]}.get(name, [])
+    if name == "evaluate":
+        arguments += SMALL_EVALUATION
+        arguments += [] if "--only" in arguments else ["--only", "paths"]
+    done = CliRunner().invoke(cli, [name, *arguments], catch_exceptions=False)
+    assert done.exit_code == 0, f"{shlex.join(words)}\n{done.output}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_blocks_run(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["block", "examples/data"])
+    monkeypatch.setattr("motionkit.api.TRAIN_MINUTES", 0.01)
+    names: dict[str, object] = {"__name__": "block"}
+    for language, text in blocks(page):
+        if language == "sh":
+            for words in commands(text):
+                run_command(words)
+        elif language == "python" and "127.0.0.1" not in text:
+            text = text.replace(
+                'train_options("tptn", minutes=60)', 'train_options("tiny", steps=2, splices=4)'
+            )
+            exec(compile(text, str(page), "exec"), names)
+    for made in workplace.glob("*.bvh"):
+        assert len(read_bvh(made).values) > 1
+
+
+def test_no_command_stands_outside_a_block() -> None:
+    for page in PAGES:
+        if page.name != "commands.md":
+            text = BLOCK.sub("", page.read_text("utf-8"))
+            assert not re.search(r"^    (motionkit|python|pip|torchrun) ", text, re.MULTILINE), page.name
+
+
+def free_port() -> int:
+    """A TCP port that nobody listens on."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def test_clients_of_the_live_page(tmp_path: Path) -> None:
+    """The Python clients of live.md print frames of a server that runs."""
+    web, tcp = free_port(), free_port()
+    serve = [sys.executable, "-m", "motionkit", "play", "--headless", "--port", str(web), "--tcp", str(tcp)]
+    server = subprocess.Popen(serve, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=tmp_path)
+    try:
+        for port in (web, tcp):
+            wait_for(port)
+        clients = [text for language, text in blocks(ROOT / "docs" / "live.md") if language == "python"]
+        assert len(clients) == 2
+        for text in clients:
+            code = text.replace("8642", str(web)).replace("8643", str(tcp))
+            command = [sys.executable, "-u", "-c", code]
+            client = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+            assert client.stdout is not None and client.stderr is not None
+            try:
+                first = client.stdout.readline()
+                assert re.match(r"\d+ ", first), first or client.stderr.read()
+            finally:
+                client.kill()
+                client.communicate()
+    finally:
+        server.terminate()
+        server.communicate(timeout=30)
+
+
+def wait_for(port: int, seconds: float = 30.0) -> None:
+    """Return once somebody listens on a port."""
+    end = time.monotonic() + seconds
+    while True:
+        try:
+            socket.create_connection(("127.0.0.1", port), timeout=1.0).close()
+            return
+        except OSError:
+            assert time.monotonic() < end, f"nobody listens on {port}"
+            time.sleep(0.05)
+
+
+OLD_WORDS = re.compile(
+    r"\b(guides?|outlines?|grip|footing|inertia|obedience|endurance|likeness|replay)\b", re.IGNORECASE
+)
+RECORDS = {"scoreboard", "results-log"}
+
+
+@pytest.mark.parametrize("page", [p for p in PAGES if p.stem not in RECORDS], ids=lambda page: page.stem)
+def test_pages_use_the_fields_words(page: Path) -> None:
+    text = re.sub(r"```.*?```|`[^`\n]*`", "", page.read_text("utf-8"), flags=re.DOTALL)
+    found = OLD_WORDS.findall(text)
+    assert not found, f"{page.name}: {', '.join(sorted(set(found)))}"
