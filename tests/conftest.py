@@ -23,8 +23,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.training.options import TrainOptions
-from motionkit.training.sampler import SamplerOptions
-from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
+from motionkit.training.presets import train_options
 from motionkit.training.trainer import train
 from synthetic_motions import write_clips
 
@@ -147,22 +146,22 @@ def dataset(dataset_folder: Path) -> Dataset:
 
 @pytest.fixture(scope="session")
 def tiny_options() -> Callable[..., TrainOptions]:
-    """A function that makes the options of a run of a second or two: tiny_options(steps=3, ...)."""
+    """A function that makes the options of a run of one or two seconds: tiny_options(steps=3, ...)."""
 
-    def make(steps: int = 4, splices: int = 6, **changes: object) -> TrainOptions:
+    def make(
+        preset: str = "tiny", steps: int | None = 4, minutes: float | None = None, **changes: object
+    ) -> TrainOptions:
         values: dict = {
-            "preset": "tiny",
-            "steps": steps,
             "batch": 4,
             "warmup": 2,
             "precision": "float32",
             "log_every": 1,
             "score_seconds": 0.0,
-            "sampler": SamplerOptions(window=32, splices=splices),
-            # Windows made for one step at a time, so that a run may stop after any.
-            "scheduled_sampling": ScheduledSamplingOptions(period=1),
+            "window": 32,
+            "splices": 6,
+            "period": 1,  # make windows for one step at a time, so that a run may stop after any step
         }
-        return TrainOptions(**(values | changes))
+        return train_options(preset, steps, minutes, **(values | changes))
 
     return make
 

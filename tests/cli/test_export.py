@@ -24,7 +24,7 @@ from motionkit.models.presets import preset
 pytest.importorskip("onnx")
 
 
-def test_a_graph_and_what_it_means(motionkit: Callable, tiny_model_file: Path, tmp_path: Path) -> None:
+def test_a_graph_and_its_metadata(motionkit: Callable, tiny_model_file: Path, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     done = motionkit("export", "--onnx", "out.onnx", "--model", tiny_model_file, "--json")
     assert done.code == 0
@@ -48,11 +48,11 @@ def test_bad_input(motionkit: Callable, tiny_model_file: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["x.json", "x.JSON", ".json"])
-def test_a_graph_is_not_written_where_its_metadata_go(
+def test_a_graph_cannot_have_the_name_of_its_metadata(
     motionkit: Callable, tiny_model_file: Path, tmp_path: Path, name: str
 ) -> None:
     done = motionkit("export", "--model", tiny_model_file, "--onnx", name)
-    assert done.code == 2 and f"{name}: the metadata go into a file of this name" in done.err
+    assert done.code == 2 and f"{name}: the metadata are written to this file" in done.err
     assert not list(tmp_path.glob("*.[jJ]*"))
 
 
@@ -65,7 +65,7 @@ def test_files_of_other_kinds_are_not_overwritten(
 ) -> None:
     (tmp_path / "package.json").write_text('{"name": "mine"}')
     done = motionkit("export", "--model", tiny_model_file, "--onnx", "package.onnx")
-    assert done.failed_with("package.json: is there already and not written by export")
+    assert done.failed_with("package.json: exists and was not written by export")
     assert (tmp_path / "package.json").read_text() == '{"name": "mine"}'
     model = tmp_path / "own.safetensors"
     model.write_bytes(tiny_model_file.read_bytes())

@@ -32,10 +32,10 @@ def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Pat
     ("words", "complaint"),
     [
         (["--resume"], "no checkpoint to resume from"),
-        (["--device", "cuda:77"], "device 'cuda:77' is not there"),
+        (["--device", "cuda:77"], "device 'cuda:77' not found"),
         (["--device", "toaster"], "unknown device 'toaster'"),
-        (["--type-weights", "walking=1,flying=2"], "no type 'flying' to weigh"),
-        (["--step-weight", "9", "--step-except", "walking, flying"], "no type 'flying' to spare"),
+        (["--type-weights", "walking=1,flying=2"], "--type-weights: unknown type 'flying'"),
+        (["--step-weight", "9", "--step-except", "walking, flying"], "--step-except: unknown type 'flying'"),
         (["--preset", "tptn-paper"], "run preprocess with --layout expmap-root-1"),
     ],
 )
@@ -46,7 +46,7 @@ def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str
 
 
 @pytest.mark.parametrize("text", ["walking", "walking=", "=2", "walking=much", "walking=-1", "walking=nan"])
-def test_weights_of_types_that_say_nothing(motionkit, dataset_folder: Path, text: str) -> None:
+def test_malformed_type_weights(motionkit, dataset_folder: Path, text: str) -> None:
     said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--type-weights", text)
     assert said.code == 2 and f"{text!r}: expected TYPE=NUMBER, with a number from 0 to 1000" in said.err
 

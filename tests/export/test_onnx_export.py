@@ -1,4 +1,4 @@
-"""The ONNX graph against motionkit's own roll-out, and the page that tells how to drive it."""
+"""The ONNX graph against motionkit's own roll-out, and the example in docs/engines.md."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
 
 @pytest.fixture(scope="module")
 def exported(tiny_model_file: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The graph of tiny_model, with its metadata beside it; not to be written to."""
+    """The graph of tiny_model, with its metadata beside it; tests must not write to it."""
     path = tmp_path_factory.mktemp("onnx") / "model.onnx"
     export_onnx(load_model(tiny_model_file), path)
     return path
@@ -69,16 +69,16 @@ def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None
     assert check_export(model, path, "default", frames=60).positions < 0.05
 
 
-def test_feet_hold_the_root_as_in_motionkit(tiny_model: MotionModel, tmp_path: Path) -> None:
+def test_the_slip_correction_is_that_of_motionkit(tiny_model: MotionModel, tmp_path: Path) -> None:
     model = with_preset(tiny_model, slip_correction=0.6)
     path = tmp_path / "model.onnx"
     path.write_bytes(build_graph(model).SerializeToString())
     assert check_export(model, path, "default", frames=120).positions < 0.05
-    # The same graph beside a roll-out without a slip_correction is somewhere else.
+    # A roll-out without the correction goes elsewhere.
     assert check_export(with_preset(model, slip_correction=0.0), path, "default", frames=120).positions > 1.0
 
 
-def test_the_grip_counts_as_much_as_is_asked_for(tiny_model: MotionModel, tmp_path: Path) -> None:
+def test_the_slip_correction_input_scales_the_correction(tiny_model: MotionModel, tmp_path: Path) -> None:
     def features(share: float, asked: float) -> np.ndarray:
         path = tmp_path / f"{share}.onnx"
         export_onnx(with_preset(tiny_model, slip_correction=share), path)
@@ -105,7 +105,7 @@ def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
 def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Path) -> None:
     import onnx
 
-    # Without a slip_correction, which sums up over 600 frames where feet stand.
+    # Without the correction, whose differences add up over 600 frames.
     check = export_onnx(with_preset(tiny_model, slip_correction=0.0), tmp_path / "small.onnx", weights="int8")
     assert check is not None and 1e-4 < check.features < 0.05
     assert (tmp_path / "small.onnx").stat().st_size < 0.7 * exported.stat().st_size
@@ -113,12 +113,12 @@ def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Pa
     proto = onnx.load(str(tmp_path / "small.onnx"))
     onnx.checker.check_model(proto, full_check=True)
     assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
-    # Four products a layer, the controls, what the deep module takes of the shallow one, and deviations with feet.
+    # Four products per layer, the controls, the step from shallow to deep, and sigma with contacts.
     products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
     assert len(products) == 4 * 2 * tiny_model.config.layers + 3
 
 
-def test_progress_counts_from_zero_on(tiny_model: MotionModel, exported: Path) -> None:
+def test_a_phase_counts_from_zero_on(tiny_model: MotionModel, exported: Path) -> None:
     def features(progress: float) -> np.ndarray:
         graph = OnnxStep(exported)
         graph.values["type_weights"][0, 0], graph.values["phase"][:] = 1.0, progress
@@ -135,7 +135,9 @@ def test_other_weights_are_refused(tiny_model: MotionModel) -> None:
 
 
 @pytest.mark.parametrize("made_ready", [spread_channels, balance_heads])
-def test_weights_made_ready_for_8_bits_do_the_same(tiny_model: MotionModel, made_ready: Callable) -> None:
+def test_preparation_for_8_bits_leaves_the_network_unchanged(
+    tiny_model: MotionModel, made_ready: Callable
+) -> None:
     weights = pack(tiny_model.network)
     turned = made_ready(weights)
     assert not np.allclose(turned.shallow.qkv, weights.shallow.qkv, atol=0.1)
@@ -150,7 +152,7 @@ def test_weights_made_ready_for_8_bits_do_the_same(tiny_model: MotionModel, made
         np.testing.assert_allclose(steps[0].contact_logits, steps[1].contact_logits, atol=1e-4)
 
 
-def test_one_scale_suits_queries_keys_and_values(tiny_model: MotionModel) -> None:
+def test_one_scale_fits_queries_keys_and_values(tiny_model: MotionModel) -> None:
     weights = balance_heads(pack(tiny_model.network))
     for maps in (weights.shallow.qkv, weights.deep.qkv):
         for layer in maps:
@@ -172,11 +174,11 @@ def test_two_neighbouring_products_of_8_bits_fit_into_16(rows: int) -> None:
     highest = 255 * pairs.clip(min=0).sum(axis=1).max()
     lowest = 255 * pairs.clip(max=0).sum(axis=1).min()
     assert -(2**15) <= lowest and highest < 2**15
-    # Nor are steps given away.
+    # No steps are wasted either.
     assert (np.abs(pairs).sum(axis=1).max(axis=0) >= 126).all()
 
 
-def test_steps_take_turns_between_two_places_of_state(exported: Path) -> None:
+def test_steps_alternate_between_two_buffers_of_state(exported: Path) -> None:
     graph = OnnxStep(exported)
     graph.values["phase"][:] = -1.0
     before = [graph.values["pose"]]
@@ -187,7 +189,7 @@ def test_steps_take_turns_between_two_places_of_state(exported: Path) -> None:
     assert before[0] is before[2] is before[4] and before[1] is before[3] is not before[0]
 
 
-def test_frames_are_counted_round(tiny_model: MotionModel, exported: Path) -> None:
+def test_the_frame_count_wraps(tiny_model: MotionModel, exported: Path) -> None:
     graph, window = OnnxStep(exported), tiny_model.config.window
     counted = [float(graph.step()["present_frames_seen"][0, 0]) for _ in range(4 * window)]
     assert counted[: 2 * window - 2] == list(range(1, 2 * window - 1))
@@ -196,7 +198,7 @@ def test_frames_are_counted_round(tiny_model: MotionModel, exported: Path) -> No
 
 
 @pytest.mark.parametrize("name", ["trajectory", "phase", "noise", "type_weights"])
-def test_every_control_counts(exported: Path, name: str) -> None:
+def test_every_control_has_an_effect(exported: Path, name: str) -> None:
     made = []
     for value in (0.0, 0.25):
         graph = OnnxStep(exported)
@@ -206,7 +208,7 @@ def test_every_control_counts(exported: Path, name: str) -> None:
     assert not np.array_equal(*made)
 
 
-def test_a_trajectory_that_is_not_given_does_not_count(exported: Path) -> None:
+def test_a_masked_trajectory_has_no_effect(exported: Path) -> None:
     made = []
     for value in (0.0, 50.0):
         graph = OnnxStep(exported)
@@ -215,7 +217,7 @@ def test_a_trajectory_that_is_not_given_does_not_count(exported: Path) -> None:
     assert np.array_equal(*made)
 
 
-def test_shapes_are_static_and_state_comes_out_as_it_goes_in(exported: Path) -> None:
+def test_shapes_are_static_and_state_keeps_its_shape(exported: Path) -> None:
     import onnx
 
     proto = onnx.load(str(exported))

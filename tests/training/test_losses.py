@@ -45,7 +45,7 @@ def batch(targets: Tensor) -> Batch:
 
 
 def standing(frames: int, height: float = 95.0) -> Tensor:
-    """Features (1, T, 276) of a body that stands still in its rest pose."""
+    """Return features (1, T, 276) of a body that stands still in its rest pose."""
     features = torch.zeros(1, frames, 276)
     blocks = feature_layout().blocks
     features[..., blocks["root_rotation"]] = torch.tensor([1.0, 0, 0, 0, 1, 0])
@@ -54,7 +54,7 @@ def standing(frames: int, height: float = 95.0) -> Tensor:
 
 
 def sixd_of_yaw(yaw: Tensor) -> Tensor:
-    """A root (..., 6) that is turned about Y."""
+    """Return root rotations (..., 6) about Y."""
     return torch.from_numpy(quat_to_sixd(quat_from_yaw(yaw.numpy())))
 
 
@@ -62,7 +62,7 @@ def fk(predicted: Prediction, data: Batch) -> float:
     return float(losses.fk_loss(predicted, data, PLAIN))
 
 
-# ---- each term by hand ----
+# ---- each loss by hand ----
 
 
 def test_gaussian_loss_by_hand() -> None:
@@ -84,8 +84,8 @@ def test_gaussian_loss_is_the_log_density() -> None:
     assert float(value) == pytest.approx(float(-density.sum(-1).mean()), rel=1e-5)
 
 
-def test_evenness_lets_hard_numbers_count() -> None:
-    """The gradient on the mean: of a likelihood error / sigma^2, half evened error / sigma, evened the error."""
+def test_beta_nll_weights_uncertain_features() -> None:
+    """The gradient on the mean is error / sigma^2 for beta 0, error / sigma for 0.5, and the error for 1."""
     target = torch.zeros(1, 1, 2)
     log_sigma = torch.log(torch.tensor([[[0.1, 0.5]]]))
     steep = []
@@ -114,7 +114,7 @@ def test_contact_loss_by_hand() -> None:
     assert float(value) == pytest.approx(expected, abs=1e-5)
 
 
-def test_mean_over_windows_does_not_depend_on_their_share_of_a_batch() -> None:
+def test_the_mean_over_windows_does_not_depend_on_how_a_batch_is_split() -> None:
     values = torch.arange(12.0).reshape(4, 3)
     mask = torch.tensor([[1.0, 1.0, 1.0], [1.5, 1.5, 0.0], [3.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
     whole = losses._mean(values, mask)
@@ -159,7 +159,7 @@ def test_fk_loss_counts_feet_that_slide_while_they_touch() -> None:
     assert fk(prediction(sliding, released), data) < 1e-3
 
 
-def test_slip_counts_as_often_as_told_and_does_not_teach_contacts() -> None:
+def test_slip_weight_scales_the_slip_and_gives_contacts_no_gradient() -> None:
     sliding = standing(6)
     sliding[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])
     data = batch(sliding)
@@ -171,7 +171,7 @@ def test_slip_counts_as_often_as_told_and_does_not_teach_contacts() -> None:
 
 
 def steps(predicted: Prediction, data: Batch) -> float:
-    """What step_weight adds, once."""
+    """Return the step loss: what a step_weight of 1 adds."""
     with_steps, without = (
         float(losses.fk_loss(predicted, data, PLAIN, 0.0, weight)) for weight in (1.0, 0.0)
     )
@@ -179,24 +179,24 @@ def steps(predicted: Prediction, data: Batch) -> float:
 
 
 def lowness(data: Batch) -> Tensor:
-    """How much the four foot joints of a standing body count."""
+    """Return the weights of the four foot joints of a standing body in the step loss."""
     feet = losses.foot_positions(data.targets, data.offsets, PLAIN)
     return (1.0 - (feet[0, 0, :, 1] + 95.0) / losses.NEAR_GROUND).clamp(0.0, 1.0)
 
 
-def test_steps_from_the_frame_given_are_those_of_the_recording() -> None:
+def test_step_loss_compares_steps_with_the_recording() -> None:
     walking = standing(6)
     walking[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])  # 1 cm a frame
     data = batch(walking)
     assert steps(prediction(walking), data) < 1e-4
-    # A root that stays behind drags each foot by 1 cm against the recording, the low ones count most.
+    # A root that stays behind drags each foot by 1 cm against the recording; low feet have the most weight.
     low = lowness(data)
     assert 0.0 < float(low.min()) < float(low.max()) < 1.0
     expected = float(low.sum()) / losses.FOOT_UNIT
     assert steps(prediction(standing(6)), data) == pytest.approx(expected, rel=1e-3)
 
 
-def test_steps_count_in_frames_by_their_weights() -> None:
+def test_step_weight_can_differ_between_frames() -> None:
     walking = standing(6)
     walking[..., feature_layout().blocks["root_xz_velocity"]] = torch.tensor([0.0, 60.0])
     data, stays = batch(walking), prediction(standing(6))
@@ -206,13 +206,13 @@ def test_steps_count_in_frames_by_their_weights() -> None:
     assert some == pytest.approx(1.5 / 5.0 * steps(stays, data), rel=1e-4)
 
 
-def test_steps_begin_at_the_frame_given_not_at_the_one_predicted_before() -> None:
+def test_steps_start_at_the_input_frame_not_at_the_previous_prediction() -> None:
     truth = standing(6)
-    turned = truth.clone()  # a body that was drawn turned in the hips, and stays so
+    turned = truth.clone()  # the hips were predicted with a turn, and stay turned
     turned[:, 3:, feature_layout().blocks["root_rotation"]] = sixd_of_yaw(torch.tensor(0.2))
     data = batch(truth)
     fed = Batch(**{**vars(data), "inputs": turned})
-    # Frame t is predicted from input t: it stands still if it keeps the feet of the input.
+    # Frame t is predicted from input t: a body that keeps the feet of the input stands still.
     assert steps(prediction(turned), fed) < 1e-4
     feet = losses.foot_positions(turned, data.offsets, PLAIN)
     away = (feet[0, 3] - feet[0, 0])[:, [0, 2]].abs().sum(-1)
@@ -222,7 +222,7 @@ def test_steps_begin_at_the_frame_given_not_at_the_one_predicted_before() -> Non
     assert steps(prediction(turned), data) == pytest.approx(3 * once, rel=1e-3)
 
 
-def test_a_body_that_comes_back_to_its_height_takes_no_step() -> None:
+def test_a_return_to_the_right_height_is_no_step() -> None:
     truth = standing(6)
     raised = truth.clone()
     raised[:, 3:, feature_layout().blocks["joint_positions"].start] += 2.0
@@ -230,7 +230,7 @@ def test_a_body_that_comes_back_to_its_height_takes_no_step() -> None:
     assert steps(prediction(truth), fed) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_steps_take_the_turn_of_the_heading_out() -> None:
+def test_step_loss_removes_the_turn_of_the_heading() -> None:
     yaw = 0.8 * torch.arange(8) / 60.0
     features = standing(9)
     features[..., 0] = 0.8
@@ -244,8 +244,8 @@ def test_steps_take_the_turn_of_the_heading_out() -> None:
     assert steps(prediction(still), data) > 10 * steps(prediction(targets), data)
 
 
-def test_fk_loss_takes_the_turn_of_the_heading_out() -> None:
-    """A body that stands still in the world while its heading turns: no foot slips."""
+def test_fk_loss_removes_the_turn_of_the_heading() -> None:
+    """No foot slips if the body stands still in the world while its heading turns."""
     yaw = 0.8 * torch.arange(8) / 60.0
     features = standing(8)
     features[..., 0] = 0.8
@@ -319,7 +319,7 @@ def test_without_consistency_modules_the_term_is_zero(dataset: Dataset, real) ->
 
 
 def test_frames_beyond_the_end_of_a_window_do_not_count(dataset: Dataset, real) -> None:
-    """What stands in the padding changes neither losses nor gradients, but for the consistency features."""
+    """The padding does not change the losses."""
     network, _, data = real
     network.eval()
     ended = Batch(**{**vars(data), "mask": torch.cat([torch.full((3, 16), 1.5), torch.zeros(3, 8)], dim=1)})

@@ -1,4 +1,4 @@
-"""What a run leaves whatever goes wrong beside it, and checkpoints from anyone."""
+"""The files of a run when something fails, and checkpoints from untrusted sources."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ ODD_NAMES = ("walk/run", "aux", "..")
 
 
 def renamed(dataset_folder: Path, to: Path, names: tuple[str, ...]) -> Path:
-    """A copy of a dataset whose types without a phase have other names."""
+    """Copy a dataset and rename its types without a phase."""
     shutil.copytree(dataset_folder, to)
     manifest = json.loads((to / "manifest.json").read_text())
     plain = [kind for kind in manifest["types"] if kind not in manifest["phase_seconds"]]
@@ -33,7 +33,7 @@ def renamed(dataset_folder: Path, to: Path, names: tuple[str, ...]) -> Path:
     return to
 
 
-def test_types_that_are_no_file_names(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+def test_types_whose_names_are_no_file_names(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     folder = renamed(dataset_folder, tmp_path / "ds", ODD_NAMES)
     path = tmp_path / "run" / "m.safetensors"
     notes: list[str] = []
@@ -46,7 +46,7 @@ def test_types_that_are_no_file_names(dataset_folder: Path, tmp_path: Path, tiny
     assert {p.name for p in (tmp_path / "run").iterdir()} == {"m.safetensors", "m.run"}
 
 
-def test_a_name_no_model_may_have_is_told_before_training(
+def test_a_name_that_models_cannot_hold_is_an_error_before_training(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:
     folder = renamed(dataset_folder, tmp_path / "ds", ("x" * 201,))
@@ -63,7 +63,7 @@ def _notes(notes: list[str]) -> Callable[[TrainEvent], None]:
     return on_event
 
 
-def test_the_model_is_there_before_the_score_and_a_failed_score_is_a_note(
+def test_the_model_is_written_before_the_score_and_a_failed_score_is_a_note(
     dataset_folder: Path, tmp_path: Path, tiny_options, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "m.safetensors"
@@ -78,10 +78,10 @@ def test_the_model_is_there_before_the_score_and_a_failed_score_is_a_note(
     options = tiny_options(steps=1, score_seconds=0.1)
     result = train(dataset_folder, path, options, device="cpu", on_event=_notes(notes))
     assert result.finished and there == [True] and load_model(path).card["steps"] == 1
-    assert "the score failed, the run goes on: no such thing" in notes
+    assert "the score failed, the run continues: no such thing" in notes
 
 
-def test_samples_that_cannot_be_written_leave_the_scores(
+def test_scores_survive_samples_that_cannot_be_written(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:
     path = tmp_path / "m.safetensors"
@@ -90,7 +90,7 @@ def test_samples_that_cannot_be_written_leave_the_scores(
     notes: list[str] = []
     options = tiny_options(steps=1, score_seconds=0.1)
     train(dataset_folder, path, options, device="cpu", on_event=_notes(notes))
-    assert any(note.startswith("samples are missing: ") for note in notes)
+    assert any(note.startswith("cannot write samples: ") for note in notes)
     assert len(load_model(path).card["scores"]) == 6
 
 
@@ -102,10 +102,10 @@ def test_a_log_on_a_full_disk_is_a_note(dataset_folder: Path, tmp_path: Path, ti
     path = tmp_path / "m.safetensors"
     train(dataset_folder, path, tiny_options(steps=3), device="cpu", on_event=_notes(notes))
     assert load_model(path).card["steps"] == 3
-    assert len([note for note in notes if note.startswith("log.jsonl cannot be written (No space left")]) == 1
+    assert len([note for note in notes if note.startswith("cannot write log.jsonl (No space left")]) == 1
 
 
-def test_a_checkpoint_that_cannot_be_written_does_not_take_the_model_with_it(
+def test_the_model_is_written_even_if_the_checkpoint_is_not(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:
     path = tmp_path / "m.safetensors"
@@ -116,12 +116,12 @@ def test_a_checkpoint_that_cannot_be_written_does_not_take_the_model_with_it(
     assert load_model(path).card["steps"] == 2
 
 
-# ---- checkpoints from anyone ----
+# ---- checkpoints from untrusted sources ----
 
 
 @pytest.fixture(scope="module")
 def finished_run(dataset_folder: Path, tmp_path_factory: pytest.TempPathFactory, tiny_options) -> Path:
-    """The folder of a finished run; not to be written to."""
+    """The folder of a finished run; tests must not write to it."""
     folder = tmp_path_factory.mktemp("run")
     train(dataset_folder, folder / "m.safetensors", tiny_options(steps=1, splices=0), device="cpu")
     return folder / "m.run"
@@ -171,6 +171,14 @@ def test_tensors_of_a_checkpoint(
         ({"seconds": None}, "seconds is None"),
         ({"options": [1]}, "options is [1], expected an object"),
         ({"options": {"batch": [[]]}}, "started with batch [[]] (now 4)"),
+        ({"options": {"optimizer": {"rate": 0.5}}}, "started with optimizer.rate 0.5 (now 0.001)"),
+        # Checkpoints of earlier releases, without groups.
+        ({"options": {"rate": 0.5, "half": True}}, "started with optimizer.rate 0.5 (now 0.001); resume"),
+        ({"options": {"evenness": 0.0}}, "started with losses.beta_nll 0.0 (now 0.5)"),
+        (
+            {"options": {"self_feed": {"guided_back": 0.5}}},
+            "scheduled_sampling.reference_back 0.5 (now 0.02)",
+        ),
     ],
 )
 def test_facts_of_a_checkpoint(
@@ -183,7 +191,7 @@ def test_facts_of_a_checkpoint(
 
 
 def _resumed(dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoil: Callable) -> str:
-    """How a spoilt copy of a run is refused; nothing is written."""
+    """Return the error for a damaged copy of a run; check that nothing is written."""
     checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
     checkpoint.parent.mkdir()
     with safe_open(str(run / "checkpoint.safetensors"), framework="pt") as file:

@@ -1,4 +1,4 @@
-"""Windows that feed on the network's own predictions."""
+"""Scheduled sampling: windows whose inputs are predictions of the network."""
 
 from dataclasses import replace
 
@@ -67,7 +67,7 @@ def test_inputs_are_the_predictions_of_the_frames_before(
     assert torch.equal(fed.targets, batch.targets) and torch.equal(fed.mask, batch.mask)
 
 
-def test_real_frames_take_over_and_do_not_count_there(
+def test_recorded_frames_take_over_and_do_not_count_there(
     network: PartTransformer, batch: Batch, references: torch.Tensor
 ) -> None:
     fed = run_on_predictions(
@@ -80,7 +80,7 @@ def test_real_frames_take_over_and_do_not_count_there(
     assert torch.equal(fed.mask[:, 1:] == 0, returns | (batch.mask[:, 1:] == 0))
 
 
-def test_a_frame_too_far_off_is_not_fed(
+def test_a_prediction_too_far_off_is_not_used(
     network: PartTransformer, batch: Batch, references: torch.Tensor
 ) -> None:
     fed = run_on_predictions(
@@ -89,7 +89,7 @@ def test_a_frame_too_far_off_is_not_fed(
     assert torch.equal(fed.inputs, batch.inputs) and torch.equal(fed.mask, batch.mask)
 
 
-def test_windows_are_fed_the_same_alone_and_together(
+def test_windows_are_the_same_alone_and_together(
     network: PartTransformer, batch: Batch, references: torch.Tensor
 ) -> None:
     options = ScheduledSamplingOptions(limit=1e9, reference_limit=1e9)
@@ -101,24 +101,24 @@ def test_windows_are_fed_the_same_alone_and_together(
     assert torch.allclose(join_batches(alone).inputs, together.inputs, atol=1e-4)
 
 
-def test_guides_are_seen_from_the_frames_fed(
+def test_reference_poses_are_relative_to_the_predictions(
     network: PartTransformer, batch: Batch, dataset: Dataset, references: torch.Tensor
 ) -> None:
     fed = run_on_predictions(network, batch, ALWAYS, generators(), references)
     layout = ControlLayout(dataset.types)
     reference_gain = batch.controls[..., layout.reference_gain] > 0
     assert reference_gain.any() and not reference_gain.all()
-    # What is asked for is the same pose from wherever it is seen.
+    # The reference pose itself stays the same.
     before = batch.controls[..., layout.reference] + batch.inputs @ references
     after = fed.controls[..., layout.reference] + fed.inputs @ references
     assert torch.allclose(before[reference_gain], after[reference_gain], rtol=1e-3, atol=1e-3)
     assert not torch.equal(fed.controls, batch.controls)
     assert torch.equal(fed.controls[~reference_gain], batch.controls[~reference_gain]), (
-        "who has none sees none"
+        "windows without references are unchanged"
     )
 
 
-def test_a_guide_lets_runs_be_longer(
+def test_reference_poses_allow_longer_runs(
     network: PartTransformer, batch: Batch, references: torch.Tensor
 ) -> None:
     options = replace(ALWAYS, back=1.0, reference_back=0.0)
@@ -129,7 +129,7 @@ def test_a_guide_lets_runs_be_longer(
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.4, 0.5, 1.0])
-def test_the_share_of_fed_windows_does_not_depend_on_processes(share: float) -> None:
+def test_the_share_of_windows_does_not_depend_on_processes(share: float) -> None:
     whole = sampled_windows(0, 16, share)
     halves = sampled_windows(0, 8, share) + [8 + i for i in sampled_windows(8, 8, share)]
     assert whole == halves and len(whole) == int(16 * share)

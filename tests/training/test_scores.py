@@ -46,7 +46,7 @@ def test_a_foreign_pose_is_far(dataset: Dataset) -> None:
     assert far > near + 10.0
 
 
-def test_every_type_is_rolled_out_from_its_own_seed(tiny_model: MotionModel) -> None:
+def test_every_type_is_rolled_out_from_its_own_start_poses(tiny_model: MotionModel) -> None:
     rollout = rollout_types(tiny_model, 5, noise=Noise("mean"))
     assert rollout.features.shape == (6, 5, 276)
     again = rollout_types(tiny_model, 5, noise=Noise("mean"))

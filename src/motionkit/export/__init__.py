@@ -1,1 +1,1 @@
-"""A model in, a graph for game engines out."""
+"""A model in, an ONNX graph for game engines out."""

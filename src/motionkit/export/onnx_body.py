@@ -1,7 +1,7 @@
-"""The body of a frame as ONNX nodes: ground, rotations, root and joints, as inference/pose.py has them.
+"""The pose of a frame as ONNX nodes: ground, rotations, root and joints, as in inference/pose.py.
 
-Most of it is a handful of numbers, where a node costs the same whatever it does; so products with constants
-stand for sums, signs and exchanges of columns.
+Most values here are a handful of numbers, and a node on them costs the same whatever it does. Products with
+constants therefore replace sums, signs and permutations of columns.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS
 
 QUARTER = 0.5 * np.pi
 PER_PACE = height_correction.PACE * height_correction.DOUBT**2
-# A cross product: products of columns [1, 2, 0, 2, 0, 1] and [2, 0, 1, 1, 2, 0], the first three minus the others.
+# The cross product: multiply columns [1, 2, 0, 2, 0, 1] by [2, 0, 1, 1, 2, 0], then first three minus last three.
 FORWARD, BACKWARD = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]
 MINUS = np.concatenate([np.eye(3), -np.eye(3)])
 
 
 def write_body(g: Graph, model: MotionModel, features: str, character: str) -> None:
-    """Nodes from unnormalised features (1, 276) to the next ground and the body in the world."""
+    """Write the nodes from unnormalised features (1, 276) to the next ground and the global pose."""
     layout = feature_layout(model.config.layout)
     blocks = layout.blocks
     continuous = layout.root_is_sixd
     skeleton = model.character(character)
     share = np.float32(leg_length(skeleton) / leg_length(model.character("default")))
     height = layout.root_height
-    # The columns that count, in their order, and what lies between.
+    # Split the features into the needed columns, in their order, and the rest between them.
     joints, root = blocks["joint_rotations"], blocks["root_rotation"]
     ends = [blocks["root_yaw_velocity"].stop, root.start, root.start + 3, joints.start, joints.stop]
     ends += [height, height + 1, FEATURE_COUNT]
@@ -40,7 +40,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     yaw_velocity, first, expmaps, at = pieces[0], pieces[2], pieces[4], pieces[6]
     sines = _write_ground(g, model.fps, features, blocks["root_xz_velocity"].start, yaw_velocity)
     facing = _sixd_to_quat(g, features, root.start, first) if continuous else _expmap_to_quat(g, first, 1)
-    # Turned by the heading, and each joint by its reference.
+    # Rotate the root by the heading, and each joint by its reference rotation.
     quats = g.add("Concat", facing, _expmap_to_quat(g, expmaps, JOINT_COUNT - 1), axis=0)
     heading = g.reshape(g.add("MatMul", sines, np.concatenate([np.zeros((4, 16)), LEFT])), 1, 4, 4)
     reference_rotations = (model.reference_rotations[1:] @ LEFT).reshape(-1, 4, 4)
@@ -50,7 +50,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     up, across = np.zeros((1, 3)), np.zeros((3, 3))
     up[0, 1] = across[0, 0] = across[1, 2] = share
     place = g.add("Gemm", "present_ground", across, g.add("Mul", at, up))
-    # Local transforms (24, 4, 4), the last an identity, multiplied up the chains in three rounds.
+    # Local transforms (24, 4, 4), the last an identity, multiplied along the chains in three rounds.
     outer = g.add("Mul", rotations, g.reshape(rotations, JOINT_COUNT, 4, 1))
     to_transform = np.zeros((16, 4, 4), np.float32)
     to_transform[:, :3, :3] = TO_MATRIX.reshape(16, 3, 3)
@@ -62,26 +62,28 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     whole = g.reshape(g.add("Concat", local, np.eye(4).reshape(1, 16), axis=0), JOINT_COUNT + 1, 4, 4)
     for ancestors in BodyKinematics.ROUNDS:
         whole = g.add("MatMul", g.gather(whole, ancestors, axis=0), whole)
-    # x, y and z of each in the last column, by their places: runtimes take long over a slice of three axes.
+    # Gather x, y and z from the last column of each transform: a slice over three axes is slow in runtimes.
     at_last = 16 * np.arange(JOINT_COUNT)[:, None] + [3, 7, 11]
     last = g.gather(g.reshape(whole, 1, -1), at_last.reshape(-1), axis=1)
     columns = foot_columns(layout.version)[:, 1]
     rise = _write_rise(g, features, (height, columns), last, share)
     place = g.add("Gemm", rise, up, place, out="root_positions")
-    # The root comes last, which keeps digits far from the origin.
+    # The root is added last, which keeps precision far from the origin.
     g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), place, out="positions")
 
 
 def _write_rise(
     g: Graph, features: str, heights: tuple[int, NDArray[np.intp]], positions: str, share: np.float32
 ) -> str:
-    """Writes and answers present_rise (1, 1), by which the body is raised, as synthesis/height_correction.py has it.
+    """Write present_rise (1, 1), the root-height correction of inference/height_correction.py, and return its name.
 
-    heights: columns of the root's and of the foot joints' heights; positions: (1, 69) of joints beside the root,
-    share times the canonical body's.
+    Args:
+        heights: columns of the heights of the root and of the foot joints.
+        positions: (1, 69) joint positions relative to the root.
+        share: size of the body divided by that of the canonical body.
     """
     root, feet = heights
-    # How far each foot joint is above where it stands: as the frame says, and as rotations show without the root.
+    # Height of each foot joint above its standing height: from the features, and from the rotations without the root.
     of_features, of_positions = np.zeros((FEATURE_COUNT, 8)), np.zeros((3 * JOINT_COUNT, 8))
     of_features[feet, np.arange(4)] = of_features[root, 4:] = 1.0
     of_positions[3 * np.array(FOOT_JOINTS) + 1, 4 + np.arange(4)] = 1.0 / share
@@ -89,7 +91,7 @@ def _write_rise(
     above = g.reshape(g.add("Gemm", positions, of_positions, above), 2, 4)
     lowest = g.add("ReduceMin", above, axes=[1], keepdims=1)
     lowest = g.add("Max", lowest, [[-height_correction.DEEPEST], [-1e9]])
-    # What is missing, how low the feet are, and how far too deep.
+    # The missing height, how low the feet are, and how far they are too deep.
     of_lowest = [[1.0, 0.0, 0.0], [-1.0, -1.0 / height_correction.REACH, -1.0]]
     measures = g.add("Gemm", lowest, of_lowest, [0.0, 1.0, -height_correction.DEEPEST], transA=1)
     measures = g.add("Max", measures, np.float32(0.0))
@@ -110,14 +112,14 @@ def _write_rise(
 
 
 def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_velocity: str) -> str:
-    """Writes present_ground (1, 3); answers sines (1, 8), of which the last four are the heading's quaternion."""
+    """Write present_ground (1, 3). Returns sines (1, 8); the last four are the quaternion of the heading."""
     turned = g.add("Gemm", yaw_velocity, [[0.0, 0.0, 1.0 / fps]], "ground")
-    # Sines of the heading h plus something: cos h, cos h, sin h, -sin h, then cos h/2, 0, sin h/2, 0.
+    # Sines of the heading h plus constants: cos h, cos h, sin h, -sin h, then cos h/2, 0, sin h/2, 0.
     of_yaw = np.zeros((3, 8))
     of_yaw[2] = [1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.5, 0.0]
     plus = [QUARTER, QUARTER, 0.0, np.pi, QUARTER, 0.0, 0.0, 0.0]
     sines = g.add("Sin", g.add("Gemm", turned, of_yaw, plus))
-    # The first four times velocity x, z, z, x go into x, z, x, z.
+    # The first four, times velocity x, z, z, x, add to x, z, x, z.
     moved = g.add("Mul", sines, g.gather(features, velocity + np.array([0, 1, 1, 0, 0, 0, 0, 0]), axis=1))
     onto = np.concatenate([np.eye(3)[[0, 1, 0, 1]] / fps, np.zeros((4, 3))])
     g.add("Gemm", moved, onto, turned, out="present_ground")
@@ -125,32 +127,32 @@ def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_veloci
 
 
 def _expmap_to_quat(g: Graph, expmaps: str, count: int) -> str:
-    """Quaternions (N, 4) of exponential maps (1, 3 N)."""
+    """Return quaternions (N, 4) of exponential maps (1, 3 N)."""
     expmaps = g.reshape(expmaps, count, 3)
     angle = g.add("ReduceL2", expmaps, axes=[1], keepdims=1)
     angle = g.add("Max", angle, np.float32(1e-12))
-    # cos a/2 and three times sin a/2, times 1 and the axis.
+    # cos a/2, and sin a/2 three times; then times 1 and the axis.
     sines = g.add("Sin", g.add("Gemm", angle, np.full((1, 4), 0.5), [QUARTER, 0.0, 0.0, 0.0]))
     return g.add("Mul", sines, g.add("Div", g.add("Concat", angle, expmaps, axis=1), angle))
 
 
 def _sixd_to_quat(g: Graph, features: str, start: int, first: str) -> str:
-    """The quaternion (1, 4) of a matrix whose first two columns, not orthonormal yet, begin at a column."""
+    """Return the quaternion (1, 4) of a matrix; its first two columns, not yet orthonormal, start at column `start`."""
     third = g.add("MatMul", _products(g, features, start, start + 3), MINUS)
-    # Unit vectors: the third and the first column; the second is third x first.
+    # Normalise the third and the first column; the second is third x first.
     pair = g.add("Concat", third, first, axis=0)
     pair = g.reshape(g.add("Div", pair, g.add("ReduceL2", pair, axes=[1], keepdims=1)), 1, 6)
     # Four times the products of the quaternion's components are linear in the matrix.
     of_column = FROM_MATRIX.reshape(3, 3, 16)
     outer = g.add("Gemm", pair, np.concatenate([of_column[:, 2], of_column[:, 0]]), FROM_CONSTANT)
     outer = g.add("Gemm", _products(g, pair, 0, 3), MINUS @ of_column[:, 1], outer)
-    # Four rows, each the quaternion times one of its components; the largest is well-conditioned.
+    # Four rows, each the quaternion times one of its components; the largest is well conditioned.
     largest = g.add("ArgMax", g.gather(outer, [0, 5, 10, 15], axis=1), axis=1, keepdims=0)
     quat = g.gather(g.reshape(outer, 4, 4), largest, axis=0)
     return g.add("Div", quat, g.add("ReduceL2", quat, axes=[1], keepdims=1))
 
 
 def _products(g: Graph, columns: str, first: int, second: int) -> str:
-    """The six products (1, 6) in the cross product of two vectors that begin at these columns."""
+    """Return the six products (1, 6) in the cross product of two vectors that start at these columns."""
     ahead = g.gather(columns, first + np.array(FORWARD), axis=1)
     return g.add("Mul", ahead, g.gather(columns, second + np.array(BACKWARD), axis=1))

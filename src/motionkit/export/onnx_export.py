@@ -1,8 +1,8 @@
-"""The step of a model as an ONNX graph for engines: controls and state in, a posed body and the next state out.
+"""The step of a model as an ONNX graph for engines: controls and state in, a global pose and the next state out.
 
-The graph is written node by node from the packed weights (inference/step_weights.py), with normalisation,
-integration of the root and forward kinematics inside, static shapes, a batch of one. docs/engines.md tells
-how to drive it.
+The graph is written node by node from the packed weights (inference/step_weights.py). It includes normalisation,
+integration of the root and forward kinematics, with static shapes and a batch of one. docs/engines.md explains how
+to drive it.
 """
 
 from __future__ import annotations
@@ -46,53 +46,56 @@ if TYPE_CHECKING:
 FORMAT_NAME = "motionkit-onnx-"
 FORMAT = f"{FORMAT_NAME}5"
 WEIGHTS = ("float32", "int8")
-# How far joints of graph and motionkit may be apart in ten seconds, each on its own output, in cm. Small differences
-# of 8 bits add up to another way over the ground.
+# Largest distance in cm between joints of the graph and of motionkit after ten seconds in closed loop. In 8 bits small
+# differences add up to another path over the ground.
 TOLERANCES = {"float32": 0.5, "int8": 200.0}
-REFERENCE_SECONDS = 12.0  # of recordings of each type in the description, longer ones not cut
+REFERENCE_SECONDS = 12.0  # of reference clips per type in the metadata; the last clip is not cut
 
 
 def _listed(numbers: tuple[int, ...]) -> str:
     return f"{', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
 
 
-# What comes in beside the state, with shape and meaning.
+# Inputs besides the state, with shape and meaning.
 CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     "trajectory": (
         (1, TRAJECTORY_COUNT),
-        f"where the root is to be after {_listed(TRAJECTORY_OFFSETS)} frames, in the heading frame: "
-        "x, z of each in cm, then directions x, z of each",
+        f"wanted root after {_listed(TRAJECTORY_OFFSETS)} frames, in the facing frame: x, z of each in cm, then "
+        "facing x, z of each",
     ),
-    "trajectory_mask": ((1, 1), "1 where the trajectory counts, else 0"),
-    "phase": ((1, 1), "0 to 1 through a performance of a type with a phase, -1 for other types"),
+    "trajectory_mask": ((1, 1), "1 to follow the trajectory, 0 to ignore it"),
+    "phase": ((1, 1), "0 to 1 over a performance of a type with a phase; -1 for other types"),
     "reference": (
         (1, REFERENCE_COUNT),
-        f"pose embeddings of a recording {_listed(REFERENCE_OFFSETS)} frames ahead, one after another",
+        f"pose embeddings of a reference clip {_listed(REFERENCE_OFFSETS)} frames ahead, one after another",
     ),
     "reference_gain": (
         (1, 1),
-        "factor on the reference, 0 where there is none",
+        "reference gain; 0 without reference poses",
     ),
     "slip_correction": (
         (1, 1),
-        "factor on the type's root-slip correction: 1, or 0 on a path, where the trajectory comes first",
+        "factor on the type's root-slip correction: 1, or 0 on a path, where the trajectory matters more",
     ),
-    "noise": ((1, FEATURE_COUNT), "standard normal numbers times a temperature; zeros give the mean"),
+    "noise": ((1, FEATURE_COUNT), "standard normal numbers times the temperature; zeros give the mean"),
 }
 OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
-    "positions": ((1, JOINT_COUNT, 3), "joints in the world, cm"),
-    "rotations": ((1, JOINT_COUNT, 4), "quaternions w, x, y, z in the parent's space"),
-    "root_positions": ((1, 3), "the hips in the world, cm"),
-    "features": ((1, FEATURE_COUNT), "the 276 numbers, not normalised"),
+    "positions": ((1, JOINT_COUNT, 3), "global joint positions in cm"),
+    "rotations": ((1, JOINT_COUNT, 4), "local rotations as quaternions w, x, y, z"),
+    "root_positions": ((1, 3), "global position of the hips in cm"),
+    "features": ((1, FEATURE_COUNT), "the 276 features, not normalised"),
 }
 
 
 def build_graph(model: MotionModel, character: str = "default", weights: str = "float32") -> ModelProto:
-    """The graph of one step on a character's body, with its metadata; weights are one of WEIGHTS.
+    """Return the graph of one step on a character's body, with its metadata.
+
+    Args:
+        weights: "float32" or "int8".
 
     Raises:
-        ModelError: if the model cannot run frame by frame on packed weights, or for other weights.
-        ControlError: for an unknown character.
+        ModelError: if the model's weights cannot be packed, or if weights is unknown.
+        ControlError: if the character is unknown.
     """
     if weights not in WEIGHTS:
         raise ModelError(f"weights {weights!r} are unknown, expected one of {', '.join(WEIGHTS)}")
@@ -111,7 +114,7 @@ def build_graph(model: MotionModel, character: str = "default", weights: str = "
 def metadata(
     model: MotionModel, character: str = "default", weights: str = "float32", starts: bool = True
 ) -> dict[str, Any]:
-    """What an engine has to know beside the graph, with frames to start each type from."""
+    """Return what an engine needs besides the graph; with starts also start poses and reference clips of each type."""
     skeleton = model.character(character)
     shapes = state_shapes(pack(model.network))
     described = {
@@ -141,7 +144,7 @@ def metadata(
         "controls": {
             "type_weights": {
                 "shape": [1, len(model.types)],
-                "what": "weights of the types, which add up to 1",
+                "what": "weights of the types; they add up to 1",
             },
             **{name: {"shape": list(shape), "what": what} for name, (shape, what) in CONTROLS.items()},
         },
@@ -164,7 +167,7 @@ def metadata(
 
 
 def _reference_clips(model: MotionModel, kind: str) -> list[dict[str, list]]:
-    """Pose embeddings of a type's recordings, from which references are cut; the ground track of performances."""
+    """Return pose embeddings of a type's reference clips, and the ground track of those performed once."""
     out: list[dict[str, list]] = []
     frames = 0
     for reference_clip in model.types[kind].reference_clips:
@@ -189,13 +192,13 @@ def _rounded(values: Array, digits: int) -> list:
 
 @dataclass(frozen=True)
 class ExportCheck:
-    """How far the graph and motionkit are apart after running side by side, each on its own output.
+    """Differences between the graph and motionkit, each in closed loop.
 
     Attributes:
-        frames: how many.
+        frames: number of frames compared.
         positions: largest distance of a joint in cm.
         features: largest difference of a normalised feature.
-        frames_per_second: of the graph by itself in ONNX Runtime on one core.
+        frames_per_second: speed of the graph alone in ONNX Runtime on one core.
     """
 
     frames: int
@@ -205,18 +208,23 @@ class ExportCheck:
 
 
 def metadata_path(path: str | Path) -> Path:
-    """Where the metadata of a graph go; raises OverwriteError if that would be the graph, or a file of another kind."""
+    """Return the path of a graph's metadata: the same name with .json.
+
+    Raises:
+        OverwriteError: if that is the graph itself.
+        MotionkitError: if the name is empty, or a file that export did not write is in the way.
+    """
     path = Path(path)
     if not path.name:
-        raise MotionkitError("expected a file to write the graph to, found an empty name")
+        raise MotionkitError("--onnx: expected a file name for the graph, found an empty name")
     if path.name.lower().endswith(".json"):
         raise OverwriteError(
-            f"{path}: the metadata go into a file of this name; give the graph another ending, such as .onnx"
+            f"{path}: the metadata are written to this file; give the graph another ending, such as .onnx"
         )
     beside = path.with_suffix(".json")
     if beside.is_file() and not _is_metadata(beside):
         raise MotionkitError(
-            f"{beside}: is there already and not written by export; move it, or name the graph otherwise"
+            f"{beside}: exists and was not written by export; move it or choose another name for the graph"
         )
     return beside
 
@@ -231,13 +239,13 @@ def _is_metadata(path: Path) -> bool:
 
 @contextmanager
 def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
-    """Open two files for writing that appear together: what is there is a graph with its own metadata, or no graph."""
+    """Open two files for writing that appear together, so that a graph never stands beside other metadata."""
     placing = False
     try:
-        # The last one opened is put in place first.
+        # The file opened last is put in place first.
         with atomic_write(graph, "wb") as first, atomic_write(beside) as second:
             yield first, second
-            for file in (first, second):  # so that a full disk is found before anything is changed
+            for file in (first, second):  # finds a full disk before anything is changed
                 file.flush()
                 os.fsync(file.fileno())
             placing = True
@@ -251,12 +259,15 @@ def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
 def export_onnx(
     model: MotionModel, path: str | Path, character: str = "default", weights: str = "float32"
 ) -> ExportCheck | None:
-    """Write graph and metadata (the same name with .json) after a run side by side; None without onnxruntime.
+    """Check the graph against motionkit, then write it and its metadata (the same name with .json).
+
+    Returns:
+        The result of the check; None without onnxruntime.
 
     Raises:
-        ModelError: if the model cannot be exported, does not move, or the graph does not do what motionkit does.
-        ControlError: for an unknown character.
-        MotionkitError: if a place cannot be written or holds what is no export. Both files are as before then.
+        ModelError: if the model cannot be exported or does not move, or if the graph differs from motionkit.
+        ControlError: if the character is unknown.
+        MotionkitError: if a file cannot be written or another file is in the way. Existing files then stay unchanged.
     """
     path = Path(path)
     beside = metadata_path(path)
@@ -269,29 +280,29 @@ def export_onnx(
 
 
 def _checked(model: MotionModel, graph: bytes, character: str, tolerance: float) -> ExportCheck | None:
-    """check_export, None without onnxruntime; raises ModelError for joints further apart than tolerance (cm)."""
+    """Run check_export; None without onnxruntime. Raises ModelError if joints differ by more than tolerance (cm)."""
     try:
         import onnxruntime
     except ImportError:
         return None
     check = check_export(model, graph, character)
-    if not check.positions <= tolerance:  # NaN is not
+    if not check.positions <= tolerance:  # NaN fails as well
         raise ModelError(
-            f"nothing written: in {check.frames} frames of the graph in ONNX Runtime {onnxruntime.__version__} joints "
+            f"nothing written: in {check.frames} frames in ONNX Runtime {onnxruntime.__version__} joints of the graph "
             f"differ from motionkit's by {check.positions:.3g} cm, expected at most {tolerance:g}"
         )
     return check
 
 
 class OnnxStep:
-    """The graph in ONNX Runtime, one character, its state kept between steps.
+    """The graph in ONNX Runtime for one character; it keeps the state between steps.
 
-    Arrays are bound to the graph once; state has two places, which take turns in going in and coming out.
-    Dictionaries of arrays for and from every run would take longer than some of the network.
+    Arrays are bound to the graph once, because new dictionaries of arrays in every step would cost more time than
+    parts of the network. The state has two buffers that alternate between input and output.
     """
 
     def __init__(self, graph: str | Path | bytes, threads: int = 1) -> None:
-        """graph is its file, or what is in it."""
+        """graph is the file, or its bytes."""
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
@@ -320,11 +331,11 @@ class OnnxStep:
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """Controls and state that the next step takes in, to be written into."""
+        """Controls and state of the next step; write into these arrays."""
         return self._turns[0][0]
 
     def step(self) -> dict[str, np.ndarray]:
-        """Run on values and move the state on; what it answers is overwritten by the steps after."""
+        """Run one step on values and return its outputs. Later steps overwrite them."""
         _, made, binding = self._turns[0]
         self.session.run_with_iobinding(binding)
         self._turns.reverse()
@@ -334,9 +345,9 @@ class OnnxStep:
 def check_export(
     model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int = 600
 ) -> ExportCheck:
-    """Both from the same start with the same controls and noise, each going on from its own frames.
+    """Run the graph and motionkit in closed loop, from the same start with the same controls, and compare them.
 
-    Raises ModelError for a model that does not move in motionkit either.
+    Raises ModelError if the model does not move in motionkit either.
     """
     kind = model_first_type(model)
     start = type_start(model, kind, 1)
@@ -361,8 +372,8 @@ def check_export(
     height_correction = HeightCorrection(model.config.layout, 1)
     near = last_poses(model, start.features[0])
     played = plan_signals(model, [TypePart(kind, frames / model.fps)], near)
-    way, given = np.zeros((1, TRAJECTORY_COUNT), np.float32), np.zeros(1, np.float32)
-    none = np.full(1, -1.0, np.float32)
+    trajectory, trajectory_mask = np.zeros((1, TRAJECTORY_COUNT), np.float32), np.zeros(1, np.float32)
+    no_phase = np.full(1, -1.0, np.float32)
     apart, features = np.zeros(frames), np.zeros(frames)
     for frame in range(frames):
         reference, reference_gain = (
@@ -370,7 +381,9 @@ def check_export(
             played.reference_gain[frame : frame + 1],
         )
         graph.values["reference"][:], graph.values["reference_gain"][:] = reference, reference_gain[:, None]
-        ours, _, ground = state.step(FrameControls(weights, way, given, none, reference, reference_gain))
+        ours, _, ground = state.step(
+            FrameControls(weights, trajectory, trajectory_mask, no_phase, reference, reference_gain)
+        )
         rotations, root = decoder.decode(ours, ground)
         root *= share
         world = body.forward(rotations, root)
@@ -378,7 +391,7 @@ def check_export(
         made = graph.step()
         apart[frame] = np.linalg.norm(made["positions"] - world[..., :3, 3], axis=-1).max()
         features[frame] = np.abs(made["present_pose"] - state.normalised).max()
-    # Timed by itself: side by side each pushes the other's weights out of the cache.
+    # Timed separately, because side by side each evicts the other's weights from the cache.
     began = time.perf_counter()
     for _ in range(frames):
         graph.step()

@@ -1,4 +1,4 @@
-"""Writing ONNX graphs: nodes and constants in the order in which they are made."""
+"""A writer of ONNX graphs: nodes and constants in the order in which they are added."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def _onnx() -> Any:
 
 
 class Graph:
-    """Nodes of the standard operators, on float32 where nothing else is said."""
+    """A graph of standard operators, in float32 unless stated otherwise."""
 
     def __init__(self) -> None:
         self.onnx = _onnx()
@@ -31,7 +31,7 @@ class Graph:
         self.constants: dict[str, TensorProto] = {}
 
     def constant(self, values: Any, dtype: Any = np.float32) -> str:
-        """The name of a constant; equal ones are kept once."""
+        """Add a constant and return its name; small equal constants are stored once."""
         array = np.array(values, dtype, order="C")
         for known, tensor in self.constants.items():
             if array.size < 64 and tensor.raw_data == array.tobytes() and tuple(tensor.dims) == array.shape:
@@ -42,25 +42,25 @@ class Graph:
         return name
 
     def add(self, kind: str, *inputs: Any, out: str | None = None, **attributes: Any) -> str:
-        """A node with one output, whose name it answers; arrays and numbers become constants."""
+        """Add a node with one output and return the output's name. Arrays and numbers become constants."""
         return self._node(kind, inputs, [out or f"n{len(self.nodes)}"], attributes)[0]
 
     def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
-        """Pieces of these sizes along an axis."""
+        """Split a value into pieces of these sizes along an axis."""
         outs = [f"n{len(self.nodes)}_{i}" for i in range(len(sizes))]
         return self._node("Split", (value, self.constant(sizes, np.int64)), outs, {"axis": axis})
 
     def quantized(self, value: str) -> list[str]:
-        """A value in 8 bits, its scale and its zero point."""
+        """Quantise a value to 8 bits. Returns the names of the value, its scale and its zero point."""
         outs = [f"n{len(self.nodes)}_{i}" for i in range(3)]
         return self._node("DynamicQuantizeLinear", (value,), outs, {})
 
     def reshape(self, value: str, *shape: int, out: str | None = None) -> str:
-        """The same numbers in another shape."""
+        """Change the shape of a value."""
         return self.add("Reshape", value, self.constant(shape, np.int64), out=out)
 
     def gather(self, value: Any, indices: Any, axis: int) -> str:
-        """The places of these indices along an axis, in the shape of the indices."""
+        """Gather these indices along an axis; the result has the shape of the indices there."""
         at = indices if isinstance(indices, str) else self.constant(indices, np.int64)
         return self.add("Gather", value, at, axis=axis)
 
@@ -76,7 +76,7 @@ class Graph:
         version: str,
         properties: dict[str, str],
     ) -> ModelProto:
-        """The whole of it, checked, with names and shapes of what goes in and comes out."""
+        """Return the checked model with names and shapes of its inputs and outputs."""
         helper, kinds = self.onnx.helper, self.onnx.TensorProto
 
         def described(shapes: dict[str, tuple[int, ...]]) -> list:

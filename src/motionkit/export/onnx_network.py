@@ -1,14 +1,12 @@
 """The network of one frame as ONNX nodes, written from the packed weights (inference/step_weights.py).
 
-What costs time in a graph of one frame is to read the weights, and then every node, however small. So what
-can be folded into constants is folded, and rings are written in place instead of being shifted: the next
-frame goes into the slot of the oldest.
+In a graph of one frame, time goes into reading the weights and into every node, however small. So constants are
+folded, and the rings of keys and values are not shifted: the next frame overwrites the oldest slot.
 
-All parts go through one product. Either their maps stand side by side, (K, P N): then each part's row meets
-every map, and what it has of the others' is left out afterwards. Or they stand one below the other,
-(P K, N), and each part's row is zero but in its own columns. The additional sums cost nothing, as long as
-bringing the weights to the processor takes longer than to use them; products of a plain matrix are what
-runtimes are best at, and the only ones they know in 8 bits.
+One matrix product serves all parts. Their maps either stand side by side, (K, P N): each part's row is then
+multiplied by every map, and the results of the other parts are dropped. Or they are stacked, (P K, N), and each
+part's row is zero outside its own columns. The additional sums cost nothing, because loading the weights takes
+longer than using them. Runtimes are best at plain matrix products, and know no others in 8 bits.
 
 Shape legend: P parts, L layers, D width, H heads, E head width, F hidden, W window, C controls.
 """
@@ -32,9 +30,9 @@ INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
 
 
 def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
-    """Names and shapes of the state that goes in as NAME and comes out as present NAME.
+    """Return names and shapes of the state's inputs; present_name gives the outputs.
 
-    Keys and values follow the convention past_key_values.N.key, the parts as a batch.
+    Keys and values follow the convention past_key_values.N.key, with the parts as the batch.
     """
     config, P = weights.config, len(weights.columns)
     ring = (P, config.heads, config.window, config.width // config.heads)
@@ -52,16 +50,20 @@ def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
 
 
 def present_name(name: str) -> str:
-    """What a state is called where it comes out: present.0.key for past_key_values.0.key."""
+    """Return the output name of a state: present.0.key for past_key_values.0.key."""
     return (
         name.replace("past_key_values", "present") if "." in name else f"present_{name.removeprefix('past_')}"
     )
 
 
 def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: bool) -> str:
-    """Nodes from controls and state to all state but ground and rise; answers the unnormalised features (1, 276).
+    """Write the nodes from controls and state to the next state, without ground and rise.
 
-    small: products of the layers in 8 bits.
+    Args:
+        small: whether the products of the layers are in 8 bits.
+
+    Returns:
+        The name of the unnormalised features (1, 276).
     """
     config, P, D = weights.config, len(weights.columns), weights.config.width
     hidden = config.contact_hidden
@@ -69,14 +71,14 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     step = _Step(g, weights, small)
     blocks = _control_blocks(step, model)
     past = state_shapes(weights)["past_frames"][1]
-    # The oldest frame goes, others stay; before is the pose of the last one.
+    # The oldest frame is dropped; before is the pose of the last one.
     stay = past - INPUT_COUNT
     older = [size for size in (INPUT_COUNT, stay - INPUT_COUNT) if size > 0] if stay else []
     pieces = g.split("past_frames", [*older, FEATURE_COUNT, CONTACT_COUNT], axis=1)
     before = pieces[-2]
     g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
     shallow = step.module(0, step.embed_frames(blocks[0][0]), blocks[0])
-    # What the deep module and the feet take of the shallow features, in one product; all further layers hang on it.
+    # One product of the shallow features serves the deep module and the contacts.
     taken = step.product(
         shallow,
         np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
@@ -85,7 +87,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
     deep_input = g.add("Add", g.reshape(deep_input, P, D), blocks[1][0])
     deep = step.module(1, deep_input, blocks[1])
-    # The mean is never in 8 bits: it goes straight into the pose.
+    # The mean is never in 8 bits, because it goes straight into the pose.
     mean = g.add("Gemm", deep, weights.head[:, :FEATURE_COUNT], weights.head_bias[:FEATURE_COUNT])
     rest = step.product(deep, weights.head[:, FEATURE_COUNT:], weights.head_bias[FEATURE_COUNT:])
     sigma, feet_too = g.split(rest, [FEATURE_COUNT, hidden], axis=1)
@@ -94,7 +96,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     low, high = np.float32(config.log_sigma_min), np.float32(config.log_sigma_max)
     drawn = g.add("Mul", "noise", g.add("Exp", g.add("Clip", sigma, low, high)))
     terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head_leak))]
-    # Nothing has moved yet at the first frame.
+    # At the first frame nothing has moved yet.
     moved = g.add("Mul", g.add("Sub", "pose", before), g.add("Min", "frames_seen", np.float32(1.0)))
     if weights.momentum is not None:
         terms.append(g.add("Mul", moved, weights.momentum))
@@ -110,10 +112,10 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
 
 
 def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
-    """What the controls add to the input of each layer (P, D), of both modules.
+    """Write what the controls add to the input (P, D) of each layer of both modules, and return the names.
 
-    The skeleton is always the same one, and scales and offsets of the other signals are in the map behind
-    them: a signal (s - m) / d that counts where g is 1 is g s on a map divided by d, and g on the rest.
+    The skeleton is constant. Scales and offsets of the other signals are folded into the map: a signal (s - m) / d
+    with mask g becomes g s on the map divided by d, and g on the constant rest.
     """
     g, weights = step.g, step.weights
     layout, scaling, references = model.controls, model.trajectory_scaling, model.reference_map
@@ -127,9 +129,9 @@ def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
     reference = embed[layout.reference]
     seen = g.add("MatMul", "pose", references.matrix / references.gains)
     differences = g.add("Mul", g.add("Sub", "reference", seen), "reference_gain")
-    # The sine and, a quarter of a turn ahead, the cosine.
+    # The sine and, a quarter turn ahead, the cosine.
     turns = g.add("Gemm", "phase", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
-    # One from zero on and zero below, by a steep ramp: cheaper than a comparison.
+    # One for phases of zero and above, else zero: a steep ramp, which is cheaper than a comparison.
     has_phase = g.add("Gemm", "phase", [[1e6]], [1.0])
     has_phase = g.add("Clip", has_phase, np.float32(0.0), np.float32(1.0))
     turns = g.add("Mul", g.add("Sin", turns), has_phase)
@@ -169,13 +171,13 @@ class _Step:
     def __init__(self, g: Graph, weights: StepWeights, small: bool) -> None:
         self.g, self.weights, self.config, self.small = g, weights, weights.config, small
         config, P, W = self.config, len(weights.columns), weights.config.window
-        # Frames are counted up to 2 W - 2 and then from W - 1 again: while places in the rings are empty, and
-        # then which slot is the oldest.
+        # Frames are counted up to 2 W - 2 and then from W - 1 again. The count shows which slots of the rings are
+        # still empty and which is the oldest.
         counts = np.arange(2 * W - 1)
         count = g.add("Cast", "frames_seen", to=g.onnx.TensorProto.INT64)
         g.add("Gather", np.append(counts[1:], W - 1), count, axis=0, out="present_frames_seen")
         count = g.add("Squeeze", count)
-        # What is looked up lies in one piece for each count.
+        # The tables are contiguous for each count.
         part, head = np.ogrid[:P, : config.heads]
         slot = np.stack(np.broadcast_arrays(part, head, counts[:, None, None] % W), axis=-1)[:, :, :, None]
         self.slot = g.gather(g.constant(slot, np.int64), count, axis=0)  # (P, H, 1, 3)
@@ -186,15 +188,15 @@ class _Step:
         self.biases = g.split(g.gather(bias, count, axis=0), [P] * (2 * config.layers), axis=0)
 
     def embed_frames(self, controls: str) -> str:
-        """The first convolution, over the last frames and the present one, plus what the controls add: (P, D)."""
+        """Write the first convolution, over the last frames and the current one, plus the controls: (P, D)."""
         g, columns, config = self.g, self.weights.columns, self.config
-        # One frame more than a kernel of one takes in is kept. The one at the end is what biases are multiplied with.
+        # At least two frames are kept, more than a kernel of one needs. The 1 at the end multiplies the biases.
         frames = max(config.kernel, 2)
         recent = g.add("Concat", "past_frames", "pose", "contacts", g.constant([[1.0]]), axis=1)
         first = INPUT_COUNT * (frames - config.kernel + np.arange(config.kernel))
         places, maps = [], []
         for p, mine in enumerate(columns):
-            used = mine < INPUT_COUNT  # short parts are filled up
+            used = mine < INPUT_COUNT  # short parts are padded
             places.append(np.append((first[:, None] + mine[used]).reshape(-1), INPUT_COUNT * frames))
             taps = self.weights.shallow.embed[p].reshape(config.kernel, len(mine), -1)[:, used]
             bias = self.weights.shallow.embed_bias[p][None]
@@ -204,7 +206,7 @@ class _Step:
         return g.add("Gemm", seen, np.concatenate(maps), controls)
 
     def module(self, index: int, x: str, controls: list[str]) -> str:
-        """Features (1, P D) without their sqrt(D) of a module from the input (P, D) of its first layer."""
+        """Write a module: features (1, P D), without their factor sqrt(D), from the input (P, D) of its first layer."""
         g, config = self.g, self.config
         weights = (self.weights.shallow, self.weights.deep)[index]
         P, D, H = len(self.weights.columns), config.width, config.heads
@@ -221,30 +223,30 @@ class _Step:
         return g.reshape(self._norm(x), 1, P * D)
 
     def _hidden(self, x: str, weight: Floats, bias: Floats) -> str:
-        """Rows (P, P F), each with zeros but in its own columns, of the hidden layer with bias (P, F)."""
+        """Write the hidden layer with bias (P, F): rows (P, P F), each zero outside its own columns."""
         P, F = bias.shape
         if self.small:
-            # The scales of the columns are brought back along with the zeros: what is cut off below zero stays so.
+            # The mask also restores the scales of the columns; they are positive, so the ReLU is not affected.
             hidden, size = self._small_product(x, weight, bias.reshape(-1))
             assert size is not None  # with a bias it is a node of its own
             return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F) * size)
-        # A bias far below zero wipes out as well.
+        # A bias far below zero has the effect of the mask.
         biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
         return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
 
     def own_columns(self, rows: str, count: int, width: int) -> str:
-        """Rows (count, count width), each with its own columns and zeros, from rows of any shape."""
+        """Reshape to rows (count, count width), each zero outside its own columns."""
         return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
 
     def product(self, x: str, weight: Floats, bias: Floats | None = None, even: bool = False) -> str:
-        """Rows times a matrix (K, N) plus a bias (N,); even: the columns are about as large as each other."""
+        """Multiply rows by a matrix (K, N) and add a bias (N,). even: the columns have about the same size."""
         if self.small:
             product, size = self._small_product(x, weight, bias, even)
             return product if size is None else self.g.add("Mul", product, size)
         return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
 
     def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
-        """x plus rows y times a matrix, plus more."""
+        """Add rows y times a matrix, and more, to x."""
         if not self.small and not more:
             return self.g.add("Gemm", y, weight, x)
         return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
@@ -252,10 +254,10 @@ class _Step:
     def _small_product(
         self, x: str, weight: Floats, bias: Floats | None, even: bool = False
     ) -> tuple[str, Floats | None]:
-        """The same product in 8 bits, and what its columns are to be multiplied with, None for nothing.
+        """Write the product in 8 bits. Returns it and the factors its columns still need; None for no factors.
 
-        Runtimes take half as long again over a product with a bias and a scale for every column as over one that
-        has only that of the rows, and a node of its own.
+        A product with a bias and a scale per column takes runtimes half as long again as one whose only scale is
+        that of the rows, in a node of its own.
         """
         g = self.g
         whole, scales = whole_numbers(weight, even)
@@ -270,7 +272,7 @@ class _Step:
         return product, size
 
     def _attend(self, layer: int, query: str, key: str, value: str) -> str:
-        """Attention (P, H, 1, E) over the ring of a layer, into which key and value go."""
+        """Write key and value into the ring of a layer, and attention (P, H, 1, E) over it."""
         past = f"past_key_values.{layer}"
         keys, values = (
             self.g.add("ScatterND", f"{past}.{name}", self.slot, new, out=present_name(f"{past}.{name}"))
@@ -282,21 +284,21 @@ class _Step:
 
     def _norm(self, x: str) -> str:
         D = self.config.width
-        # The shift of zero is there for importers that do not know that it may be left out.
+        # Some importers require the shift, though it is optional.
         inputs = (x, np.full(D, D**-0.5), np.zeros(D))
         return self.g.add("LayerNormalization", *inputs, axis=-1, epsilon=NORM_EPS)
 
 
 def _beside(maps: Floats) -> Floats:
-    """Maps (P, K, N) side by side: (K, P N)."""
+    """Place maps (P, K, N) side by side: (K, P N)."""
     return maps.transpose(1, 0, 2).reshape(maps.shape[1], -1)
 
 
 def _below(maps: Floats) -> Floats:
-    """Maps (P, K, N) one below the other: (P K, N)."""
+    """Stack maps (P, K, N): (P K, N)."""
     return maps.reshape(-1, maps.shape[-1])
 
 
 def _own(count: int, width: int | list[int]) -> Floats:
-    """(count, count width) ones where a row has its own columns; width for all rows or for each."""
+    """Return (count, count width) with ones in each row's own columns; width for all rows or for each."""
     return np.repeat(np.eye(count, dtype=np.float32), width, axis=1)

@@ -1,4 +1,4 @@
-"""Grip as ONNX nodes: feet on the ground hold the root, as synthesis/slip_correction.py has it."""
+"""The root-slip correction as ONNX nodes: standing feet hold the root, as in inference/slip_correction.py."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from motionkit.models.model import MotionModel
 
 
 def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
-    """Nodes from a drawn pose (1, 276) to the one with the way that feet allow; writes and answers present_pose."""
+    """Write the correction of a sampled pose (1, 276) as present_pose, and return its name."""
     blocks = feature_layout(model.config.layout).blocks
     yaw, xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start
     slip_corrections = model.presets("slip_correction")[:, None]
     share = g.add("MatMul", "type_weights", slip_corrections * np.float32(model.fps))
     share = g.add("Mul", share, "slip_correction")
     by = g.add("Mul", _standing_move(g, model, drawn, (yaw, xz)), share)
-    # What comes is a turn the other way, and a step.
+    # The correction is a turn the other way and a step.
     columns = np.zeros((3, FEATURE_COUNT), np.float32)
     columns[[0, 1, 2], [yaw, xz, xz + 1]] = -1.0, 1.0, 1.0
     std = model.scaling.std
@@ -26,13 +26,13 @@ def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
 
 
 def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[int, int]) -> str:
-    """What to take off the turn and to add to the step of the root (1, 3)."""
+    """Write what to subtract from the turn and to add to the step of the root (1, 3)."""
     x, y, z = slip_correction.foot_columns(model.config.layout).T
     yaw, xz = velocities
     mean, std = model.scaling.mean, model.scaling.std
     reaches, shares = np.array(slip_correction.REACHES), np.array(slip_correction.SHARES)
-    # All that is linear in the frame at once: where feet are and would be without a turn, x and z; their arms, z and
-    # -x; how low they are; the turn, and a quarter more.
+    # Everything that is linear in the frame, at once: foot positions without the turn, x and z; their lever arms, z and
+    # -x; how low the feet are; the turn, and the turn plus a quarter turn.
     of_frame, plus = np.zeros((FEATURE_COUNT, 22)), np.zeros(22)
     feet = np.arange(4)
     of_frame[x, feet] = of_frame[z, 4 + feet] = of_frame[z, 8 + feet] = 1.0
@@ -42,7 +42,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     plus[21] = 0.5 * np.pi
     unscaled = g.add("Gemm", drawn, std[:, None] * of_frame, mean @ of_frame + plus)
     here, low, turns = g.split(unscaled, [16, 4, 2], axis=1)
-    # Where they were, turned into the heading frame of now: sine and cosine times x, z, z and x.
+    # Earlier foot positions in the current facing frame: sine and cosine times x, z, z and x.
     factors = np.zeros((2, 16))
     factors[0, 4:8], factors[0, 12:], factors[1, :4], factors[1, 8:12] = -1.0, 1.0, 1.0, 1.0
     at = np.concatenate([x, z, z, x])
@@ -52,9 +52,9 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     turned = g.add("Mul", before, g.add("MatMul", g.add("Sin", turns), factors))
     away = np.zeros((16, 16))
     away[:8, :4] = away[8:, 4:8] = -np.concatenate([np.eye(4), np.eye(4)])
-    # Rows are moves along x and z and arms along x and z, columns foot joints.
+    # Rows: moves along x and z, then lever arms along x and z. Columns: foot joints.
     both = g.reshape(g.add("Gemm", turned, away, here), 4, 4)
-    # How much each foot joint holds.
+    # The weight of each foot joint.
     low = g.add("Min", g.add("Max", low, np.float32(0.0)), shares)
     moves = g.add("Mul", both, np.array([[1.0], [1.0], [0.0], [0.0]]))
     moved = g.add("ReduceL2", moves, axes=[0], keepdims=1)
@@ -63,7 +63,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     means = g.add("Gemm", both, weight, transB=1)
     off = g.add("Sub", both, means)
     shared = g.add("Gemm", g.add("Mul", off, weight), off, transB=1)
-    # How far all turn about their middle, and how far from it they stand.
+    # The turn of all feet about their centre, and their distance from it.
     of_shared = np.zeros((16, 2))
     of_shared[[2, 7], 0] = of_shared[[10, 15], 1] = 1.0
     turn = g.add("Gemm", g.reshape(shared, 1, 16), of_shared, np.array([0.0, slip_correction.STIFFNESS]))

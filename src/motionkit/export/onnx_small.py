@@ -1,9 +1,9 @@
-"""Weights made ready for products in 8 bits.
+"""Preparation of weights for products in 8 bits.
 
-Rows of 8 bits share a scale, and a few channels of the residual stream that are much larger than the others would
-leave these few steps. A rotation of all channels spreads the large ones over the others, and changes nothing
-else: what writes into the stream is rotated, what reads from it is rotated back, and a norm sees lengths
-alone. All ones stay where they are, for the stream has no mean and is to have none.
+A row in 8 bits has one scale. A few channels of the residual stream are much larger than the others, which would be
+left with few steps. A rotation of all channels spreads the large ones over the others and changes nothing else: maps
+that write into the stream are rotated, maps that read from it are rotated back, and norms depend on lengths only.
+The rotation keeps the vector of ones, because the stream must keep a mean of zero.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ Doubles = NDArray[np.float64]
 
 
 def spread_channels(weights: StepWeights) -> StepWeights:
-    """The same network with its channels rotated, by any rotation, but always the same one."""
+    """Return the same network with rotated channels; the rotation is random but always the same."""
     turn = _rotation(weights.config.width)
 
     def module(m: ModuleWeights) -> ModuleWeights:
@@ -46,10 +46,10 @@ def spread_channels(weights: StepWeights) -> StepWeights:
 
 
 def balance_heads(weights: StepWeights) -> StepWeights:
-    """The same network with queries, keys and values (L, P, D, 3 H E) that one scale suits, heads on other axes.
+    """Return the same network with rotated heads whose queries, keys and values (L, P, D, 3 H E) fit one scale.
 
-    Keys are four times as large as queries. What the ones are multiplied with the others can be divided by, and both
-    may be turned alike; and what values are multiplied with, or turned by, the map behind them takes back.
+    Keys are four times as large as queries. A factor on queries can be divided out of keys, and both can be rotated
+    alike. The map after the values takes back their factor and rotation.
     """
     heads = weights.config.heads
     size = weights.config.width // heads
@@ -64,7 +64,7 @@ def balance_heads(weights: StepWeights) -> StepWeights:
         biases = np.einsum("lpche,hef->lpchf", biases, turns)
         out = m.out.astype(np.float64).reshape(layers, parts, heads, size, width)
         out = np.einsum("hef,lphed->lphfd", turns, out)
-        # The largest column of each head (L, P, 3, H), and what it is to become.
+        # The largest column of each head (L, P, 3, H), and its new size.
         largest = _column_sizes(maps.transpose(0, 1, 3, 4, 2, 5)).max(axis=-1)
         both = np.sqrt(largest[:, :, 0] * largest[:, :, 1])
         values = np.broadcast_to(both.max(axis=(1, 2), keepdims=True), both.shape)
@@ -80,10 +80,10 @@ def balance_heads(weights: StepWeights) -> StepWeights:
 
 
 def whole_numbers(weight: Floats, even: bool = False) -> tuple[NDArray[np.int8], Floats]:
-    """A map (K, N) in 8 bits, and the scales (N,) of its columns, the same for all if even.
+    """Return a map (K, N) in 8 bits and the scales (N,) of its columns; one scale for all if even.
 
-    Processors without instructions of their own for 8 bits add the products of two neighbouring rows in 16 bits, and
-    cut off what is beyond. Values being up to 255, two neighbours may come to 128 on either side of zero.
+    Processors without special instructions for 8 bits add the products of two neighbouring rows in 16 bits and
+    saturate. Values go up to 255, so two neighbouring weights may add up to at most 128 on either side of zero.
     """
     scale = _column_sizes(weight)
     scale = np.full_like(scale, scale.max()) if even else scale
@@ -91,18 +91,18 @@ def whole_numbers(weight: Floats, even: bool = False) -> tuple[NDArray[np.int8],
 
 
 def _column_sizes(weight: NDArray) -> Floats:
-    """The scales (..., N) in which the columns of maps (..., K, N) fit into 8 bits."""
+    """Return the scales (..., N) with which the columns of maps (..., K, N) fit into 8 bits."""
     rest = [(0, 0)] * (weight.ndim - 2)
     padded = np.pad(weight, [*rest, (0, weight.shape[-2] % 2), (0, 0)])
     pairs = padded.reshape(*weight.shape[:-2], -1, 2, weight.shape[-1])
     sums = np.maximum(pairs.clip(min=0.0).sum(axis=-2), -pairs.clip(max=0.0).sum(axis=-2)).max(axis=-2)
-    # Rounding may add half a step to each of two.
+    # Rounding may add half a step to each of the two.
     sizes = np.maximum(np.maximum(sums / 127, np.abs(weight).max(axis=-2) / 127), 1e-12)
     return sizes.astype(np.float32)
 
 
 def _rotation(size: int) -> Doubles:
-    """An orthogonal matrix that leaves all ones as they are."""
+    """Return an orthogonal matrix that keeps the vector of ones."""
     numbers = np.random.default_rng(0).standard_normal((2, size, size))
     numbers[:, :, 0] = 1.0
     first, second = (np.linalg.qr(each)[0][:, 1:] for each in numbers)
@@ -110,12 +110,12 @@ def _rotation(size: int) -> Doubles:
 
 
 def _written(maps: Floats, turn: Doubles) -> Floats:
-    """Maps whose outputs (..., n D) are channels."""
+    """Rotate maps whose outputs (..., n D) are channels."""
     blocks = maps.reshape(*maps.shape[:-1], -1, len(turn)).astype(np.float64)
     return (blocks @ turn).reshape(maps.shape).astype(np.float32)
 
 
 def _read(maps: Floats, turn: Doubles) -> Floats:
-    """Maps whose inputs (..., n D, N) are channels."""
+    """Rotate maps whose inputs (..., n D, N) are channels."""
     blocks = maps.reshape(*maps.shape[:-2], -1, len(turn), maps.shape[-1]).astype(np.float64)
     return (turn.T @ blocks).reshape(maps.shape).astype(np.float32)

@@ -1,15 +1,14 @@
-"""The six losses of the paper (section 4.2), each a function, each logged by its name.
+"""The six losses of the paper (section 4.2). Each is a function and is logged by its name.
 
-All norms are over normalised features, except the FK loss, whose foot positions are in units of
-20 cm (about the deviation of foot positions). mask is (B, T): 0 where a
-window has ended, else such that every window weighs the same; means divide by B T, so that the mean over
-equal shares of a batch is the mean over the batch.
+All norms are over normalised features, except in the FK loss: its foot positions are in units of 20 cm, about
+their standard deviation. mask is (B, T): 0 after the end of a window, and otherwise scaled so that every window has
+the same weight. Means divide by B T, so that the mean over equal parts of a batch is the mean over the batch.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 import torch.nn.functional as F
@@ -23,32 +22,34 @@ from motionkit.models.torch_rotations import decode_rotations, quat_from_yaw, qu
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
 
 FOOT_UNIT = 20.0  # cm
-NEAR_GROUND = 15.0  # cm; the higher a foot joint is, up to here, the less its movement counts
-TYPICAL_SIGMA = 0.1  # of a trained network
+NEAR_GROUND = 15.0  # cm; the weight of a foot joint in the step loss falls to 0 at this height
+TYPICAL_SIGMA = 0.1  # standard deviation a trained network predicts
 WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
 
 
 @dataclass(frozen=True)
 class LossOptions:
-    """How the terms are measured, by default as in the paper.
+    """How the losses are computed and weighted; the defaults are the paper's."""
 
-    outlier and beta_nll are those of gaussian_loss, both weights those of fk_loss; step_except names the types in
-    whose frames step_weight does not count.
-    """
-
-    outlier: float = math.inf
-    beta_nll: float = 0.0
-    slip_weight: float = 1.0
-    step_weight: float = 0.0
-    step_except: tuple[str, ...] = ()
+    outlier: float = math.inf  # deviations beyond which gaussian_loss is linear
+    beta_nll: float = 0.0  # beta of gaussian_loss; 0 is the plain likelihood
+    slip_weight: float = 1.0  # weight of foot slip in fk_loss
+    step_weight: float = 0.0  # weight in fk_loss of the movement of low feet; docs/results-log.md tries 50
+    step_except: tuple[str, ...] = ()  # types without step_weight
+    weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))  # of the six losses in their sum
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """A batch of windows, normalised; targets are one frame ahead of inputs.
+    """A batch of windows of normalised features; targets are one frame ahead of inputs.
 
-    inputs, targets: (B, T, 276). contacts, next_contacts: (B, T, 4). controls: (B, T, C).
-    trajectory: (B, T, 24) of the target frame. offsets: (B, 23, 3) cm. mask: (B, T).
+    Attributes:
+        inputs, targets: (B, T, 276).
+        contacts, next_contacts: (B, T, 4).
+        controls: (B, T, C).
+        trajectory: (B, T, 24) trajectory of the target frame.
+        offsets: (B, 23, 3) bone offsets in cm.
+        mask: (B, T) weight of each frame.
     """
 
     inputs: Tensor
@@ -61,17 +62,24 @@ class Batch:
     mask: Tensor
 
     def to(self, device: torch.device | str) -> Batch:
-        """The batch on another device."""
+        """Return the batch on another device."""
         return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
 
     def part(self, index: int, count: int) -> Batch:
-        """The index-th of count equal parts."""
+        """Return the index-th of count equal parts."""
         return Batch(**{name: value.chunk(count)[index] for name, value in vars(self).items()})
 
 
 @dataclass(frozen=True, eq=False)
 class FeatureSpace:
-    """What normalised features mean: mean and std (276,), reference_rotations (23, 4), the layout's version, the rate."""
+    """The meaning of normalised features.
+
+    Attributes:
+        mean, std: (276,) scaling of the features.
+        reference_rotations: (23, 4) reference rotations of the joints.
+        layout: version of the columns.
+        fps: frames per second.
+    """
 
     mean: Tensor
     std: Tensor
@@ -81,7 +89,7 @@ class FeatureSpace:
 
     @classmethod
     def of(cls, dataset: Dataset) -> FeatureSpace:
-        """That of a dataset, on the CPU."""
+        """Return the feature space of a dataset, on the CPU."""
         mean, std, reference_rotations = (
             torch.from_numpy(array)
             for array in (dataset.scaling.mean, dataset.scaling.std, dataset.reference_rotations)
@@ -89,18 +97,18 @@ class FeatureSpace:
         return cls(mean, std, reference_rotations, dataset.layout.version, dataset.fps)
 
     def to(self, device: torch.device) -> FeatureSpace:
-        """The same on another device."""
+        """Return the feature space on another device."""
         mean, std, reference_rotations = (
             t.to(device) for t in (self.mean, self.std, self.reference_rotations)
         )
         return FeatureSpace(mean, std, reference_rotations, self.layout, self.fps)
 
     def denormalize(self, values: Tensor) -> Tensor:
-        """Features (..., 276) in cm, radians and their rates."""
+        """Return features (..., 276) in cm, radians and their rates."""
         return values * self.std + self.mean
 
     def root_height(self, features: Tensor) -> Tensor:
-        """Height (...) in cm of the root, from unnormalised features."""
+        """Return the height (...) of the root in cm from unnormalised features."""
         return features[..., feature_layout(self.layout).root_height]
 
 
@@ -116,15 +124,15 @@ def gaussian_loss(
     outlier: float = math.inf,
     beta_nll: float = 0.0,
 ) -> Tensor:
-    """Negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory).
+    """Return the negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory).
 
-    What is hard to predict gets a large sigma, and the likelihood's gradient on the mean then fades with its
-    square: easy frames are learned ever better, hard ones never. Each term counts by (sigma / TYPICAL_SIGMA) to the
-    power 2 x beta_nll, which is not differentiated (Seitzer et al. 2022, "On the Pitfalls of Heteroscedastic
-    Uncertainty Estimation"); 0 is the plain likelihood, 1 weighs all errors alike.
+    Values that are hard to predict get a large sigma, and the likelihood's gradient on their mean falls with its
+    square. Easy frames are then learned ever better and hard ones never. beta-NLL (Seitzer et al. 2022, "On the
+    Pitfalls of Heteroscedastic Uncertainty Estimation") therefore weights each term by (sigma / TYPICAL_SIGMA) to
+    the power 2 x beta_nll, without gradient. 0 is the plain likelihood; 1 gives all errors the same weight.
 
-    Beyond outlier deviations the square goes on as a straight line (Huber 1964). Exponential maps jump where
-    a joint turns past half a turn, once in some hundred frames; squared, that one frame outweighs its batch.
+    Beyond `outlier` deviations the square continues as a straight line (Huber 1964). Exponential maps jump where
+    a joint turns past half a turn, once in a few hundred frames. Squared, that one frame would outweigh its batch.
     """
     scaled = ((target - mean) * torch.exp(-log_sigma)).abs()
     inner = scaled.clamp(max=outlier)
@@ -136,19 +144,19 @@ def gaussian_loss(
 
 
 def smoothness_loss(mean: Tensor, mask: Tensor) -> Tensor:
-    """Norm of the second difference of the predicted means (L_s)."""
+    """Return the norm of the second difference of the predicted means (L_s)."""
     if mean.shape[1] < 3:
         return torch.zeros((), device=mean.device)
     return _mean(safe_norm(mean[:, :-2] + mean[:, 2:] - 2.0 * mean[:, 1:-1]), mask[:, 2:])
 
 
 def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
-    """Binary cross-entropy of the four contacts, summed (L_f)."""
+    """Return the binary cross-entropy of the contacts, summed over the four (L_f)."""
     return _mean(F.binary_cross_entropy_with_logits(logits, target, reduction="none").sum(-1), mask)
 
 
 def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
-    """Feet (B, T, 4, 3) in cm relative to the root, in the heading frame, from unnormalised features."""
+    """Return foot positions (B, T, 4, 3) in cm relative to the root, in the facing frame; features are unnormalised."""
     rotations = decode_rotations(features, space.reference_rotations, space.layout)
     feet = []
     for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
@@ -172,15 +180,19 @@ def fk_loss(
     slip_weight: float = 1.0,
     step_weight: float | Tensor = 0.0,
 ) -> Tensor:
-    """Feet by forward kinematics near the true ones, and still on the ground while in contact (L_FK).
+    """Return the distance of the feet from the true ones by forward kinematics, plus their slip in contact (L_FK).
 
-    Paper eq. 8 compares the feet of two frames in the root's space, where a standing foot moves as the
-    body passes over it; here the step the root takes between the frames is taken out first. What a touching foot
-    slips counts slip_weight times; it teaches feet to stand still, not contacts to be denied.
+    Paper eq. 8 compares the feet of two frames in the root's space, where a standing foot moves as the body passes
+    over it. Here the root's movement between the frames is removed first. Contacts weight the slip without gradient,
+    so that feet learn to stand still and contacts are not unlearned.
 
-    Both of the paper's terms look at predictions alone, but a roll-out goes from the frame it was given to the
-    one predicted from it. step_weight times, a number or one for each frame (B, T), counts how far that movement of a
-    foot over the ground is off the true one, the more the lower the foot is.
+    Both terms of the paper compare predictions only, but a roll-out moves from its input frame to the frame
+    predicted from it. The step loss measures this movement of each foot over the ground against the recorded one,
+    with more weight on lower feet.
+
+    Args:
+        slip_weight: weight of the slip.
+        step_weight: weight of the step loss, as one number or per frame (B, T).
     """
     features, truth = space.denormalize(prediction.mean), space.denormalize(batch.targets)
     predicted = foot_positions(features, batch.offsets, space)
@@ -202,7 +214,7 @@ def fk_loss(
             wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], space)
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
         moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, space)
-        # Not upwards: a body that is too high or too low is to come back.
+        # Vertical movement is left out, because a body that is too high or too low must come back.
         off = (moves - wanted)[..., [0, 2]].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
         loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
@@ -212,12 +224,12 @@ def fk_loss(
 def _foot_moves(
     features: Tensor, feet: Tensor, before: Tensor, height_before: Tensor, space: FeatureSpace
 ) -> Tensor:
-    """How far (B, T, 4, 3) feet move in the world from a frame to the next, in the heading frame of the later one.
+    """Return the movement (B, T, 4, 3) of the feet over the ground between two frames, in the later facing frame.
 
     Args:
-        features: (B, T, 276) unnormalised, of the later frames.
-        feet, before: (B, T, 4, 3) relative to the root, of the later frames and of the earlier ones.
-        height_before: (B, T) of the root in the earlier ones.
+        features: (B, T, 276) unnormalised features of the later frames.
+        feet, before: (B, T, 4, 3) foot positions in cm relative to the root, in the later and the earlier frames.
+        height_before: (B, T) height of the root in cm in the earlier frames.
     """
     blocks = feature_layout(space.layout).blocks
     turn = features[..., blocks["root_yaw_velocity"]] / space.fps
@@ -230,7 +242,7 @@ def _foot_moves(
 def consistency_loss(
     network: PartTransformer, modules: ConsistencyModules, prediction: Prediction, batch: Batch
 ) -> Tensor:
-    """Shared channels alike between parts, and decodable to the shared data (L_con = L_feat + 2 L_root)."""
+    """Return how far shared channels differ between parts and from the shared data (L_con = L_feat + 2 L_root)."""
     channels = network.config.shared_channels
     alike = feature_difference(prediction.shallow, channels) + feature_difference(prediction.deep, channels)
     truth = shared_data(network, batch.inputs)
@@ -250,10 +262,11 @@ def training_losses(
     options: LossOptions | None = None,
     step_share: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """All six terms by name, unweighted.
+    """Return all six losses by name, unweighted.
 
     Args:
-        step_share: (C,) what each control counts in how much of step_weight a frame gets; all of it by default.
+        step_share: (C,) weights whose product with a frame's controls is the share of step_weight the frame gets;
+            the whole of it if None.
     """
     options = options or LossOptions()
     rules = (options.outlier, options.beta_nll)
@@ -280,6 +293,6 @@ def training_losses(
 
 
 def total_loss(terms: dict[str, Tensor], weights: dict[str, float] | None = None) -> Tensor:
-    """The weighted sum (paper eq. 4)."""
+    """Return the weighted sum of the losses (paper eq. 4)."""
     weights = WEIGHTS if weights is None else weights
     return torch.stack([weights[name] * value for name, value in terms.items()]).sum()

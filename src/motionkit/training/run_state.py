@@ -1,4 +1,4 @@
-"""A training run on disk: everything to go on from, as safetensors, written whole or not at all."""
+"""The checkpoint of a training run: everything to resume from, as safetensors, written atomically."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motionkit.models.tensor_file import open_tensors
 FORMAT = "motionkit-run-1"
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
 MOST_BYTES = 4 * 2**30
-MOST_STEPS = 10**12  # and seconds
+MOST_STEPS = 10**12  # also the limit of seconds
 
 
 def save_run(
@@ -29,7 +29,7 @@ def save_run(
     optimizer: torch.optim.Optimizer,
     facts: dict[str, Any],
 ) -> None:
-    """Write weights, their running average, optimizer moments and the random state."""
+    """Write weights, their running average, optimizer moments, the random state and facts such as the step."""
     tensors = {f"weights.{n}": t for n, t in module.state_dict().items()}
     tensors.update({f"average.{n}": t for n, t in average.items()})
     for name, p in module.named_parameters():
@@ -46,7 +46,7 @@ def save_run(
 def load_run(
     path: Path, module: nn.Module, average: dict[str, Tensor], optimizer: torch.optim.Optimizer
 ) -> dict[str, Any]:
-    """Put everything back as save_run found it; raises ModelError if the file is damaged or does not fit."""
+    """Restore what save_run wrote and return its facts. Raises ModelError if the file is damaged or does not fit."""
     with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
         facts = file.metadata
         if not isinstance(facts, dict) or facts.get("format") != FORMAT:
@@ -80,7 +80,7 @@ def load_run(
 
 
 def _check_facts(facts: dict[str, Any]) -> None:
-    """Raises ModelError for a step, a time or options that no run has."""
+    """Raise ModelError for a step, a time or options that no run can have."""
     step, seconds = facts.get("step"), facts.get("seconds")
     if isinstance(step, bool) or not isinstance(step, int) or not 0 <= step <= MOST_STEPS:
         raise ModelError(f"step is {step!r:.60}, expected a number from 0 to {MOST_STEPS}")
@@ -91,7 +91,7 @@ def _check_facts(facts: dict[str, Any]) -> None:
 
 
 def _check_fit(found: Mapping[str, TensorFacts], module: nn.Module, average: dict[str, Tensor]) -> None:
-    """Raises ModelError unless a file has just the tensors of a run of this module, in their shapes and types."""
+    """Raise ModelError unless a file has exactly the tensors of this module's run, with their shapes and types."""
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
     for name, p in module.named_parameters():
@@ -108,7 +108,7 @@ def _check_fit(found: Mapping[str, TensorFacts], module: nn.Module, average: dic
 
 
 def _check_numbers(tensors: dict[str, Tensor]) -> None:
-    """Raises ModelError for numbers with which training could not go on."""
+    """Raise ModelError for numbers with which training cannot continue."""
     check_values((name, value.numpy()) for name, value in tensors.items())
     for key, least in (("step", 1.0), ("exp_avg_sq", 0.0)):
         for name, value in _under(tensors, f"optimizer.{key}.").items():

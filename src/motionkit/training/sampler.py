@@ -1,7 +1,7 @@
-"""Training windows: balanced over types, from recordings and from spliced transitions.
+"""Training windows, balanced over types, from recordings and spliced transitions.
 
-Every window is drawn from its own generator, seeded by (seed, step, place in the batch), so a run can
-be resumed, or spread over processes, and see the same windows.
+Every window has its own random generator, seeded by (seed, step, place in the batch). A resumed run, and a run on
+several processes, therefore sees the same windows.
 """
 
 from __future__ import annotations
@@ -29,31 +29,32 @@ from motionkit.features.reference import reference_map
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
 
-MIN_SPAN = 12  # frames; shorter stretches of a type are not spliced
+MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
 
 
 @dataclass(frozen=True)
 class SamplerOptions:
-    """How windows are drawn."""
+    """How windows are sampled."""
 
-    window: int = 96  # frames of a window (paper: 300)
-    balance: float = 0.75  # 0: types as often as they are recorded; 1: all equally often (paper)
-    phase_weight: float = 3.0  # more often for types that turn over (the paper favours hard types too)
-    type_weights: dict[str, float] = field(default_factory=dict)  # times as often, for types named
-    splices: int = 2000  # spliced transitions made before training; 0 for none
-    splice_share: float = 0.4  # of windows
-    trajectory_dropout: float = 0.5  # windows without a trajectory
-    reference_dropout: float = (
-        0.35  # windows without a reference; where the type changes each side has its own chance
+    window: int = 96  # frames per window (paper: 300)
+    balance: float = 0.75  # 0: types as often as recorded; 1: all equally often (paper)
+    phase_weight: float = (
+        3.0  # factor for types with a phase, such as flips (the paper favours hard types too)
     )
-    lead_share: float = 0.5  # windows whose type is announced ahead of the motion
+    type_weights: dict[str, float] = field(default_factory=dict)  # factors for single types
+    splices: int = 2000  # spliced transitions made before training
+    splice_share: float = 0.4  # share of windows from spliced transitions
+    trajectory_dropout: float = 0.5  # share of windows without a trajectory
+    # Share of windows without reference poses; before and after a change of type it is sampled separately.
+    reference_dropout: float = 0.35
+    lead_share: float = 0.5  # share of windows whose type changes before the motion does
     lead_frames: int = 30  # by at most this many frames
-    noise: float = 0.01  # deviation of the input noise, normalised (paper: 0.05)
+    noise: float = 0.01  # standard deviation of the noise on normalised inputs (paper: 0.05)
 
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of one type in a source: a clip, or a splice."""
+    """A stretch of one type in a source: a clip or a spliced transition."""
 
     source: int
     start: int
@@ -61,13 +62,13 @@ class Span:
 
 
 def window_generator(seed: int, step: int, place: int, purpose: int = 0) -> torch.Generator:
-    """The source of chance for one window of one step, the same in every process."""
+    """Return the random generator of one window of one step, the same in every process."""
     words = np.random.SeedSequence([seed, step, place, purpose]).generate_state(2, np.uint32)
     return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]))
 
 
 class WindowSampler:
-    """Draws windows of normalised features with their controls from a dataset's training clips."""
+    """Samples windows of normalised features with their controls from a dataset's training clips."""
 
     def __init__(self, dataset: Dataset, options: SamplerOptions, seed: int = 0) -> None:
         self.dataset, self.options, self.seed = dataset, options, seed
@@ -100,16 +101,14 @@ class WindowSampler:
         for name, times in self.options.type_weights.items():
             if name not in self.dataset.types:
                 known = ", ".join(self.dataset.types)
-                raise DatasetError(
-                    f"{self.dataset.folder}: no type {name!r} to weigh, expected some of {known}"
-                )
+                raise DatasetError(f"--type-weights: unknown type {name!r}, expected some of {known}")
             weights[self.dataset.types.index(name)] *= times
         if not bool(weights.sum() > 0):
-            raise DatasetError(f"{self.dataset.folder}: no type is left to train on, all weigh nothing")
+            raise DatasetError("--type-weights: all types have weight 0, expected at least one above 0")
         return weights / weights.sum()
 
     def make_splices(self) -> None:
-        """Join ends and starts of training stretches; repeatable for a seed."""
+        """Make the spliced transitions: ends of training stretches joined to starts of others, the same for a seed."""
         generator = torch.Generator().manual_seed(self.seed + 7_919)
         usable = {k: [s for s in v if s.end - s.start >= MIN_SPAN] for k, v in self.spans.items()}
         usable = {k: v for k, v in usable.items() if v}
@@ -142,12 +141,12 @@ class WindowSampler:
     def _random_span(self, spans: dict[int, list[Span]], weights: Tensor, generator: torch.Generator) -> Span:
         kind = int(torch.multinomial(weights, 1, generator=generator))
         choices = spans[kind]
-        # Long stretches have more to show, but only their ends meet: the square root lies between.
+        # Long stretches hold more motion, but only their ends are joined: the square root is a compromise.
         sizes = torch.tensor([(s.end - s.start) ** 0.5 for s in choices])
         return choices[int(torch.multinomial(sizes, 1, generator=generator))]
 
     def batch(self, step: int, size: int, first: int = 0, count: int | None = None) -> Batch:
-        """Windows first to first + count of the batch of the given size at a step."""
+        """Return windows first to first + count of the batch of the given size at a step."""
         count = size if count is None else count
         windows = [self._window(window_generator(self.seed, step, first + i)) for i in range(count)]
         arrays = {name: np.stack([w[name] for w in windows]) for name in windows[0]}
@@ -200,7 +199,7 @@ class WindowSampler:
             reference_gain,
             self.dataset.trajectory_scaling,
         )
-        # A short window counts as much as a full one.
+        # A short window has the same weight as a full one.
         mask = np.full(frames, T / frames, np.float32)
         window = {
             "inputs": inputs,
@@ -216,7 +215,7 @@ class WindowSampler:
         return padded
 
     def _with_reference(self, types: Array, generator: torch.Generator) -> Array:
-        """Where a reference is given (T,): before the first change of type, and after it."""
+        """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it."""
         before, after = (
             (torch.rand(2, generator=generator) >= self.options.reference_dropout).float().tolist()
         )
@@ -225,5 +224,5 @@ class WindowSampler:
 
 
 def _pad(values: Array, frames: int) -> Array:
-    """Values (T, ...) continued with zeros to the given number of frames."""
+    """Return values (T, ...) padded with zeros to the given number of frames."""
     return np.pad(values, [(0, frames - len(values)), *[(0, 0)] * (values.ndim - 1)])

@@ -1,11 +1,10 @@
-"""Inputs the network made itself: what it will meet in a roll-out, and recordings do not show.
+"""Scheduled sampling (Bengio et al. 2015): training inputs that are predictions of the network.
 
-In training every input frame is real, in a roll-out none is. A network that is slightly too slow on real
-frames is slower on its own, and in the end stands still. Here part of the windows is run frame by frame:
-the prediction becomes the next input, until by chance, or because it is too far off, the real frame takes
-over again. The target stays the real next frame, so the network learns the way back (cf. Bengio et al. 2015,
-"Scheduled Sampling"). The runs must be short: against the real frame of a motion whose rhythm has been
-lost, the best guess is the mean pose.
+In plain training every input frame is recorded; in a roll-out none is. A network that is slightly too slow on
+recorded frames gets slower on its own frames, and in the end it stands still. Here some windows are run frame by
+frame, and each prediction becomes the next input. By chance, or if the prediction is too far off, the recorded
+frame takes over again. The target stays the recorded next frame, so the network learns to come back. These runs
+must be short: once the rhythm of the motion is lost, the best guess of the recorded frame is the mean pose.
 """
 
 from __future__ import annotations
@@ -23,17 +22,17 @@ from motionkit.training.losses import Batch
 
 @dataclass(frozen=True)
 class ScheduledSamplingOptions:
-    """How windows feed on themselves. With share 0 none does."""
+    """How windows use predictions as inputs."""
 
-    share: float = 0.4  # of the windows
-    period: int = 16  # steps whose windows are run together, with the weights at their beginning
-    back: float = 0.08  # probability per frame of going back to the real one
-    limit: float = 0.5  # RMS of the normalised error beyond which the real frame takes over
-    # The same with a reference, which keeps the rhythm, so that the runs can be long.
+    share: float = 0.4  # share of windows with predictions; 0 for none
+    period: int = 16  # steps whose windows are run together, with the weights at the first of them
+    back: float = 0.08  # probability per frame of returning to the recorded frame
+    limit: float = 0.5  # RMS of the normalised error beyond which the recorded frame takes over
+    # The same with reference poses. They keep the rhythm, so runs can be longer.
     reference_back: float = 0.02
     reference_limit: float = 1.0
     temperature: float = 0.2  # of the noise on predictions, correlated in time as in synthesis
-    rho: float = 0.95
+    rho: float = 0.95  # correlation of the noise from frame to frame
 
 
 @torch.no_grad()
@@ -44,13 +43,14 @@ def run_on_predictions(
     generators: list[torch.Generator],
     reference_matrix: Tensor,
 ) -> Batch:
-    """A batch whose inputs and contacts are, in short runs, predictions of the network.
+    """Return a batch whose inputs and contacts are, in short runs, predictions of the network.
 
-    Guides are shown as seen from these predictions; reference_matrix (276, 72) is that of the ReferenceMap.
+    Each window has its own generator, so that the result does not depend on which windows are run together. Frames
+    at which the recorded frame takes over do not count in the losses, because no body makes that step.
 
-    Each window has its own generator, so that it does not matter which windows are run together. Frames at
-    which the real frame takes over do not count in the losses: the step between them and the frame before
-    is none that a body takes.
+    Args:
+        generators: one random generator per window.
+        reference_matrix: (276, 72) matrix of the ReferenceMap, which makes reference poses relative to predictions.
     """
     was_training = network.training
     network.eval()
@@ -85,16 +85,16 @@ def run_on_predictions(
 
 
 def join_batches(batches: list[Batch]) -> Batch:
-    """One batch of all windows, in order."""
+    """Return one batch of all windows, in order."""
     names = vars(batches[0])
     return Batch(**{name: torch.cat([getattr(b, name) for b in batches]) for name in names})
 
 
 def take_windows(batch: Batch, indices: list[int] | slice) -> Batch:
-    """Some windows of a batch."""
+    """Return some windows of a batch."""
     return Batch(**{name: value[indices] for name, value in vars(batch).items()})
 
 
 def sampled_windows(first: int, count: int, share: float) -> list[int]:
-    """Which of the windows first to first + count of a step feed on themselves, counted from first."""
+    """Return which of the windows first to first + count of a step use predictions, counted from first."""
     return [i for i in range(count) if int((first + i + 1) * share) > int((first + i) * share)]

@@ -1,7 +1,7 @@
-"""Roll-out scores: what a model does when left to itself, per type. Losses alone do not tell.
+"""Scores of roll-outs per type, since losses alone do not show how a model moves on its own.
 
-Each type runs closed-loop from its own start, reference_gain as in synthesis; what it does is held against the
-real motion of that type.
+Each type runs closed-loop from its own start poses, with reference poses as in synthesis. The scores compare it
+with the recorded motion of the type.
 """
 
 from __future__ import annotations
@@ -25,17 +25,20 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
-LOW_TOE = 5.0  # cm; the standing toe joint is at 4.1
+LOW_TOE = 5.0  # cm; the toe joint of a standing body is at 4.1
 MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
 
 
 @dataclass(frozen=True)
 class TypeScore:
-    """One type's roll-out.
+    """Scores of the roll-out of one type.
 
-    joint_speed: mean joint speed against the real one (0: frozen, 1: as real). pose_distance: mean distance
-    per joint (cm) to the nearest real pose of any training clip of the type. slide: horizontal speed of
-    low toes against the real one. height: lowest and highest root height (cm).
+    Attributes:
+        type: the name of the type.
+        joint_speed: mean joint speed divided by the recorded one (0: frozen, 1: as recorded).
+        pose_distance: mean distance per joint in cm to the nearest pose of the type's training clips.
+        slide: horizontal speed of low toes divided by the recorded one.
+        height: lowest and highest root height in cm.
     """
 
     type: str
@@ -45,7 +48,7 @@ class TypeScore:
     height: tuple[float, float]
 
     def to_dict(self) -> dict:
-        """Rounded plain values, for logs."""
+        """Return rounded plain values, for logs."""
         numbers = {k: round(v, 3) for k, v in asdict(self).items() if isinstance(v, float)}
         return {"type": self.type, **numbers, "height": [round(x, 1) for x in self.height]}
 
@@ -59,9 +62,12 @@ def score_rollouts(
     seed: int = 0,
     noise: Noise | None = None,
 ) -> tuple[TypeScore, ...]:
-    """Score a roll-out of every type; with samples, a predicted and a true BVH of each go there.
+    """Return the scores of one roll-out of every type.
 
-    With on_fault a sample that cannot be written is told there in a line, and the scores are answered all the same.
+    Args:
+        frames: length of the roll-outs.
+        samples: folder for one predicted and one recorded BVH file per type; None writes none.
+        on_fault: called with a line if a sample cannot be written; without it the error is raised.
     """
     rollout = rollout_types(model, frames, seed, noise)
     scores = []
@@ -75,12 +81,12 @@ def score_rollouts(
         except (MotionkitError, OSError) as fault:
             if on_fault is None:
                 raise
-            on_fault(f"samples are missing: {fault}")
+            on_fault(f"cannot write samples: {fault}")
     return tuple(scores)
 
 
 def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise | None = None) -> Rollout:
-    """All types side by side, each from its own first seed frames."""
+    """Roll out all types side by side, each from its first start poses."""
     count = len(model.types)
     state = RolloutState(model, count, noise or Noise(), seed)
     weights = np.eye(count, dtype=np.float32)
@@ -122,7 +128,7 @@ def _joint_speed(features: Array, layout: FeatureLayout) -> Array:
 
 
 def _slide(features: Array, layout: FeatureLayout) -> Array:
-    """Mean horizontal speed (cm/s) of toes near the floor."""
+    """Return the mean horizontal speed of toes near the floor in cm/s."""
     place = {(c.block, c.joint, c.component): index for index, c in enumerate(layout.columns)}
     toes = (FOOT_JOINTS[1], FOOT_JOINTS[3])
     heights = features[:, [place["joint_positions", toe, 1] for toe in toes]]

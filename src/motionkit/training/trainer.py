@@ -1,4 +1,4 @@
-"""The training loop: windows in, a model file out; stops and goes on without a trace."""
+"""The training loop: windows in, a model file out. A stopped run resumes as if it had never stopped."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
-from motionkit.training.options import TrainOptions
+from motionkit.training.options import TrainOptions, flat_options
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
@@ -43,12 +43,10 @@ from motionkit.training.scheduled_sampling import (
 from motionkit.training.scores import TypeScore, score_rollouts
 from motionkit.training.warm_start import warm_start
 
-# The paper's loss is a sum over all columns; as a mean, the gradient norm does not depend on their number.
+# The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / FEATURE_COUNT
-# Options that may change when a run goes on: how long, how often it reports, what it writes.
-FREE_ON_RESUME = (
-    "steps", "minutes", "checkpoint_seconds", "score_minutes", "score_seconds", "log_every", "half",
-)  # fmt: skip
+# Options that a resumed run may change: its length and its outputs.
+FREE_ON_RESUME = ("steps", "minutes", "output.")
 
 
 class TrainingModule(nn.Module):
@@ -68,7 +66,7 @@ class TrainingModule(nn.Module):
         self.step_share = _step_share(dataset.types, options)
 
     def to_device(self, device: torch.device) -> TrainingModule:
-        """Weights, and what features mean, moved to a device."""
+        """Move the weights and the feature space to a device."""
         self.to(device)
         self.space = self.space.to(device)
         self.step_share = None if self.step_share is None else self.step_share.to(device)
@@ -92,11 +90,11 @@ class TrainingModule(nn.Module):
 
 
 def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
-    """(C,) that gives of a frame's controls the share of the types step_weight counts for; None for all of them."""
+    """Return (C,) weights whose product with controls is the share of types with step_weight; None for all."""
     unknown = set(options.step_except) - set(types)
     if unknown:
         raise DatasetError(
-            f"no type {min(unknown)!r} to spare the loss of steps, expected some of {', '.join(types)}"
+            f"--step-except: unknown type {min(unknown)!r}, expected some of {', '.join(types)}"
         )
     if not options.step_weight or not options.step_except:
         return None
@@ -108,7 +106,7 @@ def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
 
 @dataclass(frozen=True)
 class TrainEvent:
-    """What a run reports: kind is "log", "score", "checkpoint" or "note"."""
+    """A report of a run; kind is "log", "score", "checkpoint" or "note"."""
 
     kind: str
     step: int
@@ -120,7 +118,7 @@ class TrainEvent:
 
 @dataclass(frozen=True)
 class TrainResult:
-    """How a run ended."""
+    """The result of a run; finished is false if it was stopped before its end."""
 
     model: Path
     steps: int
@@ -142,12 +140,14 @@ def train(
 
     Args:
         output: the model file; written at the end and on Ctrl-C.
-        resume: go on from the run folder's checkpoint, with the same losses as an unbroken run.
-        run_folder: checkpoint and log.jsonl; output with ".run" for its ending by default.
-        on_event: called with everything worth showing, in the first process only.
+        resume: continue from the run folder's checkpoint, with the same losses as a run without a break.
+        run_folder: folder for the checkpoint and log.jsonl; output with the ending ".run" by default.
+        device: "auto", "cpu", "cuda" or "cuda:1".
+        on_event: called with each report, in the first process only.
 
     Raises:
-        DatasetError, ModelError: for a dataset or checkpoint that does not fit.
+        DatasetError: if the dataset does not fit the preset.
+        ModelError: if the checkpoint is damaged or does not fit the options.
     """
     run = _Run(Dataset(dataset_folder), Path(output), options, run_folder, device, on_event)
     if resume:
@@ -156,7 +156,7 @@ def train(
 
 
 def resolve_device(name: str) -> torch.device:
-    """A device by name, "auto" being CUDA where there is one; raises MotionkitError for one that is not there."""
+    """Return a device by name; "auto" is CUDA if available. Raises MotionkitError if it is unknown or missing."""
     if name == "auto":
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
     try:
@@ -164,27 +164,18 @@ def resolve_device(name: str) -> torch.device:
     except RuntimeError:
         raise MotionkitError(f"unknown device {name!r}, expected auto, cpu, cuda or cuda:1") from None
     if device.type == "cuda" and (device.index or 0) >= torch.cuda.device_count():
-        raise MotionkitError(f"device {name!r} is not there; found {torch.cuda.device_count()} CUDA devices")
+        raise MotionkitError(f"device {name!r} not found; there are {torch.cuda.device_count()} CUDA devices")
     return device
 
 
 def _use_bfloat16(precision: str, device: torch.device) -> bool:
-    """bf16 pays where the processor has instructions for it; elsewhere it is emulated, and slower."""
+    """Whether to use bfloat16; "auto" uses it where the processor has instructions for it, since emulation is slow."""
     if precision == "auto":
         if device.type == "cuda":
             return torch.cuda.is_bf16_supported()
         supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)
         return bool(supported())
     return precision == "bfloat16"
-
-
-def _flat(options: dict[str, Any]) -> dict[str, Any]:
-    """Options of options beside the others: "sampler.window"."""
-    flat = {key: value for key, value in options.items() if not isinstance(value, dict)}
-    for group, values in options.items():
-        if isinstance(values, dict):
-            flat |= {f"{group}.{key}": value for key, value in values.items()}
-    return flat
 
 
 class _Run:
@@ -202,9 +193,9 @@ class _Run:
         self.device = resolve_device(device)
         self.rank, self.world = _join_processes(self.device)
         if options.batch % self.world:
-            raise DatasetError(f"batch {options.batch} does not divide over {self.world} processes")
+            raise DatasetError(f"--batch {options.batch}: expected a multiple of the {self.world} processes")
         self.on_event = on_event if self.rank == 0 else None
-        try:  # now, not when hours later the model is written
+        try:  # before training, not hours later when the model is written
             check_names(list(dataset.types), list(dict.fromkeys(["default", *dataset.characters])))
         except ModelError as error:
             raise DatasetError(f"{dataset.folder}: {error}") from None
@@ -212,7 +203,7 @@ class _Run:
         config = replace(preset(options.preset), **options.config)
         if config.layout != dataset.layout.version:
             raise DatasetError(
-                f"{dataset.folder} has layout {dataset.layout.version}, preset {options.preset} needs "
+                f"{dataset.folder}: layout {dataset.layout.version}, but preset {options.preset} needs "
                 f"{config.layout}: run preprocess with --layout {config.layout}"
             )
         network = PartTransformer(config, ControlLayout(dataset.types).size)
@@ -226,37 +217,43 @@ class _Run:
         # Dropout must differ between processes, weights must not.
         torch.manual_seed(options.seed + 1 + self.rank)
         self.optimizer = torch.optim.AdamW(
-            self.module.parameters(), lr=options.rate, betas=options.betas, weight_decay=options.weight_decay
+            self.module.parameters(),
+            lr=options.optimizer.rate,
+            betas=options.optimizer.betas,
+            weight_decay=options.optimizer.weight_decay,
         )
         self.average = {n: p.detach().clone() for n, p in self.module.network.state_dict().items()}
-        self.autocast = _use_bfloat16(options.precision, self.device)
+        self.autocast = _use_bfloat16(options.optimizer.precision, self.device)
         self.step, self.seconds = 0, 0.0
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
         self.reference_matrix = torch.from_numpy(self.sampler.reference_map.matrix).to(self.device)
-        self.coming: list[Batch] = []  # batches made beforehand
+        self.coming: list[Batch] = []  # batches made in advance
         self.asked_to_stop = self.stops = False
-        self.logs = True  # until log.jsonl cannot be written
+        self.logs = True  # false once writing log.jsonl has failed
 
     @property
     def checkpoint(self) -> Path:
         return self.folder / "checkpoint.safetensors"
 
     def resume(self) -> None:
-        """Load the checkpoint, whose options must be those of this run, but for how long it goes on."""
+        """Load the checkpoint. Its options must equal those of this run, except FREE_ON_RESUME."""
         if not self.checkpoint.is_file():
             raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
         facts = load_run(self.checkpoint, self.module, self.average, self.optimizer)
-        before, now = _flat(facts["options"]), _flat(json.loads(json.dumps(self.options.to_dict())))
-        changed = [k for k in before if k in now and before[k] != now[k] and k not in FREE_ON_RESUME]
+        before = flat_options(facts["options"])
+        now = flat_options(json.loads(json.dumps(self.options.to_dict())))
+        changed = [k for k in before if k in now and before[k] != now[k] and not k.startswith(FREE_ON_RESUME)]
         if changed:
             words = ", ".join(f"{name} {before[name]!r:.60} (now {now[name]!r:.60})" for name in changed)
-            raise ModelError(f"{self.checkpoint}: this run was started with {words}; resume it with the same")
+            raise ModelError(
+                f"{self.checkpoint}: the run was started with {words}; resume it with the same options"
+            )
         self.step, self.seconds = int(facts["step"]), float(facts["seconds"])
 
     def progress(self) -> float:
-        """How much of the run is done, 0 to 1."""
+        """Return the share of the run that is done, 0 to 1."""
         shares = [0.0]
         if self.options.steps:
             shares.append(self.step / self.options.steps)
@@ -265,15 +262,15 @@ class _Run:
         return min(1.0, max(shares))
 
     def learning_rate(self) -> float:
-        """Linear warm-up, then a cosine down to a small share of the peak."""
-        options = self.options
+        """Return the rate of this step: linear warm-up, then a cosine down to a small share of the peak."""
+        options = self.options.optimizer
         warm = min(1.0, (self.step + 1) / max(1, options.warmup))
         cosine = 0.5 * (1.0 + math.cos(math.pi * self.progress()))
         return options.rate * warm * (options.final_rate + (1.0 - options.final_rate) * cosine)
 
     def go(self) -> TrainResult:
         self.folder.mkdir(parents=True, exist_ok=True)
-        self.output.parent.mkdir(parents=True, exist_ok=True)  # found out now, not after hours
+        self.output.parent.mkdir(parents=True, exist_ok=True)  # fails now, not after hours
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
         self.sampler.make_splices()
         self._note(f"{len(self.sampler.splices)} spliced transitions")
@@ -285,11 +282,11 @@ class _Run:
             if self.rank == 0:
                 self._save_all()
                 if not finished:
-                    self._note("stopped; the checkpoint holds everything, go on with --resume")
+                    self._note("stopped; continue with --resume")
                 elif self._score():
-                    self._save_model()  # once more: its card holds the scores
+                    self._save_model()  # again, because the card now holds the scores
             if self.world > 1:
-                dist.barrier()  # all have stopped at the same step
+                dist.barrier()  # all processes stopped at the same step
                 dist.destroy_process_group()
         finally:
             for number, handler in previous.items():
@@ -297,7 +294,7 @@ class _Run:
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
 
     def _catch_signals(self) -> dict[int, Any]:
-        """Ctrl-C and SIGTERM end the run after the step at hand: a checkpoint holds whole steps only."""
+        """Make Ctrl-C and SIGTERM end the run after the current step, because a checkpoint holds whole steps only."""
 
         def stop(number: int, frame: Any) -> None:
             if self.asked_to_stop:
@@ -318,21 +315,21 @@ class _Run:
             self.seconds, clock = self.seconds + now - clock, now
             if self.world > 1 and self.options.minutes:
                 self.seconds = self._agree(self.seconds)
-            if self.step % self.options.log_every == 0 or self.progress() >= 1.0:
+            if self.step % self.options.output.log_every == 0 or self.progress() >= 1.0:
                 self._emit("log")
             if self.coming:
                 continue
-            if self.rank == 0 and now - saved > self.options.checkpoint_seconds:
+            if self.rank == 0 and now - saved > self.options.output.checkpoint_seconds:
                 self._attempt("the checkpoint", self._save_checkpoint)
                 saved = time.monotonic()
-            if self.rank == 0 and now - scored > 60.0 * self.options.score_minutes:
+            if self.rank == 0 and now - scored > 60.0 * self.options.output.score_minutes:
                 self._score()
                 scored = time.monotonic()
             if self.stops or (self.world == 1 and self.asked_to_stop):
                 return
 
     def _agree(self, seconds: float) -> float:
-        """The first process's clock, so that all processes stop at the same step."""
+        """Return the first process's clock, so that all processes stop at the same step."""
         value = torch.tensor([seconds], device=self.device, dtype=torch.float64)
         dist.broadcast(value, 0)
         return float(value)
@@ -341,17 +338,17 @@ class _Run:
         options = self.options
         self.trainable.train()
         if self.world > 1:
-            # Dropout differs between processes, and is that of an unbroken run after a resume: the
-            # checkpoint holds the random state of the first process only.
+            # Dropout must differ between processes and be the same after a resume, but the checkpoint holds
+            # the random state of the first process only. So each step seeds it.
             torch.manual_seed((options.seed + 1) * 1_000_003 + self.step * self.world + self.rank)
         batch = self._next_batch()
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
         terms = self.trainable(batch, self.autocast)
-        loss = total_loss(terms, options.weights) * LOSS_SCALE
+        loss = total_loss(terms, options.losses.weights) * LOSS_SCALE
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
-        norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.clip_norm)
+        norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.optimizer.clip_norm)
         if math.isfinite(float(norm)):
             self.optimizer.step()
             self._update_average()
@@ -373,7 +370,7 @@ class _Run:
         return self.coming.pop(0)
 
     def _make_batches(self, steps: int) -> list[Batch]:
-        """The batches of the coming steps; some of their windows feed on what the network makes of them."""
+        """Make the batches of the coming steps, with scheduled sampling in some of their windows."""
         options, share = self.options, self.options.batch // self.world
         first, range_of_steps = self.rank * share, range(self.step, self.step + steps)
         batches = [
@@ -396,21 +393,21 @@ class _Run:
         ]
 
     def _block_end(self) -> int:
-        """The step at which the next batches are made; only there can a run be interrupted and go on the same."""
+        """Return the step at which the next batches are made. Only there can a run stop and resume unchanged."""
         period = self.options.scheduled_sampling.period if self.options.scheduled_sampling.share else 1
         end = (self.step // period + 1) * period
         return min(end, self.options.steps) if self.options.steps else end
 
     @torch.no_grad()
     def _update_average(self) -> None:
-        # Early on the average follows quickly, so that it does not remember the random start.
-        decay = min(self.options.ema, (1.0 + self.step) / (10.0 + self.step))
+        # At first the average follows quickly, so that it forgets the random initial weights.
+        decay = min(self.options.optimizer.ema, (1.0 + self.step) / (10.0 + self.step))
         state = self.module.network.state_dict()
         averages = list(self.average.values())
         torch._foreach_lerp_(averages, [state[n] for n in self.average], 1.0 - decay)
 
     def _save_all(self) -> None:
-        """Model and checkpoint, each even if the other cannot be written; the first fault is raised at the end."""
+        """Write the model and the checkpoint, each even if the other fails. Raises the first error at the end."""
         faults = []
         for save in (self._save_model, self._save_checkpoint):
             try:
@@ -421,15 +418,15 @@ class _Run:
             raise faults[0]
 
     def _save_model(self) -> None:
-        save_model(self.output, self.model(), self.options.half)
+        save_model(self.output, self.model(), self.options.output.half)
 
     def _attempt(self, what: str, work: Callable[[], None]) -> bool:
-        """Do what a run can do without: any fault in it is a note, not the end of hours of training."""
+        """Do optional work: an error becomes a note instead of ending hours of training."""
         try:
             work()
         except Exception as fault:
             self._note(
-                f"{what} failed, the run goes on: {' '.join(str(fault).split()) or type(fault).__name__}"
+                f"{what} failed, the run continues: {' '.join(str(fault).split()) or type(fault).__name__}"
             )
             return False
         return True
@@ -440,8 +437,8 @@ class _Run:
         self._emit("checkpoint")
 
     def model(self) -> MotionModel:
-        """The model as it would ship: averaged weights, on the CPU."""
-        with torch.random.fork_rng(devices=[]):  # the run's random numbers stay as a checkpoint has them
+        """Return the current model: averaged weights, on the CPU."""
+        with torch.random.fork_rng(devices=[]):  # leaves the random state of the run alone
             network = PartTransformer(self.module.network.config, self.module.network.control_size)
         network.load_state_dict({n: t.cpu() for n, t in self.average.items()})
         card = {
@@ -456,9 +453,9 @@ class _Run:
         return bundle_model(network.weights(), self.dataset, card, references)
 
     def _score(self) -> bool:
-        """Score roll-outs and write samples of them, if that is asked for and goes well; the run stays as it was."""
+        """Score roll-outs and write samples, if the options ask for it, and return whether that worked."""
         threads, random_state = torch.get_num_threads(), torch.get_rng_state()
-        frames = int(self.options.score_seconds * self.dataset.fps)
+        frames = int(self.options.output.score_seconds * self.dataset.fps)
         scored = frames > 0 and self._attempt("the score", lambda: self._score_rollouts(frames))
         torch.set_num_threads(threads)
         torch.set_rng_state(random_state)
@@ -487,7 +484,7 @@ class _Run:
             self.on_event(event)
 
     def _log(self, line: str) -> None:
-        """Add a line to log.jsonl; after a fault, such as a full disk, the run goes on without."""
+        """Add a line to log.jsonl. After an error, such as a full disk, the run continues without the log."""
         if not self.logs:
             return
         try:
@@ -495,11 +492,11 @@ class _Run:
                 file.write(line + "\n")
         except OSError as fault:
             self.logs = False
-            self._note(f"log.jsonl cannot be written ({fault.strerror or fault}), the run goes on without it")
+            self._note(f"cannot write log.jsonl ({fault.strerror or fault}); the run continues without it")
 
 
 def _join_processes(device: torch.device) -> tuple[int, int]:
-    """Rank and number of processes; joins the group torchrun has set up, if it has."""
+    """Return rank and number of processes; joins the process group of torchrun, if there is one."""
     if "RANK" not in os.environ or int(os.environ.get("WORLD_SIZE", "1")) < 2:
         return 0, 1
     if not dist.is_initialized():

@@ -1,4 +1,4 @@
-"""Begin a run from a trained model instead of from random weights."""
+"""Start a run from the weights of a trained model."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight"
 
 
 def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -> None:
-    """Copy a model's weights into a network; types are matched by name, what is new stays as it was.
+    """Copy a model's weights into a network. Types are matched by name; weights of new types stay as they are.
 
-    The dataset takes over the model's scaling and reference_clip, which its weights are used to.
+    The dataset takes over the model's scaling and pose embedding, because the weights depend on them.
 
     Raises:
         ModelError: if the networks differ in size, or the features in their reference rotations.
     """
-    # A rotation and its negative quaternion are one.
+    # A quaternion and its negative are the same rotation.
     turned = 1.0 - np.abs((dataset.reference_rotations * model.reference_rotations).sum(-1))
     if float(turned.max()) > 1e-4:
         raise ModelError(
-            f"{dataset.folder}: its features are relative to other reference rotations than the model's; "
-            "a run can begin only from a model of the same dataset"
+            f"{dataset.folder}: the dataset's reference rotations differ from the model's; "
+            "start from a model that was trained on this dataset"
         )
     old = {name: torch.from_numpy(array) for name, array in model.network.arrays.items()}
     new = network.state_dict()
@@ -50,7 +50,7 @@ def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -
 
 
 def _copy_controls(new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout) -> None:
-    """Rows of control embeddings (P, C, D), signal by signal."""
+    """Copy the rows of control embeddings (P, C, D), signal by signal."""
     for name in ("skeleton", "trajectory", "flag", "phase", "reference", "reference_gain"):
         new[:, getattr(layout, name)] = old[:, getattr(before, name)]
     for i, kind in enumerate(layout.types):
