@@ -46,8 +46,8 @@ def home(tmp_path: Path, tiny_model_file: Path, dataset_folder: Path) -> Path:
         (["mirror", "a.bvh", "a.bvh"], "a.bvh: is read by this command"),
         (["mirror", "a.bvh", "./d/../a.bvh"], "d/../a.bvh: is read by this command"),
         (["mirror", "a.bvh", "link.bvh"], "link.bvh: is read by this command"),
-        (["mirror", "d", "d"], "d: lies in d, which is read"),
-        (["mirror", "d", "d/new"], "d/new: lies in d, which is read"),
+        (["mirror", "d", "d"], "d: is inside the input folder d"),
+        (["mirror", "d", "d/new"], "d/new: is inside the input folder d"),
         (["mirror", "d/sub", "d"], "d/a.bvh: is read by this command"),
         (
             ["synthesize", "--types", "idle:0.1", "--model", "m.safetensors", "-o", "m.safetensors"],

@@ -1,4 +1,4 @@
-"""Datasets that are damaged or made by strangers: refused as they are opened, in one line that names the file."""
+"""Damaged or malicious datasets are refused when opened, in one line that names the file."""
 
 from __future__ import annotations
 
@@ -121,9 +121,9 @@ def test_a_manifest_of_brackets_or_digits(copy: Path, text: str) -> None:
         ("contacts", lambda a: a.astype(np.int8), "of int8"),
         ("contacts", lambda a: a + 1, "expected 0 to 1"),
         ("ground", lambda a: a[None], "expected (N, 3)"),
-        ("types", lambda a: a + 6, "row 0 holds"),
+        ("types", lambda a: a + 6, "row 0 has"),
         ("types", lambda a: a - 100, "expected 0 to 5"),
-        ("phases", lambda a: a * np.nan, "row 0 holds nan, expected -1 to 1"),
+        ("phases", lambda a: a * np.nan, "row 0 has nan, expected -1 to 1"),
         ("phases", lambda a: a[:-1], "rows"),
         ("types", lambda a: np.concatenate([a, a]), "different numbers of rows"),
         ("types", lambda a: np.array(3, np.int16), "expected (N) of int16"),
@@ -141,7 +141,7 @@ def test_features_that_are_no_numbers_are_told_with_their_row(copy: Path, number
     features = np.load(path)
     features[33, 5] = number
     np.save(path, features)
-    assert "features.npy: row 33 holds" in refusal(copy)
+    assert "features.npy: row 33 has" in refusal(copy)
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_pipes_and_devices_are_refused(copy: Path, name: str) -> None:
 def test_a_dataset_replaced_while_it_is_opened_is_told(
     copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else arrays of the one would stand beside the manifest of the other."""
+    """Otherwise the arrays of one would be read with the manifest of the other."""
     shutil.copytree(copy, tmp_path / "new")
     honest = module.open_array
 
@@ -190,7 +190,7 @@ def test_a_dataset_replaced_while_it_is_opened_is_told(
         return honest(path, name, rows)
 
     monkeypatch.setattr(module, "open_array", opened)
-    assert "was replaced while it was opened" in refusal(copy)
+    assert "was replaced while it was being opened" in refusal(copy)
 
 
 def test_a_dataset_replaced_while_it_is_mapped_goes_on_as_it_was(copy: Path, tmp_path: Path) -> None:

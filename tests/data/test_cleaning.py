@@ -1,4 +1,4 @@
-"""Cleaning: faults put into smooth motions are found and mended, and honest fast motion is left alone."""
+"""Cleaning: artefacts put into smooth motions are found and repaired, and real fast motion is left alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ HAND = JOINT_NAMES.index("RightHand")
 
 
 def turned(motion: Motion, frame: int, joint: int, degrees: float) -> Motion:
-    """The motion with one joint of one frame turned about an odd axis."""
+    """The motion with one joint of one frame rotated about an arbitrary axis."""
     axis = normalized(np.array([0.4, -0.8, 0.3], np.float32))
     rotations = motion.local_rotations.copy()
     rotations[frame, joint] = quat_multiply(
@@ -41,12 +41,12 @@ def turned(motion: Motion, frame: int, joint: int, degrees: float) -> Motion:
 
 
 def angle_between(a: Motion, b: Motion) -> Array:
-    """Degrees (T, J) between two motions."""
+    """Angles (T, J) in degrees between two motions."""
     return np.rad2deg(quat_angle(a.local_rotations, b.local_rotations))
 
 
 def standing(frames: int = 200, fps: float = 60.0, toe_height: float = TOE_HEIGHT) -> Motion:
-    """Somebody who stands still but for breathing, toe joints at this height."""
+    """A standing body that only breathes, with its toe joints at this height."""
     skeleton = canonical_skeleton()
     rotations = quat_identity((frames, 23))
     sway = 0.02 * np.sin(np.arange(frames) / fps)
@@ -218,7 +218,7 @@ def test_kicks_spins_and_flips_are_left_alone(make_motion: Callable[..., Motion]
 
 @pytest.mark.parametrize("length", [1, 3, 20])
 def test_a_knee_on_its_wrong_side_comes_back(make_motion: Callable[..., Motion], length: int) -> None:
-    """Hip and ankle stay; knee and foot are swung half round the line between them."""
+    """Hip and ankle stay; knee and foot are rotated by half a turn about the line between them."""
     motion = make_motion(frames=200, fps=120, swing=0.2)
     rotations = motion.local_rotations.copy()
     rotations[:, KNEE] = expmap_to_quat(np.array([0.7, 0.0, 0.0], np.float32))

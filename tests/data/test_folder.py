@@ -1,4 +1,4 @@
-"""Making a dataset loses nothing: not the user's files, not the former dataset, whenever the process is killed."""
+"""Making a dataset never loses the user's files or the old dataset, whenever the process is killed."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def clips(tmp_path: Path) -> Path:
 
 
 def fill(folder: Path, text: str) -> None:
-    """A stand-in for a dataset: the six names, each with the text."""
+    """A stand-in for a dataset: its six files, each with this text."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in DATASET_NAMES:
         (folder / name).write_text(text)
@@ -43,7 +43,7 @@ def fill(folder: Path, text: str) -> None:
 
 
 def version_of(folder: Path) -> str:
-    """Which stand-in is whole in a folder, or ""."""
+    """The text of the complete stand-in in a folder, or ""."""
     if not all((folder / name).is_file() for name in DATASET_NAMES):
         return ""
     text = json.loads((folder / "manifest.json").read_text())["motionkit"]
@@ -61,7 +61,7 @@ def replace_dataset(target: Path) -> None:
 
 
 def killed_at(step: int, work: Callable[[], None]) -> bool:
-    """Whether work, in a child of its own, was killed before it did its step-th change of a name."""
+    """Run work in a child process that is killed before its step-th rename; returns whether it was killed."""
     child = os.fork()
     if child == 0:
         count = 0
@@ -87,7 +87,7 @@ def killed_at(step: int, work: Callable[[], None]) -> bool:
 
 
 def test_killed_at_any_step_one_whole_dataset_is_there(tmp_path: Path) -> None:
-    """Old or new, in its place or beside it; the user's file is there; the next run leaves order."""
+    """The old or new dataset and the user's file exist, in place or beside it; the next run cleans up."""
     for step in range(100):
         target = tmp_path / str(step) / "ds"
         fill(target, "old")
@@ -115,10 +115,8 @@ def test_between_the_renames_the_former_dataset_is_put_back_and_told(clips: Path
     (tmp_path / ".ds.new-12345678").mkdir()
     (tmp_path / ".ds.new-12345678" / "features.npy").write_text("half")
     report = preprocess([clips], tmp_path / "ds", ONE_JOB)
-    assert any("is back" in note for note in report.notes)
-    assert any(
-        ".ds.new-12345678: left by a run that was broken off, removed" in note for note in report.notes
-    )
+    assert any("restored the old dataset" in note for note in report.notes)
+    assert any(".ds.new-12345678: removed; an interrupted run had left it" in note for note in report.notes)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["clips", "ds"]
 
 
@@ -164,7 +162,7 @@ def test_a_source_inside_the_dataset_is_refused(clips: Path, tmp_path: Path, how
     if how == "link":
         source.symlink_to(raw)
     before = sorted(output.rglob("*"))
-    with pytest.raises(DatasetError, match=r"lies in .*ds, the dataset to be written"):
+    with pytest.raises(DatasetError, match=r"is inside the output folder .*ds"):
         preprocess([source], output, ONE_JOB)
     assert sorted(output.rglob("*")) == before
 
@@ -207,7 +205,7 @@ main()
     ],
 )
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path: Path, size: str, jobs: int) -> None:
-    """The features do not fit, or not even the first pass; a memory map would die of SIGBUS there."""
+    """The features or even the first pass do not fit on the disk; a memory map would die of SIGBUS."""
     small, clips = tmp_path / "small", tmp_path / "clips"
     small.mkdir()
     clips.mkdir()

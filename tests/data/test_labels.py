@@ -63,10 +63,10 @@ def test_byte_order_mark_and_crlf_are_fine(tmp_path: Path) -> None:
         ("a.bvh,0,1e10,idle,,,,", "expected a whole number up to 1,000,000,000 for end_frame"),
         ("a.bvh,0.5,9,idle,,,,", "expected a whole number"),
         ("a.bvh,1_0,90,idle,,,,", "expected a number for start_frame, found '1_0'"),
-        ('a.bvh,0,9,"walk,run",,,,', "expected a motion type, found 'walk,run', which holds ','"),
-        ("a.bvh,0,9,walk:2,,,,", "expected a motion type, found 'walk:2', which holds ':'"),
-        ("a.bvh,0,9,walk\x1b[2J,,,,", "which has letters that cannot be printed"),
-        ("a.bvh,0,9," + "w" * 101 + ",,,,", "which has 101 letters, expected at most 100"),
+        ('a.bvh,0,9,"walk,run",,,,', "expected a motion type, found 'walk,run', which contains ','"),
+        ("a.bvh,0,9,walk:2,,,,", "expected a motion type, found 'walk:2', which contains ':'"),
+        ("a.bvh,0,9,walk\x1b[2J,,,,", "which has unprintable characters"),
+        ("a.bvh,0,9," + "w" * 101 + ",,,,", "which has 101 characters, expected at most 100"),
         ("a.bvh,0,9,idle,s\x07,,,", "expected a subject, found 's\\x07'"),
         ("a\x00.bvh,0,9,idle,,,,", "NUL" if sys.version_info < (3, 11) else "expected a file name, found"),
         ("a.bvh,0,9,,,,,", "expected a motion type"),
@@ -141,7 +141,7 @@ def test_pipes_devices_and_huge_files_are_no_tables(tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["walk,run", "walk:2", "w" * 101])
 def test_a_folder_whose_name_is_no_type_is_refused(tmp_path: Path, kind: str) -> None:
     touch(tmp_path, f"{kind}/a.bvh")
-    with pytest.raises(DatasetError, match=f"{kind[:3]}.*the name of its folder.*rename it"):
+    with pytest.raises(DatasetError, match=f"{kind[:3]}.*the folder or file name.*rename it"):
         find_sources([tmp_path])
 
 

@@ -1,4 +1,4 @@
-"""Which types turn the body over, and how far a performance of them has come."""
+"""Phases: which types have one, and its values."""
 
 import math
 
@@ -45,7 +45,7 @@ def test_phase_runs_through_each_stretch():
 
 
 def strikes(right: bool, count: int = 2, hop: bool = False) -> Array:
-    """Features of one who stands, and count times lifts a foot to the hips, or hops with both feet."""
+    """Features of a standing body that, count times, lifts a foot to the hips or hops with both feet."""
     frames = 90 * count
     height = np.array([0.5 * (1 - math.cos(2 * math.pi * (t % 90 - 20) / 50)) if 20 < t % 90 < 70 else 0.0
                            for t in range(frames)], np.float32)  # fmt: skip

@@ -100,7 +100,7 @@ def test_a_twin_shows_the_other_foot_on_the_floor(dataset: Dataset) -> None:
 def test_from_bvh_to_features_and_back(
     dataset: Dataset, raw_dataset: Dataset, clips_folder: Path, name: str, how: str, apart: float
 ) -> None:
-    """The motion in a dataset is the motion in the file, but for the height of its floor, and trembling."""
+    """The motion in a dataset equals that in the file, except for floor height and jitter."""
     dataset = raw_dataset if how == "raw" else dataset
     clip = clips_by_file(dataset)[name][0]
     data = dataset.read(clip)
@@ -205,7 +205,7 @@ def test_one_sided_types_with_one_clip_each_both_train(tmp_path: Path) -> None:
 
 
 def test_a_one_sided_type_alone_is_never_shown_mirrored(tmp_path: Path) -> None:
-    """Its mirror image would bear the wrong label, whether it trains or tests."""
+    """Its mirror image would have the wrong label, in training as in testing."""
     for take in range(8):
         clips = tmp_path / f"clips{take}"
         clips.mkdir()
@@ -254,7 +254,7 @@ def test_strict_does_not_mind_files_the_labels_leave_out(folder: Path, tmp_path:
 def test_no_usable_file_at_all(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     (tmp_path / "clips" / "a.bvh").write_text("nothing")
-    with pytest.raises(DatasetError, match="none of the 1 files can be used"):
+    with pytest.raises(DatasetError, match="none of the 1 files is usable"):
         preprocess([tmp_path / "clips"], tmp_path / "out", ONE_JOB)
     assert [p.name for p in tmp_path.iterdir()] == ["clips"]
 

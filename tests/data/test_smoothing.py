@@ -1,4 +1,4 @@
-"""The filter that takes the trembling of markers out."""
+"""The filter against marker jitter."""
 
 import math
 

@@ -23,7 +23,7 @@ def splice(dataset: Dataset, first: str, second: str, seed: int = 0, mirrored: b
     ("first", "second"), [("walk_02", "wheel_01"), ("idle_01", "run_01"), ("hop_left", "hop_left")]
 )
 def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str) -> None:
-    """At the join joints move no faster, nor change speed more, than in the two clips by themselves."""
+    """At the join, joints have no higher speed or acceleration than in the two clips."""
     data = splice(dataset, first, second)
     motion = decode_motion(
         data.features, dataset.skeleton(dataset.clips[0]), 60.0, data.ground[0], dataset.reference_rotations

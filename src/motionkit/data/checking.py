@@ -1,4 +1,4 @@
-"""Checks a dataset's manifest and arrays as it is opened, so that no reader meets a shape or number of a stranger's."""
+"""Checks the manifest and arrays of a dataset as it is opened, so that readers can rely on shapes and ranges."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from motionkit.motion.skeleton import JOINT_COUNT
 MAX_TYPES = 1000
 MAX_ROWS = 2**40
 MAX_ARRAY_BYTES = 2**50
-# Of any number: what is computed from such features stays within float32.
+# Largest absolute value; results computed from such features stay within float32.
 MAX_VALUE = 1e12
-# Columns, type, and least and greatest value of each array.
+# Columns, type, and smallest and largest value of each array.
 ARRAY_KINDS: dict[str, tuple[tuple[int, ...], type, float, float]] = {
     "features": ((FEATURE_COUNT,), np.float32, -MAX_VALUE, MAX_VALUE),
     "contacts": ((4,), np.uint8, 0, 1),
@@ -34,12 +34,12 @@ ARRAY_KINDS: dict[str, tuple[tuple[int, ...], type, float, float]] = {
 
 
 def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> None:
-    """Raise DatasetError, naming the manifest and the entry, unless every entry has its kind, shape and range.
+    """Raise DatasetError, naming file and entry, unless every entry of a manifest has its type, shape and range.
 
     Args:
-        path: the manifest, for the message.
-        manifest: what it holds.
-        clip_type: the dataclass each of its clips becomes.
+        path: file of the manifest, for the message.
+        manifest: its contents.
+        clip_type: the dataclass of its clips.
     """
 
     def check(key: str, good: bool, wanted: str) -> None:
@@ -106,7 +106,7 @@ def _whole(value: object, low: int, high: int) -> bool:
 
 
 def _table(value: object, shape: tuple[int, ...]) -> bool:
-    """Whether nested lists have a shape and hold plain numbers only."""
+    """Whether nested lists have a shape and contain only numbers."""
     if not shape:
         return _number(value, -MAX_VALUE, MAX_VALUE)
     return (
@@ -130,14 +130,14 @@ def _is_clip(value: object, clip_type: type, bodies: int) -> bool:
 
 
 def open_array(path: Path, name: str, rows: int) -> np.ndarray:
-    """An array of a dataset, memory-mapped; raises DatasetError unless it has its shape, type and at least rows."""
+    """Open an array of a dataset, memory-mapped; raises DatasetError for a wrong shape or type or too few rows."""
     columns, dtype, _, _ = ARRAY_KINDS[name]
     check_regular(path, MAX_ARRAY_BYTES, "an array of the dataset", DatasetError)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a header that numpy has to guess at is not ours
+            warnings.simplefilter("error")  # a header that numpy has to guess is invalid
             array = np.lib.format.open_memmap(path, mode="r")
-    except Exception as error:  # numpy's reader of headers raises whatever Python's parser does
+    except Exception as error:  # numpy parses headers with Python's parser, which raises many types
         said = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise DatasetError(f"{path}: cannot be read ({said})") from None
     if array.ndim != 1 + len(columns) or array.shape[1:] != columns or array.dtype != np.dtype(dtype):
@@ -151,18 +151,18 @@ def open_array(path: Path, name: str, rows: int) -> np.ndarray:
 
 
 def check_range(path: Path, name: str, values: np.ndarray, first: int = 0, most: float | None = None) -> None:
-    """Raise DatasetError for a number outside the array's range; values are its rows from first on."""
+    """Raise DatasetError for a value outside the array's range; values are its rows from `first` on."""
     _, _, low, high = ARRAY_KINDS[name]
     high = high if most is None else most
-    if values.size and not (values.min() >= low and values.max() <= high):  # NaN is neither
+    if values.size and not (values.min() >= low and values.max() <= high):  # True for NaN
         flat = values.reshape(len(values), -1)
         row = int(np.flatnonzero(~((flat >= low) & (flat <= high)).all(axis=1))[0])
         found = next(x for x in flat[row].tolist() if not low <= x <= high)
-        raise DatasetError(f"{path}: row {first + row} holds {found:g}, expected {low:g} to {high:g}")
+        raise DatasetError(f"{path}: row {first + row} has {found:g}, expected {low:g} to {high:g}")
 
 
 def same_length(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise DatasetError unless the arrays of a folder have equally many rows."""
+    """Raise DatasetError unless all arrays of a folder have the same number of rows."""
     lengths: Iterable[str] = (f"{name} {len(array)}" for name, array in arrays.items())
     if len({len(array) for array in arrays.values()}) > 1:
         raise DatasetError(f"{folder}: the arrays have different numbers of rows: {', '.join(lengths)}")

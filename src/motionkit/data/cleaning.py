@@ -1,8 +1,8 @@
-"""Mends what capture leaves behind: T-pose lead-ins, pops, flipped knees and floors that are off.
+"""Repairs capture artefacts: T-pose lead-ins, pops, flipped knees and wrong floor heights.
 
-A canonical motion comes in, the same motion without the faults and a report go out. Every detector
-compares a frame with its own neighbours, so that kicks, flips and cartwheels, which are fast for
-several frames in a row, are left alone. docs/cleaning.md holds the measurements behind the constants.
+Takes a canonical motion and returns the repaired motion and a report. Every detector compares a frame with its
+neighbours, so that kicks, flips and cartwheels, which are fast for several frames in a row, are left alone.
+docs/cleaning.md has the measurements behind the constants.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
 
-# Height of the toe joint (ball of the foot) above the floor while the foot stands on it, in cm: the
-# median over the CMU subjects whose floor is level.
+# Height in cm of the toe joint (ball of the foot) above the floor while the foot stands: the median over the CMU
+# subjects with a level floor.
 TOE_HEIGHT = STANDING_HEIGHTS[1]
 
 TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
 
-# Breaks: a step of the whole body, or of one joint, that nothing after it continues.
+# Breaks: a jump of the whole body, or of one joint, that the following frames do not continue.
 LEAD_SECONDS = 0.5
 EDGE_SECONDS = 0.1
-# No dancer or walker comes this near the rest pose (mean over the joints); T-poses are at 5 to 7 degrees.
+# No dance or walk comes this close to the rest pose (mean over the joints); T-poses are at 5 to 7 degrees.
 REST_ANGLE = math.radians(10.0)
 BLEND_RATIO = 2.0
 FROZEN_ANGLE = math.radians(0.01)
@@ -50,7 +50,7 @@ JOINT_BREAK = math.radians(30.0)
 BREAK_RATIO = 3.5
 LOOK_AHEAD = 8
 
-# Pops: a joint jumps away and back. Longer spans must stand out more to count.
+# Pops: a joint jumps away and back. Longer pops need a larger jump to count.
 POP_JUMP = math.radians(8.0)
 LONG_POP_JUMP = math.radians(30.0)
 POP_RATIO = 3.0
@@ -61,8 +61,8 @@ ROOT_POP = 1.2
 ROOT_POP_RATIO = 4.0
 JUMP_LEFT = math.radians(60.0)
 
-# Flips: hip and ankle stay, but knee and toes jump to the other side of the line between them, and back
-# some frames later. A limb is (upper, middle, end).
+# Flips: hip and ankle stay, but knee and toes jump to the other side of the line between them and return some frames
+# later. A limb is (upper, middle, end).
 LIMBS = tuple(
     (JOINT_NAMES.index(side + upper), JOINT_NAMES.index(side + middle), JOINT_NAMES.index(side + end))
     for side in ("Left", "Right")
@@ -75,7 +75,7 @@ FLIP_TURN = math.radians(75.0)
 
 MOST_JUMPS_TOLD = 20
 
-# Stance: toes this slow, gathered in the lowest well-filled band of heights.
+# Stance: toes slower than this, in the lowest well-filled band of heights.
 STANCE_SPEED = 20.0
 STANCE_BAND = 6.0
 STANCE_SHARE = 0.75
@@ -85,15 +85,15 @@ STEP_SHARE = 0.1
 
 @dataclass(frozen=True)
 class CleaningReport:
-    """What was done to one motion.
+    """Changes made to one motion.
 
     Attributes:
         lead_in: frames cut at the start (T-pose, the blend out of it, bad first frames).
         lead_out: frames cut at the end.
-        pops: (source frame, joint) of every frame mended; "root position" stands for the root's place.
+        pops: (source frame, joint) of every repaired frame; "root position" means the root's place.
             A flipped limb is listed under its thigh or upper arm.
         floor_shift: cm added to the root height.
-        notes: what was seen and left as it is.
+        notes: artefacts that were found but not repaired.
     """
 
     lead_in: int
@@ -104,11 +104,14 @@ class CleaningReport:
 
 
 def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
-    """The motion (23 canonical joints, cm) without capture faults, at its own rate, and what was done.
+    """Repair a motion of the 23 canonical joints, in cm, at its own frame rate.
 
-    At least two frames are kept: a motion of one or two comes back with only its floor set.
+    At least two frames are kept; for a motion of one or two frames only the floor is set.
+
+    Returns:
+        The repaired motion and a report.
     """
-    cut, pops = _mend(motion)  # first, so that a pop near an edge is not taken for a break
+    cut, pops = _mend(motion)  # first, so that a pop near an end is not mistaken for a break
     start, end = _good_span(cut)
     if end - start < len(motion):
         cut, pops = _mend(motion.cut(start, end))
@@ -122,7 +125,7 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
 
 
 def _mend(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion without flips and pops, and the frames and joints mended."""
+    """The motion without flips and pops, and the repaired frames and joints."""
     unflipped, flips = _mend_flips(motion)
     mended, pops = _mend_pops(unflipped)
     return mended, flips + pops
@@ -135,14 +138,14 @@ def _steps(motion: Motion) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """quat_angle without its axis: the chord of the difference, exact for small angles too."""
+    """quat_angle from the chord of the difference, which is exact for small angles too."""
     same = (a * b).sum(axis=-1, keepdims=True) >= 0
     squared = (np.where(same, a - b, a + b) ** 2).sum(axis=-1)
     return 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(squared), 1.0))
 
 
 def _good_span(motion: Motion) -> tuple[int, int]:
-    """First frame worth keeping, and the end (exclusive)."""
+    """First frame to keep, and the end (exclusive)."""
     if len(motion) < 3:
         return 0, len(motion)
     angles, distances = _steps(motion)
@@ -152,11 +155,11 @@ def _good_span(motion: Motion) -> tuple[int, int]:
 
 
 def _lead(angles: Array, distances: Array, fps: float) -> int:
-    """Frames to cut before the motion proper, from the steps (T - 1, J) and (T - 1)."""
+    """Number of frames to cut at the start, from the steps (T - 1, J) and (T - 1)."""
     half = len(angles) // 2
     edge = min(max(3, round(EDGE_SECONDS * fps)), half)
     window = min(round(LEAD_SECONDS * fps), half)
-    coarse = max(1.0, 60.0 / fps)  # honest steps grow as frames get rarer
+    coarse = max(1.0, 60.0 / fps)  # real steps are larger at lower frame rates
     body = angles.mean(axis=1)
     lead = max(
         _last_true(_breaks(body, coarse * FAR_BODY_BREAK, window)),
@@ -167,7 +170,7 @@ def _lead(angles: Array, distances: Array, fps: float) -> int:
 
 
 def _rest_pose_blend(motion: Motion, angles: Array) -> int:
-    """Frames of a blend out of the rest pose, from the steps (T - 1, J); 0 if frame 0 is not in it."""
+    """Number of frames that blend out of the rest pose, from the steps (T - 1, J); 0 if there is no blend."""
     first = motion.local_rotations[0, 1:]
     if float(_angle(first, quat_identity((1,), first.dtype)).mean()) > REST_ANGLE:
         return 0
@@ -180,7 +183,7 @@ def _rest_pose_blend(motion: Motion, angles: Array) -> int:
 
 
 def _tail(angles: Array, distances: Array, fps: float) -> int:
-    """Frames to cut at the end, from the steps in reverse order."""
+    """Number of frames to cut at the end, from the steps in reverse order."""
     edge = min(max(3, round(EDGE_SECONDS * fps)), len(angles) // 2)
     coarse = max(1.0, 60.0 / fps)
     tail = max(_last_true(_breaks(distances, coarse * ROOT_BREAK, edge)), _edge_breaks(angles, edge, coarse))
@@ -188,22 +191,22 @@ def _tail(angles: Array, distances: Array, fps: float) -> int:
 
 
 def _edge_breaks(angles: Array, edge: int, coarse: float) -> int:
-    """Frames before the last break of the whole body or of one joint, among the first steps (T - 1, J)."""
+    """Number of frames before the last break of the body or of a joint, within the first steps (T - 1, J)."""
     body = _breaks(angles.mean(axis=1), coarse * BODY_BREAK, edge)
     joints = _breaks(angles, coarse * JOINT_BREAK, edge)
-    joints[2:, list(TOES)] = False  # toes tremble; only the outermost frames are worth cutting for them
+    joints[2:, list(TOES)] = False  # toes jitter; cut only the outermost frames for them
     return _last_true(body | joints.any(axis=1))
 
 
 def _breaks(steps: Array, least: float, window: int) -> Array:
-    """Which of the first steps (window, ...) tower over the LOOK_AHEAD steps that follow them."""
+    """Which of the first steps (window, ...) far exceed the LOOK_AHEAD steps that follow."""
     ahead = np.concatenate([steps, np.broadcast_to(steps[-1:], (LOOK_AHEAD, *steps.shape[1:]))])
     following = sliding_window_view(ahead[1:], LOOK_AHEAD, axis=0)[:window].max(axis=-1)
     return (steps[:window] > least) & (steps[:window] > BREAK_RATIO * following)
 
 
 def _frozen(angles: Array, distances: Array) -> int:
-    """How many steps from the start nothing moves at all; 0 if nothing ever does."""
+    """Number of steps at the start without any movement; 0 if nothing ever moves."""
     still = (angles.max(axis=1) < FROZEN_ANGLE) & (distances < FROZEN_DISTANCE)
     moving = np.flatnonzero(~still)
     return int(moving[0]) if len(moving) else 0
@@ -218,7 +221,7 @@ def _last_true(flags: Array) -> int:
 def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion with short pops bridged, and their frames and joints."""
     rotations, places = motion.local_rotations.copy(), motion.root_positions.copy()
-    # At a low rate two frames away and back are honest motion: toes roll off that fast in a run.
+    # At a low frame rate, two frames away and back are real motion: toes roll off that fast in a run.
     longest = max(1, round(LONG_POP_SECONDS * motion.fps))
     coarse = max(1.0, 60.0 / motion.fps)
     steps = _angle(rotations[:-1], rotations[1:])
@@ -242,11 +245,11 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
 
 
 def _joint_pops(rotations: Array, steps: Array, span: int, coarse: float) -> list[tuple[int, int]]:
-    """First frame and joint of every pop of this many frames in rotations (T, J, 4) with steps (T - 1, J).
+    """First frame and joint of every pop of `span` frames in rotations (T, J, 4) with steps (T - 1, J).
 
-    The steps out and back must tower over the steps before and after, and over what is left when the
-    span is bridged; that sets a pop apart from a fast swing, whose neighbours are fast as well. The
-    least jump is multiplied by coarse, for honest steps grow as frames get rarer.
+    The steps out and back must far exceed the steps before and after, and the steps that remain after
+    interpolation. This separates a pop from a fast swing, whose neighbours are fast too. The smallest jump is
+    multiplied by coarse, because real steps are larger at lower frame rates.
     """
     least, ratio = (POP_JUMP, POP_RATIO) if span <= 2 else (LONG_POP_JUMP, LONG_POP_RATIO)
     jump = np.minimum(steps[: len(steps) - span], steps[span:])
@@ -274,16 +277,16 @@ def _joint_pops(rotations: Array, steps: Array, span: int, coarse: float) -> lis
 
 
 def _step_at(steps: Array, frames: Array, joints: Array) -> Array:
-    """Steps at these frames and joints, zero beyond the ends."""
+    """Steps at these frames and joints; zero beyond the ends."""
     inside = (frames >= 0) & (frames < len(steps))
     return np.where(inside, steps[np.clip(frames, 0, len(steps) - 1), joints], np.float32(0.0))
 
 
 def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion with knees and elbows back on their side, and the frames and upper joints mended.
+    """Repair flipped knees and elbows; returns the motion and the repaired frames and upper joints.
 
-    The limb is swung about the line from its first joint to its last, which both stay in place, to
-    where it lies between the good frames around; the end joint bridges the span.
+    The limb is rotated about the line from its first to its last joint, which both stay in place, to the
+    interpolation between the good frames around it; the end joint is interpolated too.
     """
     rotations = motion.local_rotations.copy()
     mended: list[tuple[int, str]] = []
@@ -305,7 +308,7 @@ def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
 
 
 def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]]:
-    """First and last frame of every short span in which a limb (T, 4), (T, 4) lies on its wrong side."""
+    """First and last frame of every short span in which a limb (T, 4), (T, 4) is on the wrong side."""
     jumps = (_angle(upper[:-1], upper[1:]) > FLIP_JUMP) & (_angle(end[:-1], end[1:]) > FLIP_JUMP)
     events = np.flatnonzero(jumps).tolist()
     spans: list[tuple[int, int]] = []
@@ -321,7 +324,7 @@ def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]
 
 
 def _bridge(before: Array, after: Array, count: int) -> Array:
-    """Rotations (count, 4) evenly between two (4)."""
+    """Rotations (count, 4) interpolated evenly between two (4,)."""
     fractions = np.arange(1, count + 1, dtype=before.dtype) / (count + 1)
     return quat_slerp(np.broadcast_to(before, (count, 4)), np.broadcast_to(after, (count, 4)), fractions)
 
@@ -330,24 +333,24 @@ def _twist(rotations: Array, axes: Array) -> Array:
     """The part (..., 4) of rotations (..., 4) that turns about unit axes (..., 3)."""
     along = (rotations[..., 1:] * axes).sum(axis=-1, keepdims=True)
     part = np.concatenate([rotations[..., :1], along * axes], axis=-1)
-    # Half a turn about an axis at right angles has no such part; any twist will do.
+    # Half a turn about a perpendicular axis has no such part; use the identity.
     none = np.linalg.norm(part, axis=-1, keepdims=True) < 1e-6
     return quat_normalize(np.where(none, quat_identity(dtype=part.dtype), part))
 
 
 def _root_pops(places: Array) -> list[int]:
-    """Frames whose place (T, 3) stands off the line of its neighbours as none nearby does."""
+    """Frames whose place (T, 3) deviates from the line of its neighbours far more than nearby frames do."""
     if len(places) < 2 * NEIGHBOURS:
         return []
     residual = np.zeros(len(places), places.dtype)
     residual[1:-1] = np.linalg.norm(places[1:-1] - 0.5 * (places[:-2] + places[2:]), axis=-1)
     found = []
     for frame in np.flatnonzero(residual > ROOT_POP).tolist():
-        # A pop shows at its two neighbours with half its size: they are not "nearby".
+        # A pop shows at half its size in its two neighbours, so they do not count as nearby.
         nearby = np.concatenate(
             [residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]]
         )
-        # A jump that does not come back gives two equal residuals side by side.
+        # A jump without a return gives two equal residuals side by side.
         beside = max(float(residual[frame - 1]), float(residual[frame + 1]))
         level = max(0.1, float(nearby.max())) if len(nearby) else math.inf
         if residual[frame] > max(1.4 * beside, ROOT_POP_RATIO * level):
@@ -356,7 +359,7 @@ def _root_pops(places: Array) -> list[int]:
 
 
 def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
-    """Notes on jumps that do not come back, which no neighbour can mend."""
+    """Notes on jumps without a return, which cannot be interpolated."""
     if len(motion) < 3:
         return ()
     angles, _ = _steps(motion)
@@ -371,7 +374,7 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
 
 
 def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
-    """cm to add to the height so that standing toes are at TOE_HEIGHT, and how that was found."""
+    """cm to add to the root height so that standing toes are at TOE_HEIGHT, and notes."""
     legs = max(TOES) + 1  # hips and legs come first
     skeleton = motion.skeleton
     _, positions = forward_kinematics(
@@ -390,7 +393,7 @@ def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
 
 
 def _speeds(places: Array, fps: float) -> Array:
-    """Speeds (T, ...) in cm/s of places (T, ..., 3), over two frames where there are two."""
+    """Speeds (T, ...) in cm/s of places (T, ..., 3), by central differences where possible."""
     if len(places) < 2:
         return np.zeros(places.shape[:-1], places.dtype)
     steps = (places[1:] - places[:-1]) * fps
@@ -399,10 +402,10 @@ def _speeds(places: Array, fps: float) -> Array:
 
 
 def _lowest_band(heights: Array) -> float:
-    """Median height within the lowest band that is nearly as full as the fullest band (N,).
+    """Median of heights (N,) within the lowest band that is nearly as full as the fullest band.
 
-    Feet held still in the air (a raised leg, a handstand) lie above it, single stray frames below it.
-    Where a good share lies a whole step further down, the band was a platform, and that is the floor.
+    Feet held still in the air (a raised leg, a handstand) are above it, stray frames below it. If many heights are a
+    whole step lower, the band was a platform, and the lower ones are the floor.
     """
     ordered = np.sort(heights)
     counts = np.searchsorted(ordered, ordered + STANCE_BAND, side="right") - np.arange(len(ordered))

@@ -1,11 +1,11 @@
-"""The dataset folder: memory-mapped arrays beside a JSON manifest.
+"""The dataset folder: memory-mapped arrays and a JSON manifest.
 
-manifest.json   clips, types, splits, skeleton, scaling, reference_rotations, what was done to each file
+manifest.json   clips, types, splits, bodies, scaling, reference rotations, a report on each file
 features.npy    (N, 276) float32, unnormalised
 contacts.npy    (N, 4) uint8
 ground.npy      (N, 3) float32: root x, z (cm), heading (radians)
 types.npy       (N,) int16, index into the manifest's types
-phases.npy      (N,) float32: progress through a flip, strike or jump (data/phases.py), -1 elsewhere
+phases.npy      (N,) float32: phase of a flip, strike or jump (data/phases.py), -1 elsewhere
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ from motionkit.files import read_json
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
-# Outlines are fitted to about so many frames; 0 counts all alike, 1 all types alike.
+# Number of frames to fit the pose embedding to; balance 0 weights all frames equally, 1 all types equally.
 EMBEDDING_FRAMES, EMBEDDING_BALANCE = 200_000, 0.75
 
 
 @dataclass(frozen=True)
 class Clip:
-    """Frames start to start + frames of the arrays: consecutive motion of one recording.
+    """Consecutive frames of one recording: rows start to start + frames of the arrays.
 
-    A mirrored clip names the same rows and is reflected as it is read.
+    A mirrored clip has the same rows and is mirrored when read.
     """
 
     name: str
@@ -59,7 +59,16 @@ class Clip:
 
 @dataclass(frozen=True, eq=False)
 class ClipData:
-    """One clip in full: features (T, 276), contacts (T, 4), ground (T, 3), type ids and phases (T,), reference (T, 72)."""
+    """The data of a clip.
+
+    Attributes:
+        features: (T, 276) unnormalised.
+        contacts: (T, 4) labels.
+        ground: (T, 3) root x, z (cm) and heading (radians).
+        types: (T,) type ids.
+        phases: (T,) in [0, 1), -1 without a phase.
+        reference: (T, 72) reference poses.
+    """
 
     features: Array
     contacts: Array
@@ -74,7 +83,7 @@ class ClipData:
 
 
 class Dataset:
-    """A dataset folder, opened for reading; nothing is loaded until a clip is asked for."""
+    """A dataset folder opened for reading; clips are loaded on demand."""
 
     def __init__(self, folder: str | Path) -> None:
         self.folder = Path(folder)
@@ -83,7 +92,7 @@ class Dataset:
             former = (
                 ""
                 if self.folder.exists()
-                else "".join(f"; {p} is a former one" for p in set_aside(self.folder))
+                else "".join(f"; {p} is an older one" for p in set_aside(self.folder))
             )
             raise DatasetError(
                 f"{self.folder}: not a dataset folder (no manifest.json); make one with preprocess{former}"
@@ -102,7 +111,7 @@ class Dataset:
         self._arrays = {name: open_array(self._path(name), name, rows) for name in ARRAYS}
         same_length(self.folder, self._arrays)
         if _identity(path) != opened:
-            raise DatasetError(f"{self.folder}: was replaced while it was opened; try again")
+            raise DatasetError(f"{self.folder}: was replaced while it was being opened; try again")
         for name in (
             "contacts",
             "ground",
@@ -116,29 +125,29 @@ class Dataset:
         return self.folder / f"{name}.npy"
 
     def _features(self, start: int, end: int) -> Array:
-        """Rows start to end (exclusive) of the features; raises DatasetError for numbers that none can be."""
+        """Rows start to end (exclusive) of the features; raises DatasetError for values out of range."""
         rows = np.array(self._arrays["features"][start:end])
         check_range(self._path("features"), "features", rows, start)
         return rows
 
     @cached_property
     def scaling(self) -> Scaling:
-        """Per-column scaling of the features, over the training clips."""
+        """Per-column scaling of the features, from the training clips."""
         return _scaling(self.manifest["feature_scaling"])
 
     @cached_property
     def trajectory_scaling(self) -> Scaling:
-        """Per-column scaling of the trajectory numbers."""
+        """Per-column scaling of the trajectory values."""
         return _scaling(self.manifest["trajectory_scaling"])
 
     @cached_property
     def reference_rotations(self) -> Array:
-        """(23, 4) rotations the exponential maps are relative to."""
+        """Rotations (23, 4) that the exponential maps are relative to."""
         return np.array(self.manifest["references"], np.float32)
 
     @cached_property
     def pose_embedding(self) -> PoseEmbedding:
-        """What reference_clips of poses are made with: the directions in which training poses differ, rare types' more."""
+        """The pose embedding, fitted to the training poses with more weight on rare types."""
         train = self.select("train")
         if not train:
             raise DatasetError(f"{self.folder}: no training clips")
@@ -153,36 +162,36 @@ class Dataset:
 
     @cached_property
     def bodies(self) -> tuple[Array, ...]:
-        """(23, 3) offsets of every body in the data; clips index it."""
+        """Offsets (23, 3) in cm of every body in the data; Clip.body is an index into it."""
         return tuple(np.array(body, np.float32) for body in self.manifest["bodies"])
 
     @cached_property
     def characters(self) -> dict[str, Array]:
-        """(23, 3) offsets of the performers the labels name."""
+        """Offsets (23, 3) in cm of the performers named in the labels."""
         return {name: np.array(body, np.float32) for name, body in self.manifest["characters"].items()}
 
     @property
     def phase_seconds(self) -> dict[str, float]:
-        """How long a performance of each type with a phase takes on average."""
+        """Mean duration of a performance in seconds, for each type with a phase."""
         return self.manifest["phase_seconds"]
 
     @property
     def phase_events(self) -> dict[str, str]:
-        """What the phase of a type follows: "kick", "punch", "jump", or "" for whole stretches."""
+        """The event that the phase of a type follows: "kick", "punch", "jump", or "" for whole stretches."""
         return self.manifest.get("phase_events", dict.fromkeys(self.phase_seconds, ""))
 
     @cached_property
     def sided_types(self) -> Array:
-        """(N,) whether the halves of a type's phase are left and right."""
+        """For each type (N,), whether the halves of its phase are left and right."""
         return np.array([self.phase_events.get(name) in SIDED for name in self.types], bool)
 
     def skeleton(self, clip: Clip) -> Skeleton:
-        """The skeleton a clip's features are on."""
+        """The skeleton of a clip."""
         return canonical_skeleton(self.bodies[clip.body])
 
     @cached_property
     def mirrored_type_ids(self) -> Array:
-        """For each type the id of the type its mirror image shows."""
+        """For each type (N,), the id of its mirror image's type."""
         names = [mirrored_type(name) for name in self.types]
         return np.array(
             [self.types.index(n) if n in self.types else i for i, n in enumerate(names)], np.int64
@@ -199,10 +208,10 @@ class Dataset:
         return self.mirrored_type_ids[types] if clip.mirrored else types
 
     def read(self, clip: Clip, start: int = 0, end: int | None = None) -> ClipData:
-        """Frames start to end of a clip, mirrored where the clip says so."""
+        """Frames start to end (exclusive) of a clip, mirrored if the clip is."""
         stop = clip.frames if end is None else min(end, clip.frames)
         rows = slice(clip.start + start, clip.start + stop)
-        # Guides look ahead of the last frame.
+        # Reference poses look ahead of the last frame.
         beyond = clip.start + min(stop + REFERENCE_OFFSETS[-1], clip.frames)
         poses = self._features(rows.start, beyond)
         features = poses[: rows.stop - rows.start]
@@ -223,9 +232,9 @@ class Dataset:
 def mirror_clip(
     data: ClipData, layout: FeatureLayout, mirrored_type_ids: Array, sided_types: Array
 ) -> ClipData:
-    """The mirror image, but for the reference.
+    """Mirror a clip, except for its reference.
 
-    In features it is a permutation with signs, since reference_rotations are symmetric.
+    For features this is a permutation with signs, because the reference rotations are symmetric.
     """
     columns, signs = layout.mirror_map()
     ground = data.ground * np.array([-1.0, 1.0, -1.0], np.float32)
@@ -240,7 +249,7 @@ def mirror_clip(
 
 
 def _identity(path: Path) -> tuple[int, ...]:
-    """What tells a file from the one that takes its place."""
+    """A key that changes when another file replaces this one."""
     try:
         facts = path.stat()
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Kicks, punches and jumps in a motion, found by how feet and hands move: the beats of types that repeat them."""
+"""Finds kicks, punches and jumps in a motion by the movement of feet and hands."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ KINDS = ("jump", "kick", "punch")
 SIDED = ("kick", "punch")
 
 # Heights in cm, speeds in cm/s, times in frames at 60 fps, on the canonical body.
-KICK_HEIGHT = 0.75  # of the hips' usual height, which the foot rises above
-FOOT_DOWN = 20.0  # the ankle of a foot that stands is at about 10
-PUNCH_SPEED = 220.0  # at which the hand leaves its shoulder
-PUNCH_REACH = 0.85  # of the arm's length, at the end
-AIR = 4.0  # that all toes and ankles are above where they stand
+KICK_HEIGHT = 0.75  # of the median hip height; a kicking foot rises above it
+FOOT_DOWN = 20.0  # height below which a foot is down; a standing ankle is at about 10
+PUNCH_SPEED = 220.0  # of the hand away from its shoulder
+PUNCH_REACH = 0.85  # of the arm's length, at the end of a punch
+AIR = 4.0  # height of all toes and ankles above their standing heights
 AIR_FRAMES = 10
-LONGEST_LIFT = 60  # frames between leaving the ground and the height of a kick
-BEFORE = {"kick": 8, "punch": 18, "jump": 20}  # frames that belong to it beforehand
+LONGEST_LIFT = 60  # most frames between leaving the ground and the height of a kick
+BEFORE = {"kick": 8, "punch": 18, "jump": 20}  # frames added before and after the event
 AFTER = {"kick": 6, "punch": 18, "jump": 15}
 _STANDING = np.array([10.0, 4.1, 10.0, 4.1])  # ankle and toe joints, left and right
 
 
 @dataclass(frozen=True)
 class Event:
-    """Frames start to end (exclusive) of a strike or jump; right tells the limb of a sided one."""
+    """Frames start to end (exclusive) of a kick, punch or jump; right is the side of a kick or punch."""
 
     start: int
     end: int
@@ -36,7 +36,7 @@ class Event:
 
 
 def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]]:
-    """Events of each kind, in order of time, in features (T, 276), unnormalised."""
+    """Events of each kind, in temporal order, in unnormalised features (T, 276)."""
     positions = _positions(features, layout)
     return {
         "kick": sorted(_kicks(positions), key=lambda event: event.start),

@@ -1,7 +1,7 @@
-"""A dataset folder appears whole: made beside its place, the former one kept until the new one stands.
+"""Writes a dataset folder atomically: it is made beside its place, and the old one is kept until the new one is there.
 
-Names beside a dataset "ds": .ds.new-* is being made, .ds.old-* was moved aside, .ds.lock is held meanwhile. What
-a killed run left there is put back or removed by the next one. Nothing that preprocess did not write is removed.
+Names beside a dataset "ds": .ds.new-* is being made, .ds.old-* was moved aside, .ds.lock is the lock. The next run
+restores or removes what a killed run left. Only files that preprocess wrote are removed.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from motionkit.files import read_json
 MANIFEST = "manifest.json"
 ARRAYS = ("features", "contacts", "ground", "types", "phases")
 DATASET_NAMES = frozenset({MANIFEST, *(f"{name}.npy" for name in ARRAYS)})
-MOTIONS = "motions"  # of the staging folder: what the first pass hands to the second
+MOTIONS = "motions"  # subfolder of the staging folder for intermediate files of the first pass
 
 
 def may_replace(folder: Path) -> bool:
-    """Whether nothing but a dataset, or an empty folder, stands at the place of the new one."""
+    """Whether a new dataset may go here: the folder is missing, empty or a dataset."""
     if not folder.exists():
         return True
     if not folder.is_dir():
         return False
-    try:  # other programs keep a manifest.json too: theirs does not name motionkit
+    try:  # a manifest.json of another program does not name motionkit
         manifest = read_json(folder / MANIFEST)
         return isinstance(manifest, dict) and "motionkit" in manifest
     except MotionkitError:
@@ -37,16 +37,18 @@ def may_replace(folder: Path) -> bool:
 
 
 def set_aside(folder: Path) -> list[Path]:
-    """Former datasets of this place that a killed run moved aside and never put back."""
+    """Old datasets of this place that a killed run moved aside and did not restore."""
     return _beside(folder, "old")
 
 
 @contextmanager
 def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
-    """A new folder beside target to make a dataset in, and words for what an earlier run had left.
+    """Lock target and make a new folder beside it; yields the folder, and notes on leftovers of earlier runs.
 
-    Nobody else works on target until the block ends; what is left of the folder is removed then. Raises
-    DatasetError if somebody else does now.
+    The lock is held until the block ends; the folder is removed then, unless put_in_place has renamed it.
+
+    Raises:
+        DatasetError: another run holds the lock.
     """
     with _locked(target):
         notes = _put_right(target)
@@ -58,9 +60,9 @@ def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
 
 
 def put_in_place(staging: Path, target: Path) -> None:
-    """Rename a finished staging folder to target: the old away, the new in, and only then what was old deleted.
+    """Rename a finished staging folder to target; the old dataset is moved aside first and deleted last.
 
-    Other files that lay in the old dataset move to the new one.
+    Other files in the old dataset are moved to the new one.
     """
     former = target.parent / staging.name.replace(f".{target.name}.new-", f".{target.name}.old-", 1)
     try:
@@ -84,25 +86,23 @@ def _beside(target: Path, kind: str) -> list[Path]:
 
 
 def _put_right(target: Path) -> list[str]:
-    """Mend what a killed run left beside target, and say so."""
+    """Restore or remove what a killed run left beside target; returns notes."""
     notes = []
     for former in _beside(target, "old"):
         if target.exists():
             _retire(former, target)
-            notes.append(f"{former}: left by a run that was broken off, removed")
+            notes.append(f"{former}: removed; an interrupted run had left it")
         else:
             former.rename(target)
-            notes.append(
-                f"{target}: the former dataset, which a run that was broken off had moved aside, is back"
-            )
+            notes.append(f"{target}: restored the old dataset, which an interrupted run had moved aside")
     for staging in _beside(target, "new"):
         _remove_staging(staging)
-        notes.append(f"{staging}: left by a run that was broken off, removed")
+        notes.append(f"{staging}: removed; an interrupted run had left it")
     return notes
 
 
 def _retire(former: Path, target: Path) -> None:
-    """Delete a dataset that was moved aside; whatever else lay in it moves to the one in its place."""
+    """Delete a dataset that was moved aside; other files in it move to the new one."""
     for path in list(former.iterdir()):
         if path.name not in DATASET_NAMES and not os.path.lexists(target / path.name):
             path.rename(target / path.name)
@@ -117,7 +117,7 @@ def _remove_staging(staging: Path) -> None:
 
 
 def _remove(folder: Path, names: frozenset[str] | set[str]) -> None:
-    """Remove these files of a folder, and the folder if nothing else is in it."""
+    """Remove files of a folder, and the folder if it is then empty."""
     with suppress(OSError):  # what cannot be removed stays
         for name in names:
             (folder / name).unlink(missing_ok=True)
@@ -126,18 +126,18 @@ def _remove(folder: Path, names: frozenset[str] | set[str]) -> None:
 
 @contextmanager
 def _locked(target: Path) -> Iterator[None]:
-    """Hold the lock of a place; the system lets it go when the process ends, however it ends."""
+    """Hold the lock of a target; the system releases it when the process ends, even if it is killed."""
     path = target.parent / f".{target.name}.lock"
     handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
     try:
         if not _lock(handle):
             raise DatasetError(
-                f"{target}: another run is making this dataset; wait for it, or choose another place"
+                f"{target}: another run is making this dataset; wait for it or choose another folder"
             )
         try:
             yield
         finally:
-            if os.name != "nt":  # before the lock goes, so that nobody waits on a file without a name
+            if os.name != "nt":  # before releasing the lock, so that no other run locks an unlinked file
                 path.unlink(missing_ok=True)
     finally:
         os.close(handle)
@@ -147,7 +147,7 @@ def _locked(target: Path) -> Iterator[None]:
 
 
 def _lock(handle: int) -> bool:
-    """Lock an open file; False if another process has. Where the system knows no locks there is none to fail."""
+    """Lock an open file; False if another process holds the lock. True on file systems without locks."""
     try:
         if os.name == "nt":
             import msvcrt
@@ -160,14 +160,14 @@ def _lock(handle: int) -> bool:
     except BlockingIOError:
         return False
     except OSError:
-        return os.name != "nt"  # there a held lock is a PermissionError
+        return os.name != "nt"  # on Windows a held lock is a PermissionError
     return True
 
 
 class ArrayWriter:
     """Writes an .npy file row by row.
 
-    Not through a memory map: its pages would find no place on a full disk, and the process dies of that.
+    It does not use a memory map, because a full disk would then kill the process.
     """
 
     def __init__(self, folder: Path, name: str, shape: tuple[int, ...], dtype: type) -> None:
@@ -178,17 +178,17 @@ class ArrayWriter:
         np.lib.format.write_array_header_1_0(self._file, facts)
 
     def append(self, rows: np.ndarray) -> None:
-        """Write (n, ...) more rows."""
+        """Append rows (n, ...)."""
         self._file.write(np.ascontiguousarray(rows, self.dtype).tobytes())
 
     def close(self) -> np.ndarray:
-        """The whole array, memory-mapped for reading, once it is on the disk."""
+        """Flush the file and return the whole array, memory-mapped for reading."""
         with self._file as file:
             file.flush()
             os.fsync(file.fileno())
         return np.load(self.path, mmap_mode="r", allow_pickle=False)
 
     def abandon(self) -> None:
-        """Close the file without a word of what did not fit."""
+        """Close the file and ignore errors."""
         with suppress(OSError):
             self._file.close()

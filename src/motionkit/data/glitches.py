@@ -1,4 +1,4 @@
-"""Frames no cleaning can mend: a joint leaps and the motion goes on elsewhere. Clips are cut there."""
+"""Finds leaps that cleaning cannot repair: a joint jumps and the motion continues elsewhere. Clips are cut there."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array, lower_median
 
-# A joint that covers more than this in a 60 fps frame, against the root, and far more than in the frames
-# around, has leapt: the fastest real feet of the CMU flips move 16 to 23 cm a frame.
+# A joint leaps if it moves more than this per frame at 60 fps, relative to the root, and far more than in the frames
+# around; the fastest real feet in CMU flips move 16 to 23 cm per frame.
 LEAP_DISTANCE = 25.0  # cm
 LEAP_RATIO = 2.2
-# cm a frame for the whole body: nothing moves at 600 m/s, and it would rule the scaling.
+# cm per frame for the whole body (600 m/s); larger steps would dominate the scaling.
 ROOT_LEAP = 1000.0
-_REACH = 4  # frames compared on each side, the two nearest left out
+_REACH = 4  # frames compared on each side, without the two nearest
 
 
 def find_leaps(global_positions: Array) -> list[int]:
-    """Frames t such that some joint leaps against the root, or the root itself, between t - 1 and t.
+    """Frames t such that the root leaps between t - 1 and t, or some joint relative to the root.
 
     Args:
         global_positions: (T, 23, 3) in cm at 60 fps.
@@ -35,7 +35,7 @@ def find_leaps(global_positions: Array) -> list[int]:
 
 
 def cut_at_leaps(start: int, end: int, leaps: list[int]) -> list[tuple[int, int]]:
-    """The stretches of start to end (exclusive) that hold no leap; the frame on each side goes too."""
+    """The stretches of start to end (exclusive) between leaps, without the frame on each side of a leap."""
     out = []
     for leap in sorted(leaps):
         if start <= leap <= end:

@@ -1,4 +1,4 @@
-"""Which frames of which file show what: from a labels.csv, else from folder or file names."""
+"""Motion types of the frames of each file: from a labels.csv, or else from folder and file names."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ SPLITS = ("train", "test", "")
 
 @dataclass(frozen=True)
 class Segment:
-    """Frames start to end (exclusive, -1: to the end) of a file, in its own frames, of one type.
+    """A stretch of one type: frames start to end (exclusive; -1 means the end) at the file's own rate.
 
-    split is "train", "test" or "" (to be decided); fps overrides the file's header where it lies.
+    split is "train", "test" or "" (undecided); fps replaces a wrong rate in the file's header.
     """
 
     start: int
@@ -37,7 +37,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A BVH file with its segments; without any it is to be skipped for the reason given."""
+    """A BVH file with its segments; a file without segments is skipped for skip_reason."""
 
     path: Path
     name: str
@@ -46,18 +46,17 @@ class SourceFile:
 
 
 def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[list[SourceFile], Path | None]:
-    """All BVH files under the folders with their segments, and the label table used, if any.
+    """All BVH files below the folders with their segments, and the label table used, if any.
 
-    Without an explicit table a labels.csv in one of the folders or just above it is taken; without
-    any, the type is the name of the folder a file lies in, or, for files directly in the folder
-    given, the file's name without its number.
+    Without `labels`, a labels.csv in one of the folders or its parent is used. Without a table, the type of a file is
+    the name of its folder, or, for files directly in a given folder, the file's name without its number.
 
     Raises:
-        DatasetError: no BVH files, or a label table that is broken.
+        DatasetError: there are no BVH files, or the label table is invalid.
     """
     found: list[tuple[Path, Path]] = []
     for folder in folders:
-        if folder.exists() and not folder.is_dir():  # a pipe too, whose reading says what it is
+        if folder.exists() and not folder.is_dir():  # reading it reports a pipe
             found.append((folder, folder.parent))
             continue
         found.extend((path, folder) for path in files_below(folder, ".bvh"))
@@ -79,10 +78,10 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
 
 
 def _resolved(path: Path) -> Path:
-    """The path without links; as it is where the system cannot follow it (too long a name)."""
+    """The path without links; unchanged if the system cannot resolve it (a name that is too long)."""
     try:
         return path.resolve()
-    except (OSError, RuntimeError):  # a loop of links is the latter before Python 3.13
+    except (OSError, RuntimeError):  # before Python 3.13 a loop of links is a RuntimeError
         return path
 
 
@@ -105,25 +104,25 @@ def _by_name(path: Path, folder: Path) -> SourceFile:
     kind = inside.parent.name if inside.parent.name else type_from_file_name(path.stem)
     fault = type_fault(kind)
     if fault:
-        raise DatasetError(f"{path}: the name of its folder or file gives the motion type {fault}; rename it")
+        raise DatasetError(f"{path}: the folder or file name gives the motion type {fault}; rename it")
     return SourceFile(path, str(inside), (Segment(0, -1, kind),))
 
 
 def type_from_file_name(stem: str) -> str:
-    """The motion type a file name suggests: "Walk_Fast-02" gives "walk-fast"."""
+    """The motion type of a file name: "Walk_Fast-02" gives "walk-fast"."""
     words = [word for word in re.split(r"[\s_\-.,:;]+", stem) if word]
     words = [re.sub(r"\d+$", "", word) for word in words]
     return "-".join(word.lower() for word in words if word) or "motion"
 
 
 def type_fault(kind: str) -> str:
-    """Why a motion type cannot have this name, with the name, or "" if it can.
+    """Why a motion type cannot have this name, or "" if it can.
 
-    Commands write types as running:4,cartwheel:3, so that neither mark may stand in a name.
+    Commands take types as running:4,cartwheel:3, so names must not contain ':' and ','.
     """
     marks = [mark for mark in ",:" if mark in kind]
     if marks:
-        return f"{kind[:40]!r}, which holds {' and '.join(map(repr, marks))}"
+        return f"{kind[:40]!r}, which contains {' and '.join(map(repr, marks))}"
     return _name_fault(kind)
 
 
@@ -131,16 +130,16 @@ def _name_fault(name: str) -> str:
     if not name.strip() or name != name.strip():
         return f"{name[:40]!r}, which is empty or has spaces around it"
     if len(name) > MAX_NAME:
-        return f"{name[:40]!r}..., which has {len(name)} letters, expected at most {MAX_NAME}"
-    # isprintable() is also false for the halves of bytes that are not UTF-8.
-    return "" if name.isprintable() else f"{name[:40]!r}, which has letters that cannot be printed"
+        return f"{name[:40]!r}..., which has {len(name)} characters, expected at most {MAX_NAME}"
+    # isprintable() is also False for the surrogates of undecodable bytes.
+    return "" if name.isprintable() else f"{name[:40]!r}, which has unprintable characters"
 
 
 def read_labels(path: Path) -> dict[str, list[Segment]]:
     """Segments by file name as written in a label table, sorted by start.
 
     Raises:
-        DatasetError: naming the line, for missing columns, numbers that are none, or overlaps.
+        DatasetError: columns are missing, a value is invalid, or segments overlap; the message names the line.
     """
     text = read_text(path, "a label table", DatasetError)
     reader = csv.DictReader(text.splitlines())
@@ -148,7 +147,7 @@ def read_labels(path: Path) -> dict[str, list[Segment]]:
     try:
         missing = [name for name in REQUIRED_COLUMNS if name not in (reader.fieldnames or [])]
         if missing:
-            raise DatasetError(f"{path}:1: label table lacks the columns {', '.join(missing)}")
+            raise DatasetError(f"{path}:1: the label table lacks the columns {', '.join(missing)}")
         for row in reader:
             name = (row["file"] or "").strip()
             if not name:
@@ -174,7 +173,7 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
         if not word:
             return None
         try:
-            value = float(word.replace("_", "?"))  # Python would read 1_0 as ten
+            value = float(word.replace("_", "?"))  # Python would read 1_0 as 10
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
@@ -213,6 +212,6 @@ _SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}
 
 
 def mirrored_type(kind: str) -> str:
-    """The type a mirrored motion shows: jumping-l becomes jumping-r, walking stays walking."""
+    """The type of a mirrored motion: jumping-l becomes jumping-r, walking stays walking."""
     words = re.split(r"([\s_\-.]+)", kind)
     return "".join(_SIDES.get(word.lower(), word) for word in words)

@@ -1,10 +1,10 @@
-"""How far a performance has come: the phase of flips, strikes and jumps.
+"""The phase of flips, strikes and jumps.
 
-The paper has no such signal. A run can be told from its last poses; a cartwheel or a kick begins from
-standing, and when to begin is not in the poses. Its phase, from 0 at the beginning to 1 at the end, says
-so (docs/features.md). Two kinds of types have one. In types that turn the body over a labelled stretch is
-one performance. In types made of strikes or jumps each of these is one; a strike of the left goes through the
-first half of the phase, one of the right through the second, so that it also tells the side.
+The paper has no such signal. A run continues from its last poses, but a cartwheel or a kick begins from standing, and
+the poses do not say when. The phase does: it goes from 0 at the beginning to 1 at the end (docs/features.md). Two
+kinds of types have a phase. For types that turn the body over, each labelled stretch is one performance. For types
+made of strikes or jumps, each strike or jump is one. A left strike goes through the first half of the phase and a
+right one through the second, so the phase also gives the side.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from motionkit.features.layout import feature_layout
 from motionkit.motion.rotations import quat_rotate
 
 NO_PHASE = -1.0
-# A stretch turns over when the hips' up axis points this far below level at some frame.
+# A stretch turns over if the height of the hips' up axis falls below this in some frame.
 _INVERTED = -0.3
-# A type is made of an event if it takes this share of its frames, and comes in this share of its stretches.
+# A type is made of an event if the event covers this share of its frames and occurs in this share of its stretches.
 _COVER, _SHARE = 0.2, 0.5
-# Stretches this short (frames) with as many events on average are one performance each.
+# Stretches shorter than this (frames) with several events on average are one performance each.
 _SHORT, _SEVERAL = 180, 2.0
 
 
 @dataclass(frozen=True)
 class PhaseRule:
-    """What a type's phase follows: an event kind, or "" for whole stretches; frames is the length of a cycle."""
+    """The event that a type's phase follows, or "" for whole stretches, and the frames of a cycle."""
 
     event: str
     frames: float
@@ -45,7 +45,7 @@ class PhaseRule:
 
 
 def turns_over(features: Array, layout: str) -> bool:
-    """Whether the hips are upside down at some frame of features (T, 276), unnormalised."""
+    """Whether the hips are upside down in some frame of unnormalised features (T, 276)."""
     root = decode_rotations(features, None, layout)[:, 0]
     up = quat_rotate(root, np.array([0.0, 1.0, 0.0], np.float32))
     return bool((up[:, 1] < _INVERTED).any())
@@ -98,7 +98,7 @@ def _rule(stretches: list[_Stretch]) -> PhaseRule | None:
 
 
 def phase_track(features: Array, types: np.ndarray, rules: dict[int, PhaseRule], layout: str) -> np.ndarray:
-    """Progress (T,) in [0, 1) through the performances of a clip, NO_PHASE elsewhere."""
+    """Phase (T,) in [0, 1) of the performances of a clip, NO_PHASE elsewhere."""
     out = np.full(len(types), NO_PHASE, np.float32)
     for start, end, kind in type_stretches(types):
         rule = rules.get(kind)
@@ -108,7 +108,7 @@ def phase_track(features: Array, types: np.ndarray, rules: dict[int, PhaseRule],
             out[start:end] = np.arange(end - start, dtype=np.float32) / (end - start)
             continue
         for event in find_events(features[start:end], feature_layout(layout))[rule.event]:
-            # Where two overlap, the later one begins when it begins.
+            # If two overlap, the later one replaces the rest of the earlier one.
             progress = np.arange(event.end - event.start, dtype=np.float32) / (event.end - event.start)
             if rule.sided:
                 progress = 0.5 * progress + (0.5 if event.right else 0.0)
@@ -117,6 +117,6 @@ def phase_track(features: Array, types: np.ndarray, rules: dict[int, PhaseRule],
 
 
 def mirror_phases(phases: Array, sided: Array) -> Array:
-    """Phases (T,) of the mirror image: left and right change halves where sided (T,) is true."""
+    """Phases (T,) of the mirror image: where sided (T,), the halves for left and right are swapped."""
     other = np.where(phases < 0.5, phases + 0.5, phases - 0.5)
     return np.where(sided & (phases >= 0), other, phases)

@@ -1,7 +1,7 @@
-"""A folder of BVH files to a dataset folder, in two passes of constant memory.
+"""Folders of BVH files to a dataset folder, in two passes of constant memory.
 
-Pass one reads, maps, cleans and resamples each file and gathers the mean rotation of every joint. Pass
-two encodes against those means and writes the arrays. Both spread over processes by file.
+The first pass reads, retargets, cleans and resamples each file and computes the mean rotation of every joint. The
+second pass encodes the files relative to these means and writes the arrays. Both distribute files over processes.
 """
 
 from __future__ import annotations
@@ -46,12 +46,12 @@ from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skel
 
 FPS = 60.0
 MIN_CLIP_FRAMES = 16
-TEST_SHARE = 0.15  # of the clips of a type, where the labels do not say
+TEST_SHARE = 0.15  # of the clips of a type, if the labels have no split
 
 
 @dataclass(frozen=True)
 class PreprocessOptions:
-    """What a user can choose; see the command's help."""
+    """The options of preprocess; the command's help describes them."""
 
     labels: Path | None = None
     fps: float | None = None
@@ -66,7 +66,7 @@ class PreprocessOptions:
 
 @dataclass
 class FileReport:
-    """What became of one file; skipped says why it was not used, fault whether the file is to blame."""
+    """The result for one file; skipped is why it was not used, fault whether the file is invalid."""
 
     name: str
     clips: int = 0
@@ -81,7 +81,7 @@ class FileReport:
 
 @dataclass
 class PreprocessReport:
-    """What preprocess() did, for printing; notes tell what a run that was broken off had left."""
+    """The result of preprocess(); notes are about leftovers of an interrupted run."""
 
     folder: Path
     labels: Path | None
@@ -94,9 +94,9 @@ class PreprocessReport:
 
 @dataclass(frozen=True, eq=False)
 class _Prepared:
-    """Pass one's result for a file: arrays on disk, small facts in hand.
+    """The first pass's result for a file; the arrays are in motion_file.
 
-    body is the skeleton the motion is on; own_body has the performer's own bone lengths.
+    body is the skeleton of the motion; own_body has the performer's bone lengths.
     """
 
     report: FileReport
@@ -115,27 +115,26 @@ def preprocess(
     options: PreprocessOptions | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> PreprocessReport:
-    """Make a dataset folder from BVH files; it appears whole or not at all.
+    """Make a dataset folder from BVH files, atomically.
 
     Args:
-        folders: folders (or files) to walk.
-        output: the dataset folder; an old dataset there is replaced, other files in it stay.
-        progress: called with a stage name, files done and files in all.
+        folders: folders (or files) to read.
+        output: dataset folder to write; an old dataset there is replaced, other files in it are kept.
+        options: the defaults if None.
+        progress: called with a stage name, the number of files done and of all files.
 
     Raises:
-        DatasetError: no usable file, one that lies in output, or, with strict, the first that cannot be used.
+        DatasetError: no file is usable, a file is inside output, or, with strict, a file is unusable.
     """
     options = options or PreprocessOptions()
     output = Path(output)
-    target = Path(os.path.realpath(output))  # a link stays a link
+    target = Path(os.path.realpath(output))  # write through a link, do not replace it
     if not may_replace(target):
-        raise DatasetError(f"{output}: exists and is not a dataset folder; choose another place")
+        raise DatasetError(f"{output}: exists and is not a dataset folder; choose another folder")
     sources, table = find_sources([Path(f) for f in folders], options.labels)
     for path in [*map(Path, folders), *(source.path for source in sources)]:
         if Path(os.path.realpath(path)).is_relative_to(target):
-            raise DatasetError(
-                f"{path}: lies in {output}, the dataset to be written; choose another place for it"
-            )
+            raise DatasetError(f"{path}: is inside the output folder {output}; choose another output folder")
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         with staging_folder(target) as (staging, notes):
@@ -152,19 +151,19 @@ def preprocess(
         raise DatasetError(f"{output}: cannot be written ({error.strerror or error})") from None
     except BrokenProcessPool:
         raise DatasetError(
-            f"{output}: a worker process was ended from outside (no memory left?); try fewer --jobs"
+            f"{output}: a worker process was killed (out of memory?); try fewer --jobs"
         ) from None
 
 
 def _write_manifest(path: Path, manifest: dict[str, Any]) -> None:
-    """The manifest on the disk; raises DatasetError where Dataset could not read it."""
+    """Write the manifest; raises DatasetError if Dataset could not read it."""
     try:
         text = json.dumps(manifest, allow_nan=False)
     except ValueError:
-        raise DatasetError(f"{path.name}: the data gives numbers that are not finite") from None
+        raise DatasetError(f"{path.name}: the data gives values that are not finite") from None
     if len(text) > MAX_TEXT_BYTES:
         raise DatasetError(
-            f"{path.name}: more than {MAX_TEXT_BYTES >> 20} MB of facts; make several datasets"
+            f"{path.name}: larger than {MAX_TEXT_BYTES >> 20} MB; make several smaller datasets"
         )
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(text)
@@ -178,13 +177,13 @@ def _drop_motions(prepared: list[_Prepared], staging: Path) -> None:
     (staging / MOTIONS).rmdir()
 
 
-# Below this many files for each, starting a process does not pay.
+# With fewer files per process, starting a process takes longer than it saves.
 _FILES_PER_PROCESS = 40
 
 
 @contextmanager
 def _processes(jobs: int, files: int) -> Iterator[Map]:
-    """A map over files, by one pool of processes for both passes where that pays."""
+    """A map over files; one pool of processes serves both passes if it is worth starting."""
     wanted = jobs if jobs > 0 else min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
     with worker_processes(wanted) as each:
         yield each
@@ -205,14 +204,14 @@ def _pass_one(
     prepared = []
     for done, result in enumerate(each(_prepare_file, items), 1):
         if options.strict and result.report.fault:
-            raise DatasetError(f"{result.report.skipped} (stopped: --strict)")
+            raise DatasetError(f"{result.report.skipped} (stopped by --strict)")
         prepared.append(result)
         if progress:
             progress("reading", done, len(items))
     if not any(p.runs for p in prepared):
         reasons = Counter(p.report.skipped for p in prepared)
         raise DatasetError(
-            f"none of the {len(prepared)} files can be used; most common: {reasons.most_common(1)[0][0]}"
+            f"none of the {len(prepared)} files is usable; most common reason: {reasons.most_common(1)[0][0]}"
         )
     return prepared
 
@@ -258,9 +257,9 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
 
 
 def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]) -> tuple:
-    """Stretches of 60 fps frames without a gap or a leap, each with its typed spans, split and subject.
+    """Stretches of 60 fps frames without gaps and leaps, each with its typed spans, split and subject.
 
-    Segments that touch stay together, so that real transitions are learnt from.
+    Adjacent segments stay together, so that the model learns from real transitions.
     """
     out: list[tuple[int, int, list[tuple[int, int, str]], str, str]] = []
     for segment in segments:
@@ -284,11 +283,11 @@ def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, le
 
 
 def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, int], str]:
-    """A split for each (file, run) that has none: whole clips held out, spread evenly over each type.
+    """Choose a split for each (file, run) without one; whole clips of each type are held out for testing.
 
-    A type with a single clip gets the value "mirror": the clip trains and its mirror image tests, or,
-    for every other such clip, the other way round (paper section 3). The mirror image of a one-sided
-    type shows another type, so its single clip trains.
+    A type with a single clip gets "mirror": the clip is for training and its mirror image for testing, or, for about
+    half of such clips, the reverse (paper section 3). The mirror image of a one-sided type has another type, so its
+    single clip is for training.
     """
     open_runs: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for i, item in enumerate(prepared):
@@ -395,7 +394,7 @@ def _pass_two(
 def _write_phases(
     phases: ArrayWriter, features: np.ndarray, types: np.ndarray, clips: list[Clip], layout: str
 ) -> dict[int, PhaseRule]:
-    """Write the phase column, clip after clip as the rows lie; the rule of each type that has a phase."""
+    """Write the phase column, clip by clip in row order; returns the rule of each type with a phase."""
     rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}.values()
 
     def shown() -> Iterator[tuple[Array, np.ndarray]]:
@@ -409,7 +408,7 @@ def _write_phases(
 
 
 def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
-    """The body (23, 3) of each performer the labels name, in cm, from the first of their files."""
+    """The body (23, 3) in cm of each performer named in the labels, from the performer's first file."""
     out: dict[str, list[list[float]]] = {}
     for item in prepared:
         for *_, subject in item.runs:
@@ -419,7 +418,7 @@ def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
 
 
 def _references(prepared: list[_Prepared]) -> Array:
-    """Mean rotation of each joint over the data and its mirror image, so that twins share reference_rotations."""
+    """Mean rotation of each joint over the data and its mirror image, so that twins have mirrored means."""
     moment = np.sum([p.moment for p in prepared if p.moment is not None], axis=0)
     flip = np.diag([1.0, 1.0, -1.0, -1.0])
     moment = moment + flip @ moment[list(MIRROR_JOINTS)] @ flip
@@ -430,7 +429,7 @@ def _references(prepared: list[_Prepared]) -> Array:
 
 @contextmanager
 def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
-    """A writer of each array of the dataset, so many rows long; none is left open."""
+    """A writer for each array of the dataset, with this many rows; all are closed at the end."""
     kinds: dict[str, tuple[tuple[int, ...], type]] = {
         "features": ((rows, FEATURE_COUNT), np.float32),
         "contacts": ((rows, 4), np.uint8),
@@ -451,12 +450,12 @@ def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
 def _encode_file(
     item: tuple[_Prepared, Array, str, bool],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Features, contacts and ground of each run, encoded within the whole recording: ends have real neighbours."""
+    """Features, contacts and ground of each run, encoded from the whole recording so that ends have neighbours."""
     prepared, reference_rotations, layout, smoothed = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = arrays["rotations"], arrays["root"]
     for start, end, *_ in prepared.runs if smoothed else ():
-        # Run by run: what was cut out between them must not leak in.
+        # Run by run, so that frames cut out between runs have no effect.
         rotations[start:end] = smooth_rotations(rotations[start:end])
         root[start:end] = smooth(root[start:end])
     skeleton = canonical_skeleton(np.array(prepared.body, np.float32))
@@ -474,7 +473,7 @@ def _encode_file(
 def _with_twin(
     clip: Clip, spans: Sequence[tuple[int, int, str]], types: Sequence[str], mirror: bool
 ) -> list[Clip]:
-    """The clip and its mirrored twin, where it has one."""
+    """The clip and, if it has one, its mirrored twin."""
     base = asdict(clip)
     twin = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
     if clip.split == "mirror":
@@ -482,7 +481,7 @@ def _with_twin(
         if hashlib.sha256(clip.name.encode("utf-8", "surrogateescape")).digest()[0] % 2:
             trains, tests = {**twin, "split": "train"}, {**base, "split": "test"}
         return [Clip(**trains), Clip(**tests)]
-    # A one-sided type whose other side the data does not know has no honest label for its mirror image.
+    # The mirror image of a one-sided type has no correct label if the data lacks the other side.
     known = all(mirrored_type(kind) in types for _, _, kind in spans)
     if clip.split == "train" and mirror and known:
         return [clip, Clip(**twin)]
@@ -524,12 +523,12 @@ def _plain(scaling: Scaling) -> dict[str, list[float]]:
 def _type_table(
     clips: list[Clip], types_array: np.ndarray, types: Sequence[str]
 ) -> dict[str, dict[str, float]]:
-    """For each type: clips, twins, test clips, and seconds of recorded motion in train and test."""
+    """For each type: number of clips, mirrored clips and test clips, and seconds of recordings in train and test."""
     table = {
         k: {"clips": 0, "mirrored": 0, "test_clips": 0, "train_seconds": 0.0, "test_seconds": 0.0}
         for k in types
     }
-    trained: set[int] = set()  # rows of clips counted: a clip and its twin show the same recording
+    trained: set[int] = set()  # first rows of counted clips: a clip and its twin are one recording
     for clip in clips:
         counted = clip.start in trained
         if clip.split == "train":

@@ -1,9 +1,9 @@
-"""Takes the trembling of markers out of recorded rotations.
+"""Filters marker jitter out of recorded rotations.
 
-Optical capture solves joints that hardly move from markers that tremble: in CMU walking the steps of spine,
-toes and shoulders from one frame to the next are more noise than movement. A network cannot predict it, and
-what it learns instead is to damp all movement. The filter is that of Savitzky and Golay (1964): a cubic fitted
-to 9 frames, which keeps what is slower than about 7 Hz at 60 fps.
+Optical capture solves joints from noisy markers: in CMU walking, the changes of spine, toes and shoulders from frame
+to frame are more noise than movement. A network cannot predict noise and learns to damp all movement instead. The
+filter is that of Savitzky and Golay (1964): a cubic fitted to 9 frames, which passes frequencies below about 7 Hz at
+60 fps.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ DEGREE = 3
 
 @lru_cache
 def _kernel() -> Array:
-    """Weights (WINDOW,) that give the fitted cubic's value in the middle."""
+    """Weights (WINDOW,) that give the value of the fitted cubic in the middle."""
     place = np.arange(WINDOW, dtype=np.float64) - WINDOW // 2
     powers = place[:, None] ** np.arange(DEGREE + 1, dtype=np.float64)
     return np.linalg.pinv(powers)[0]
 
 
 def smooth(values: Array) -> Array:
-    """Values (T, ...) filtered over time; beyond the ends they go on mirrored through the end values.
+    """Filter values (T, ...) over time; beyond the ends they are continued by point reflection.
 
-    Fewer frames than half a window come back as they are.
+    Sequences shorter than half a window are returned unchanged.
     """
     half = WINDOW // 2
     frames = len(values)
@@ -46,5 +46,5 @@ def smooth(values: Array) -> Array:
 
 
 def smooth_rotations(rotations: Array) -> Array:
-    """Rotations (T, ..., 4) filtered as the four numbers they are, and made unit again."""
+    """Filter rotations (T, ..., 4) by component and normalise them again."""
     return normalized(smooth(quat_continuous(rotations)))

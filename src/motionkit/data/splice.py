@@ -1,8 +1,8 @@
-"""Transitions no recording holds: the end of one clip joined to the start of another.
+"""Makes transitions that no recording contains, by joining the end of one clip to the start of another.
 
-The join is made where the two poses are closest; the second clip is moved and turned so that its root
-goes on where the first one's was, and what differs in pose and velocity at the join dies away over
-the following frames (inertialisation, after Bollo 2018).
+The clips are joined where their poses are closest. The second clip is moved and turned so that its root continues from
+the first one's. The differences in pose and velocity at the join decay over the following frames (inertialization,
+Bollo 2018).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from motionkit.motion.rotations import (
 
 TAIL = 64  # frames kept of the first clip before the join
 HEAD = 150  # frames kept of the second clip after it
-SEARCH = 24  # frames at the end of the first and the start of the second in which the join is sought
+SEARCH = 24  # frames at the end of the first and the start of the second clip that are searched for the join
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,12 +52,12 @@ def splice_clips(
     decay: int,
     pick: Callable[[int], int],
 ) -> ClipData:
-    """The end of one stretch joined to the start of another, as a clip of its own.
+    """Join the end of one stretch to the start of another.
 
     Args:
         first, second: (clip, start, end) stretches of one type each.
-        decay: frames over which the difference at the join dies away.
-        pick: a random number below the one given; picks among the best joins.
+        decay: frames over which the difference at the join decays.
+        pick: returns a random number below its argument; selects one of the best joins.
     """
     clip, start, end = first
     a = _piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
@@ -77,7 +77,7 @@ def splice_clips(
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
     types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
     phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
-    # The reference is not blended: it is to be the one that is asked for, not the one that can be obeyed at once.
+    # The reference is not blended: it is the request, not what the body can follow at once.
     reference = np.concatenate([a.reference[a_start : i + 1], b.reference[j + 1 : b_end]])
     return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
 
@@ -109,14 +109,14 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
 
 
 def _best_join(a: _Piece, b: _Piece, pick: Callable[[int], int]) -> tuple[int, int]:
-    """Frames (i of a, j of b) with near poses and velocities: one of the three best pairs."""
+    """Frames (i of a, j of b) with similar poses and velocities: one of the three best pairs."""
     ends = (
         np.arange(max(8, len(a.motion) - SEARCH), len(a.motion) - 2)
         if len(a.motion) > 12
         else np.array([len(a.motion) - 2])
     )
     starts = np.arange(1, max(2, min(SEARCH, len(b.motion) - 8)))
-    # Velocities count as the distance they cover in a tenth of a second.
+    # Velocities are weighted by the distance they cover in a tenth of a second.
     before, after = (
         np.concatenate([piece.positions[frames], 0.1 * piece.velocities[frames]], axis=1).reshape(
             len(frames), -1
@@ -130,7 +130,7 @@ def _best_join(a: _Piece, b: _Piece, pick: Callable[[int], int]) -> tuple[int, i
 
 
 def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Array, Array]:
-    """Frames j + 1 onwards of b, carried on from frame i of a: rotations (T, 23, 4), root positions (T, 3)."""
+    """Frames j + 1 onwards of b, continuing frame i of a: rotations (T, 23, 4), root positions (T, 3)."""
     turn = a.ground[i, 2] - b.ground[j, 2]
     yaw = quat_from_yaw(turn)
     rotations = b.motion.local_rotations.copy()
@@ -157,7 +157,7 @@ def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Array, Arra
 
 
 def _decay_curves(time: Array, decay: float) -> tuple[Array, Array]:
-    """Weights of the offset and of the velocity difference (T,): one at the join, gone with both slopes after decay."""
+    """Weights (T,) of the offset and velocity difference; they and their slopes reach zero after decay frames."""
     x = np.minimum(time / decay, 1.0)
     offset = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     velocity = decay * (x - x**3 * (6.0 - 8.0 * x + 3.0 * x**2))

@@ -1,4 +1,4 @@
-"""Processes that share work by item, and end with the process that started them, however it ends."""
+"""Worker processes that end with the process that started them, even if it is killed."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Map = Callable[[Callable, list], Iterator]
 
 @contextmanager
 def worker_processes(count: int) -> Iterator[Map]:
-    """A map over items by so many processes; in this process for one.
+    """A map over items with this many processes; a count of one works in this process.
 
-    When the block is left by a fault or Ctrl-C, or this process dies, the others end at once, whatever they do.
+    If the block is left by an error or Ctrl-C, or this process dies, the workers end at once.
     """
     if count <= 1:
         yield map
@@ -42,12 +42,12 @@ def worker_processes(count: int) -> Iterator[Map]:
             yield each
         except BaseException:
             for process in started:
-                process.kill()  # also those that still import, and hear nothing
+                process.kill()  # even workers that are still importing and ignore signals
             raise
 
 
 def _results(waiting: deque[Future]) -> Iterator:
-    """In order, none kept longer than asked for; pool.map cancels those left over, over which pools that end fall."""
+    """Results in order, each released once it is taken; pool.map would cancel the rest, which breaks a closing pool."""
     while waiting:
         yield waiting.popleft().result()
 
@@ -58,7 +58,7 @@ def _begin_worker(parent: Connection) -> None:
 
 
 def _end_with(parent: Connection) -> None:
-    """Wait for the end of a pipe that only the parent can write to."""
+    """End this process when the pipe from its parent closes."""
     with suppress(EOFError, OSError):
         parent.recv_bytes()
     os._exit(1)
@@ -66,7 +66,7 @@ def _end_with(parent: Connection) -> None:
 
 @contextmanager
 def _ctrl_c_held() -> Iterator[None]:
-    """Hold Ctrl-C back; processes started meanwhile never get it, not even while they import."""
+    """Block Ctrl-C; processes started meanwhile never receive it, not even while they import."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return
