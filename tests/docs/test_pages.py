@@ -77,3 +77,16 @@ def test_rooms_import_from_rooms_above_them() -> None:
             assert not below, f"{room}/{path.name} imports from {', '.join(below)}"
     above = {path.stem for path in SOURCE.glob("*.py")}
     assert not {"cli", *order} & above
+
+
+def test_contributing_names_what_exists() -> None:
+    text = (ROOT / "CONTRIBUTING.md").read_text("utf-8")
+    code = "\n".join(
+        path.read_text("utf-8") for room in (SOURCE, ROOT / "tests") for path in room.rglob("*.py")
+    )
+    for name in set(re.findall(r"`([^`\s]+)`", text)):
+        if "/" in name:
+            places = (ROOT / name, SOURCE / name)
+            assert any(place.exists() for place in places), f"CONTRIBUTING.md: no {name}"
+        elif re.fullmatch(r"[A-Za-z_]\w+", name):
+            assert re.search(rf"\b{name}\b", code), f"CONTRIBUTING.md: nothing is called {name}"
