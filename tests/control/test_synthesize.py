@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from model_changes import with_preset
-from motionkit.arrays import Array
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, on_character, synthesize
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.features.decode import decode_motion
-from motionkit.inference.rollout import FrameControls, Noise, RolloutState, run, start_batch
+from motionkit.inference.rollout import FrameControls, Noise, RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.models.model import MotionModel
@@ -106,29 +105,6 @@ def test_several_at_once_differ_and_each_equals_its_own_stream(tiny_model: Motio
     motions = made(tiny_model, count=3)
     assert len(motions) == 3
     assert not same(motions[0], motions[1]) and not same(motions[1], motions[2])
-
-
-def test_characters_in_a_batch_do_not_touch_each_other(tiny_model: MotionModel) -> None:
-    seeds = [tiny_model.types[kind].start_poses[0] for kind in ("walking", "idle")]
-    features, contacts = start_batch(seeds)
-    weights = np.eye(len(tiny_model.types), dtype=np.float32)[
-        [tiny_model.type_id("walking"), tiny_model.type_id("idle")]
-    ]
-    none = np.zeros((2, 24), np.float32)
-
-    def rollout(rows: slice) -> Array:
-        count = len(features[rows])
-        state = RolloutState(tiny_model, count, Noise("mean"))
-        state.start(features[rows], contacts[rows], weights[rows])
-        asked = replace(
-            FrameControls(
-                weights[rows], none[:count], np.zeros(count, np.float32), np.full((count,), -1.0, np.float32)
-            )
-        )
-        return run(state, 20, lambda frame, ground: asked).features
-
-    together, alone = rollout(slice(0, 2)), rollout(slice(1, 2))
-    assert np.allclose(together[1:2], alone, rtol=1e-4, atol=1e-3)
 
 
 def test_another_rate(tiny_model: MotionModel) -> None:

@@ -36,15 +36,13 @@ def asked(model: MotionModel, count: int, frame: int) -> FrameControls:
     )
 
 
-@pytest.mark.parametrize(
-    ("noise", "ik"), [(Noise("mean"), False), (Noise(), True), (Noise("sample", 0.3), True)], ids=str
-)
-def test_hundreds_of_frames_in_closed_loop(noise: Noise, ik: bool) -> None:
+@pytest.mark.parametrize("noise", [Noise(), Noise("sample", 0.3)], ids=str)
+def test_feet_are_locked_alike_in_closed_loop(noise: Noise) -> None:
     bundled = load_bundled_model()
     tall = {**bundled.characters, "tall": 1.2 * bundled.characters["default"]}
     model = replace(bundled, characters=tall)
     ours, theirs = (
-        CharacterStream(model, 3, noise, 3, ik, ("default", "tall"), compiled=compiled)
+        CharacterStream(model, 3, noise, 3, True, ("default", "tall"), compiled=compiled)
         for compiled in (True, False)
     )
     apart, locked = [], 0
@@ -60,9 +58,6 @@ def test_hundreds_of_frames_in_closed_loop(noise: Noise, ik: bool) -> None:
             assert np.array_equal(ours.feet.locked, theirs.feet.locked)
             locked += int(ours.feet.locked.sum())
     distances = np.stack(apart)
-    if not ik:
-        assert distances.max() < CLOSE
-        return
     # Where a leg is stretched out flat, the height of its hip is a root of nearly zero, which keeps few digits.
     assert (distances < CLOSE).astype(np.float32).mean() > 0.85 and distances.max() < 2e-2
     assert locked > 50, "feet were locked"

@@ -126,14 +126,6 @@ def test_grip_keeps_feet_where_they_stand(compiled: bool) -> None:
     assert firm < half < loose and firm < 0.6 * loose
 
 
-def test_with_and_without_the_kernel_feet_hold_alike() -> None:
-    model = load_bundled_model()
-    for mine, its in zip(
-        *(standing_walk(model, 0.7, compiled, 30.0) for compiled in (True, False)), strict=True
-    ):
-        assert np.allclose(mine, its, atol=1e-3)
-
-
 def body_on_the_ground(seed: int) -> tuple[Array, Array, Array, Array]:
     """Four foot joints (1, 4, 3), 20 cm apart, some low and some high, and any turn (1,) and step (1, 2)."""
     random = np.random.default_rng(seed)

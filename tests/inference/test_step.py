@@ -68,26 +68,11 @@ def test_steps_equal_the_batch_forward(
     assert largest_difference(make_network(preset(name)), make_inputs(1, frames), way) < TOLERANCE[way]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("name", PACKED)
-def test_a_thousand_steps_equal_the_batch_forward(
-    make_network: Callable, make_inputs: Callable, name: str, way: str
-) -> None:
-    assert largest_difference(make_network(preset(name)), make_inputs(1, 1000), way) < TOLERANCE[way]
-
-
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("change", VARIANTS, ids=lambda change: "-".join(map(str, change)))
 def test_variants(make_network: Callable, make_inputs: Callable, change: dict, way: str) -> None:
     network = make_network(replace(preset("tiny"), **change))
     assert largest_difference(network, make_inputs(3, 40), way) < TOLERANCE[way]
-
-
-@pytest.mark.parametrize("way", WAYS)
-@pytest.mark.parametrize("batch", [5, 16, 37])
-def test_crowds(make_network: Callable, make_inputs: Callable, batch: int, way: str) -> None:
-    assert largest_difference(make_network(preset("tiny")), make_inputs(batch, 20), way) < TOLERANCE[way]
 
 
 @pytest.mark.parametrize("way", WAYS)

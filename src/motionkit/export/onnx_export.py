@@ -21,7 +21,7 @@ import numpy as np
 from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, plan_signals
+from motionkit.control.script import TypePart, plan_signals, plan_weights
 from motionkit.errors import ModelError, MotionkitError, OverwriteError
 from motionkit.export.onnx_body import write_body
 from motionkit.export.onnx_graph import Graph
@@ -34,7 +34,7 @@ from motionkit.inference.character import model_first_type
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import FrameControls, Noise, RolloutState
-from motionkit.inference.start import type_start
+from motionkit.inference.start import Start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
@@ -342,52 +342,89 @@ class OnnxStep:
         return made
 
 
-def check_export(
-    model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int = 600
-) -> ExportCheck:
-    """Run the graph and motionkit in closed loop, from the same start with the same controls, and compare them.
+def every_control(model: MotionModel, frames: int) -> list[FrameControls]:
+    """Controls of one character in which each control changes: what ways of making a frame are compared on.
 
-    Raises ModelError if the model does not move in motionkit either.
+    Up to four types blend into each other: the first, one with a gait, a performance, one with references. Their
+    recordings give references and phases; trajectories, references and the root-slip correction come and go.
     """
-    kind = model_first_type(model)
-    start = type_start(model, kind, 1)
-    weights = np.zeros((1, len(model.types)), np.float32)
-    weights[0, model.type_id(kind)] = 1.0
-    state = RolloutState(model, 1, Noise("mean"))
-    state.network = NetworkStep(pack(model.network), 1)
-    state.start(start.features, start.contacts, weights)
-    graph = OnnxStep(graph_file)
-    graph.values["type_weights"][:] = weights
-    graph.values["phase"][:], graph.values["slip_correction"][:] = -1.0, 1.0
+    first = model_first_type(model)
+    others = {name: kind for name, kind in model.types.items() if name != first}
+    gaits = [name for name, kind in others.items() if kind.steered]
+    performances = [name for name, kind in others.items() if kind.performed]
+    free = [n for n, kind in others.items() if kind.reference_clips and not (kind.steered or kind.performed)]
+    kinds = list(dict.fromkeys([first, *gaits[:1], *performances[:1], *free[:1]]))
+    parts = [TypePart(kind, frames / len(kinds) / model.fps) for kind in kinds]
+    near = last_poses(model, type_start(model, first).features[0])
+    played, weights = plan_signals(model, parts, near), plan_weights(model, parts)
+    steps = np.array(TRAJECTORY_OFFSETS, np.float32) / model.fps
+    out = []
+    for frame in range(frames):
+        now = slice(min(frame, len(weights) - 1), min(frame, len(weights) - 1) + 1)
+        # Where a performance asks for no trajectory of its own: in turns none, and a slow curve.
+        angle = 0.5 * np.sin(frame / 40.0)
+        forward = np.array([np.sin(angle), np.cos(angle)], np.float32)
+        curve = np.concatenate([np.outer(100.0 * steps, forward).ravel(), np.tile(forward, len(steps))])[None]
+        mask = np.maximum(played.trajectory_mask[now], np.float32(frame // 45 % 2))
+        trajectory = np.where(played.trajectory_mask[now, None] > 0, played.trajectory[now], curve)
+        slip = np.full(1, (1.0, 0.5, 0.0)[frame // 30 % 3], np.float32)
+        gain = played.reference_gain[now] * np.float32(frame % 100 < 80)
+        signals = (played.phase[now], played.reference[now], gain, slip)
+        out.append(FrameControls(weights[now], trajectory.astype(np.float32), mask, *signals))
+    return out
+
+
+def set_controls(graph: OnnxStep, asked: FrameControls, noise: Array) -> None:
+    """Give a graph the controls of one character, and noise (1, 276)."""
+    nothing, all_of_it = np.zeros(1, np.float32), np.ones(1, np.float32)
+    reference = 0.0 if asked.reference is None else asked.reference
+    gain = nothing if asked.reference_gain is None else asked.reference_gain
+    slip = all_of_it if asked.slip_correction is None else asked.slip_correction
+    graph.values["type_weights"][:], graph.values["trajectory"][:] = asked.type_weights, asked.trajectory
+    graph.values["trajectory_mask"][:], graph.values["phase"][:] = asked.trajectory_mask, asked.phase
+    graph.values["reference"][:], graph.values["reference_gain"][:] = reference, gain
+    graph.values["slip_correction"][:], graph.values["noise"][:] = slip, noise
+
+
+def _start_graph(graph: OnnxStep, model: MotionModel, start: Start, type_weights: Array) -> None:
+    """Prime a graph with the frames of a start, as RolloutState.start does."""
+    graph.values["type_weights"][:], graph.values["phase"][:] = type_weights, -1.0
     x = model.scaling.normalize(start.features)
     for t in range(x.shape[1]):
         graph.values["pose"][:], graph.values["contacts"][:] = x[:, t], start.contacts[:, t]
         if t + 1 < x.shape[1]:
             graph.step()
     graph.values["ground"][:] = graph.values["rise"][:] = 0.0
+
+
+def check_export(
+    model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int = 600
+) -> ExportCheck:
+    """Run the graph and motionkit in closed loop, from the same start with the same noise and every control.
+
+    Raises ModelError if the model does not move in motionkit either.
+    """
+    kind = model_first_type(model)
+    start = type_start(model, kind)
+    script = every_control(model, frames)
+    state = RolloutState(model, 1, Noise(), compiled=False)
+    state.network = NetworkStep(pack(model.network), 1)
+    state.start(start.features, start.contacts, script[0].type_weights)
+    graph = OnnxStep(graph_file)
+    _start_graph(graph, model, start, script[0].type_weights)
     decoder = PoseDecoder(model.config.layout, model.reference_rotations)
     skeleton = model.character(character)
     share = np.array([leg_length(skeleton) / leg_length(model.character("default"))], np.float32)
     body = BodyKinematics(skeleton.offsets[None])
     height_correction = HeightCorrection(model.config.layout, 1)
-    near = last_poses(model, start.features[0])
-    played = plan_signals(model, [TypePart(kind, frames / model.fps)], near)
-    trajectory, trajectory_mask = np.zeros((1, TRAJECTORY_COUNT), np.float32), np.zeros(1, np.float32)
-    no_phase = np.full(1, -1.0, np.float32)
     apart, features = np.zeros(frames), np.zeros(frames)
-    for frame in range(frames):
-        reference, reference_gain = (
-            played.reference[frame : frame + 1],
-            played.reference_gain[frame : frame + 1],
-        )
-        graph.values["reference"][:], graph.values["reference_gain"][:] = reference, reference_gain[:, None]
-        ours, _, ground = state.step(
-            FrameControls(weights, trajectory, trajectory_mask, no_phase, reference, reference_gain)
-        )
+    for frame, asked in enumerate(script):
+        ours, _, ground = state.step(asked)
         rotations, root = decoder.decode(ours, ground)
         root *= share
         world = body.forward(rotations, root)
         height_correction.apply(ours, root, world, share)
+        set_controls(graph, asked, state.drawn_noise)
         made = graph.step()
         apart[frame] = np.linalg.norm(made["positions"] - world[..., :3, 3], axis=-1).max()
         features[frame] = np.abs(made["present_pose"] - state.normalised).max()

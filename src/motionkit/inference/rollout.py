@@ -176,6 +176,13 @@ class RolloutState:
         """The current frame (B, 276), normalised; changed by the next step."""
         return self._x
 
+    @property
+    def drawn_noise(self) -> Floats:
+        """The noise in the current frame (B, 276), in standard deviations of the predicted Gaussians."""
+        if self.noise.kind == "mean":
+            return np.zeros_like(self._x)
+        return self._smooth_noise * np.float32(self.noise.temperature) * np.exp(self._log_share)
+
     def set_skeletons(self, skeletons: list[Skeleton]) -> None:
         """The skeleton control signal of each character."""
         self._controls[:, self._layout.skeleton] = np.stack([skeleton_signal(s) for s in skeletons])
