@@ -183,8 +183,9 @@ def test_views(tmp_path: Path) -> None:
 def test_training_without_torch_says_what_to_install() -> None:
     code = (
         "import sys; sys.modules['torch'] = None\nimport motionkit as mk\n"
-        "try: mk.train_options\n"
-        "except mk.MotionkitError as error: print(error)\n"
+        "for ask in (lambda: mk.train_options, lambda: mk.train('dataset')):\n"
+        "    try: ask()\n"
+        "    except mk.MotionkitError as error: print(error)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
-    assert done.stdout == "training needs torch: pip install 'motionkit[train]'\n", done.stderr
+    assert done.stdout == 2 * "training needs torch: pip install 'motionkit[train]'\n", done.stderr
