@@ -24,7 +24,7 @@ from motionkit.motion.skeleton import canonical_skeleton
 
 
 def generated_file(frames: int) -> BvhFile:
-    """A canonical body that swings its joints."""
+    """Return the motion of a canonical body whose joints swing."""
     skeleton = canonical_skeleton()
     time = np.arange(frames, dtype=np.float64)[:, None, None] / 60.0
     phase = np.arange(len(skeleton) * 3, dtype=np.float64).reshape(1, -1, 3)
@@ -35,12 +35,12 @@ def generated_file(frames: int) -> BvhFile:
 
 
 def with_frames(bvh: BvhFile, frames: int) -> BvhFile:
-    """The file's frames over and over, or cut, to a number of frames."""
+    """Repeat or cut the file's frames to a number of frames."""
     return replace(bvh, values=bvh.values[np.arange(frames) % len(bvh.values)])
 
 
 def chosen_file(path: Path | None, frames: int | None, folder: Path) -> Path:
-    """The file to read; a made one goes to folder."""
+    """Return the file to read; a generated one is written to folder."""
     if path is None:
         path = max(SAMPLE_FOLDER.glob("*.bvh"), key=lambda p: p.stat().st_size, default=None)
     if path is not None and frames is None:
@@ -54,7 +54,7 @@ def chosen_file(path: Path | None, frames: int | None, folder: Path) -> Path:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("file", nargs="?", type=Path, help="the BVH file to read")
-    parser.add_argument("--frames", type=int, help="repeat or cut the file to so many frames")
+    parser.add_argument("--frames", type=int, help="repeat or cut the file to this many frames")
     parser.add_argument("--repeats", type=int, default=5)
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
@@ -72,7 +72,7 @@ def main() -> None:
     title = (
         f"{path.name}: {len(bvh.values)} frames, {len(bvh.skeleton)} joints, {bvh.values.shape[1]} channels"
     )
-    print_table(title, ["reader", "ms (median)", "times as fast"], rows)
+    print_table(title, ["reader", "ms (median)", "speed-up"], rows)
     print(
         f"ratio: {seconds[0] / mine:.1f} against readAsHierarchy, {seconds[1] / mine:.1f} against readAsBvh"
     )

@@ -1,4 +1,4 @@
-"""What the benchmarks share: timing, a plain table, one line about the machine."""
+"""Helpers of the benchmarks: timing, a plain table, a line about the machine."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SAMPLE_FOLDER = Path(__file__).resolve().parent.parent / "examples" / "data"
 
 
 def time_calls(function: Callable[[], object], repeats: int, warm_up: int = 1) -> list[float]:
-    """Seconds of each of the repeats, after some calls that do not count."""
+    """Return the seconds of each repeat, after some warm-up calls."""
     for _ in range(warm_up):
         function()
     seconds = []
@@ -27,7 +27,7 @@ def time_calls(function: Callable[[], object], repeats: int, warm_up: int = 1) -
 
 
 def time_in_turn(functions: Sequence[Callable[[], object]], repeats: int) -> list[float]:
-    """Median seconds of each function, called in turn so that a slow spell of the machine hits them all."""
+    """Return the median seconds of each function; they run in turn, so that slow phases of the machine affect all."""
     for function in functions:
         function()
     rounds = [[time_calls(function, 1, 0)[0] for function in functions] for _ in range(repeats)]
@@ -35,13 +35,13 @@ def time_in_turn(functions: Sequence[Callable[[], object]], repeats: int) -> lis
 
 
 def percentiles(seconds: Sequence[float]) -> tuple[float, float, float]:
-    """The 50th, 95th and 99th percentile."""
+    """Return the 50th, 95th and 99th percentile."""
     p50, p95, p99 = np.percentile(seconds, [50, 95, 99])
     return float(p50), float(p95), float(p99)
 
 
 def machine_line() -> str:
-    """Processor, cores and versions, to be read beside every figure."""
+    """Return processor, cores and versions, for a line below every table."""
     return (
         f"{processor_name()}, {os.cpu_count()} cores, "
         f"Python {platform.python_version()}, numpy {np.__version__}"
@@ -49,7 +49,7 @@ def machine_line() -> str:
 
 
 def processor_name() -> str:
-    """The processor's name, where the system tells it."""
+    """Return the processor's name, if the system gives it."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -59,7 +59,7 @@ def processor_name() -> str:
 
 
 def print_table(title: str, header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table on stdout, the first column to the left, and the machine under it."""
+    """Print a table, with the first column aligned left, and the machine below it."""
     widths = [max(len(row[i]) for row in (header, *rows)) for i in range(len(header))]
     print(title)
     for row in (header, *rows):

@@ -1,4 +1,4 @@
-"""Motion of the ONNX graph with weights of 32 and of 8 bits, each on its own output: does it stay as good?
+"""Motion of the ONNX graph in closed loop with 32-bit and 8-bit weights: is it equally good?
 
     python benchmarks/engine_weights.py [--model FILE] [--seconds 20]
 
@@ -30,11 +30,11 @@ from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.bundled import open_model
 from motionkit.models.model import MotionModel
 
-ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead, None: as recorded
+ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead; None: as recorded
 
 
 def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Signals:
-    """What is asked for, frame by frame."""
+    """The controls of each frame."""
     seen = type_start(model, kind, 1).features[0]
     recorded = plan_signals(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
     if speed is None:
@@ -48,7 +48,7 @@ def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> 
 
 
 def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
-    """Joint positions (T, 23, 3) in cm of the graph on its own output."""
+    """Return joint positions (T, 23, 3) in cm of the graph in closed loop."""
     graph = OnnxStep(path)
     start = type_start(model, kind, 1)
     graph.values["type_weights"][0, model.type_id(kind)] = 1.0
@@ -74,7 +74,7 @@ def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
 
 
 def measures(positions: Array, fps: float) -> list[str]:
-    """Speed, sliding, heights, jerk."""
+    """Return speed, foot sliding, heights and jerk, formatted."""
     feet = foot_positions(positions)
     heights = positions[..., 1]
     return [
@@ -90,7 +90,7 @@ def measures(positions: Array, fps: float) -> list[str]:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
-    parser.add_argument("--seconds", type=float, default=20.0, help="of each type")
+    parser.add_argument("--seconds", type=float, default=20.0, help="seconds of each type")
     arguments = parser.parse_args()
     model = open_model(arguments.model)
     rows = []
@@ -111,7 +111,7 @@ def main() -> None:
         "highest cm",
         "jerk m/s^3",
     ]
-    print_table("motion of the graph on its own output", header, rows)
+    print_table("motion of the graph in closed loop", header, rows)
 
 
 if __name__ == "__main__":

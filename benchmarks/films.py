@@ -1,4 +1,4 @@
-"""How long GIFs and films of one to six figures take, against the length of the motion.
+"""Time to write GIFs and films of one to six figures, relative to the length of the motion.
 
     python benchmarks/films.py [--width 480] [--figures 1 3 6]
 
@@ -40,7 +40,7 @@ def main() -> None:
                 clips = shown_clips(count)
                 write_film(Path(folder) / f"film.{ending}", clips, arguments.width)
                 wall, now = time.perf_counter() - began, os.times()
-                cpu = sum(now[:4]) - sum(used[:4])  # of ffmpeg as well
+                cpu = sum(now[:4]) - sum(used[:4])  # includes ffmpeg
                 length = max(len(clip.motion) / clip.motion.fps for clip in clips)
                 rows.append(
                     [
@@ -57,7 +57,7 @@ def main() -> None:
 
 
 def shown_clips(count: int) -> list[Shown]:
-    """The first sample clips, read anew."""
+    """Read the first sample clips again."""
     return [
         Shown(name, bvh_to_motion(read_bvh(SAMPLE_FOLDER / f"{name}.bvh")))
         for name in (CLIPS[n % len(CLIPS)] for n in range(count))

@@ -1,4 +1,4 @@
-"""`motionkit play` as a user feels it: the step, a key to its first frame on loopback, and a key to obedience.
+"""Latency of `motionkit play`: the step, a key to its first frame on loopback, and a key to the response.
 
     python benchmarks/live.py [--model FILE] [--presses 60] [--repeats 2] [--characters 1 4 8] [--no-browser]
 
@@ -47,18 +47,18 @@ MOST_DELAY_MS, MOST_RESPONSE_SECONDS = 50.0, 0.5
 WARM_UP = 60  # frames
 PATIENCE = 60.0  # seconds
 PAGE_SIZE = {"width": 1280, "height": 720}
-DRAWN_SECONDS = 5.0  # for which pictures are counted
+DRAWN_SECONDS = 5.0  # for which drawn frames are counted
 SOFTWARE = [
     "--no-sandbox",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist",
 ]
-AT_ONCE = 4  # characters that are given commands together
+AT_ONCE = 4  # characters that get commands at the same time
 
 
 class Client:
-    """A TCP client whose thread notes when each frame came."""
+    """A TCP client whose thread records when each frame arrives."""
 
     def __init__(self, port: int) -> None:
         self.socket = socket.create_connection(("127.0.0.1", port))
@@ -84,7 +84,7 @@ class Client:
             pass
 
     def ask(self, **request: Any) -> float:
-        """Send a request; answers when."""
+        """Send a request and return the time."""
         data = json.dumps(request).encode() + b"\n"
         now = time.perf_counter()
         self.socket.sendall(data)
@@ -98,7 +98,7 @@ class Client:
         )
 
     def first_frame(self, seq: int) -> float:
-        """When the first frame came that obeys a request."""
+        """Return when the first frame arrived that includes a request."""
         with self.arrived:
             while not (self.frames and self.frames[-1][1]["characters"][0]["seq"] == seq):
                 if not self.arrived.wait(PATIENCE):
@@ -106,7 +106,7 @@ class Client:
             return self.frames[-1][0]
 
     def characters(self, least: int) -> list[int]:
-        """Ids of the characters in the newest frame, once there are so many."""
+        """Return the ids of the characters in the newest frame, once there are this many."""
         with self.arrived:
             while not self.frames or len(self.frames[-1][1]["characters"]) < least:
                 if not self.arrived.wait(PATIENCE):
@@ -114,14 +114,14 @@ class Client:
             return [c["id"] for c in self.frames[-1][1]["characters"]]
 
     def close(self) -> None:
-        """End the connection."""
+        """Close the connection."""
         self.socket.shutdown(socket.SHUT_RDWR)
         self.socket.close()
 
 
 @contextmanager
 def server(model: str | None) -> Iterator[dict[str, Any]]:
-    """A running server; its addresses."""
+    """Run a server and yield its addresses."""
     command = [sys.executable, "-m", "motionkit", "play", "--no-open", "--port", "0", "--tcp", "0", "--json"]
     command += ["--model", model] if model else []
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
@@ -136,7 +136,7 @@ def server(model: str | None) -> Iterator[dict[str, Any]]:
 
 
 def step_times(model: MotionModel, count: int, frames: int) -> list[float]:
-    """Seconds of the steps of a session with so many characters that run about."""
+    """Return the seconds of each step of a session with this many running characters."""
     session = Session(model)
     fields = {"character": None, "velocity": (0.0, 300.0), "facing": None, "type": None, "seq": 0}
     for client in range(count):
@@ -146,7 +146,7 @@ def step_times(model: MotionModel, count: int, frames: int) -> list[float]:
 
 
 def key_delays(client: Client, presses: int) -> list[float]:
-    """Seconds from a key to the first frame that obeys it, pressed at random moments."""
+    """Return the seconds from a key, pressed at random moments, to the first frame that includes it."""
     generator = random.Random(0)
     mine = client.hello["character"]
     out = []
@@ -159,7 +159,7 @@ def key_delays(client: Client, presses: int) -> list[float]:
 
 
 def frame_gaps(client: Client, seconds: float) -> list[float]:
-    """Seconds between frames as they come."""
+    """Return the seconds between arriving frames."""
     first = len(client.frames)
     time.sleep(seconds)
     times = [when for when, _ in client.frames[first:]]
@@ -167,7 +167,7 @@ def frame_gaps(client: Client, seconds: float) -> list[float]:
 
 
 def responses(port: int, wanted: Sequence[Command], fps: float) -> list[float]:
-    """Seconds from each command's key to the frame, as it comes, from which it is obeyed."""
+    """Return the seconds from each command's key to the arrival of the frame from which the motion responds."""
     out: list[float] = []
     client = Client(port)
     room = min(AT_ONCE, int(client.hello["limits"]["characters"]))
@@ -203,7 +203,7 @@ def _response(
 
 
 def in_browser(url: str, presses: int) -> tuple[float, list[float]] | None:
-    """Pictures drawn per second of a character that runs, and seconds from keys to the first picture that obeys.
+    """Return drawn frames per second of a running character, and seconds from keys to the first drawn frame with them.
 
     None where there is no Chromium or no playwright.
     """
@@ -221,9 +221,7 @@ def in_browser(url: str, presses: int) -> tuple[float, list[float]] | None:
         page.wait_for_function("motionkit.own?.root", timeout=1000 * PATIENCE)
         page.keyboard.down("Shift")
         page.keyboard.down("w")
-        page.wait_for_timeout(
-            2000
-        )  # a page without a graphics card takes a while to find how sharp it can draw
+        page.wait_for_timeout(2000)  # without a graphics card the page needs a while to choose its resolution
         count = "[motionkit.stage.frames, performance.now()]"
         (first, began), _ = page.evaluate(count), page.wait_for_timeout(1000 * DRAWN_SECONDS)
         last, ended = page.evaluate(count)
@@ -247,10 +245,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", help="a model file; the bundled model by default")
     parser.add_argument("--characters", type=int, nargs="+", default=[1, 4, 8])
-    parser.add_argument("--frames", type=int, default=600, help="timed steps for each number of characters")
-    parser.add_argument("--presses", type=int, default=60, help="keys whose first frame is timed")
-    parser.add_argument("--repeats", type=int, default=2, help="how often each command is given")
-    parser.add_argument("--no-browser", action="store_true", help="leave the page out")
+    parser.add_argument("--frames", type=int, default=600, help="timed steps per number of characters")
+    parser.add_argument("--presses", type=int, default=60, help="number of key presses to time")
+    parser.add_argument("--repeats", type=int, default=2, help="repeats of each command")
+    parser.add_argument("--no-browser", action="store_true", help="skip the page")
     arguments = parser.parse_args()
     model = open_model(arguments.model)
     budget = 1000.0 / model.fps
@@ -259,9 +257,7 @@ def main() -> None:
         p50, p95, p99 = (1000.0 * p for p in percentiles(step_times(model, count, arguments.frames)))
         alone = alone or (count, p50, p99)
         rows.append([str(count), f"{p50:.2f}", f"{p95:.2f}", f"{p99:.2f}", f"{budget / p50:.1f}"])
-    title = (
-        f"server step of a whole session, ms; ratio: a frame at {model.fps:g} fps, {budget:.1f} ms, over p50"
-    )
+    title = f"server step of a whole session, ms; ratio: frame time at {model.fps:g} fps ({budget:.1f} ms) over p50"
     print_table(title, ["characters", "p50", "p95", "p99", "ratio"], rows)
     seen = None
     with server(arguments.model) as told:
@@ -275,14 +271,14 @@ def main() -> None:
         if not arguments.no_browser:
             seen = in_browser(told["url"], arguments.presses)
             if seen is None:
-                print("no Chromium or no playwright: the page is left out", file=sys.stderr)
+                print("no Chromium or no playwright: the page is skipped", file=sys.stderr)
     rows = [
-        ["between frames as they come", *(f"{p:.1f}" for p in gaps), f"{budget:.1f}"],
+        ["between arriving frames", *(f"{p:.1f}" for p in gaps), f"{budget:.1f}"],
         ["key to its first frame", *(f"{p:.1f}" for p in delays), f"at most {MOST_DELAY_MS:g}"],
     ]
-    print_table("one client on loopback, ms", ["what", "p50", "p95", "p99", "wanted"], rows)
+    print_table("one client on loopback, ms", ["what", "p50", "p95", "p99", "target"], rows)
     if gaps[0] > 1.1 * budget:
-        print(f"the machine did not keep up with {model.fps:g} fps: what is measured here is its load")
+        print(f"the machine did not reach {model.fps:g} fps: these figures show its load")
     rows, every = [], []
     for number in range(0, len(kinds), arguments.repeats):
         times = obeyed[number : number + arguments.repeats]
@@ -292,7 +288,7 @@ def main() -> None:
     middle = statistics.median(every)
     rows.append(["median of all", f"{middle:.2f}", f"{max(every):.2f}", f"{PAPER_SECONDS / middle:.1f}"])
     title = (
-        f"key to obeyed, s; wanted at most {MOST_RESPONSE_SECONDS:g}; never within {AFTER_SECONDS:g} s counts as that; "
+        f"key to response, s; target at most {MOST_RESPONSE_SECONDS:g}; no response counts as {AFTER_SECONDS:g} s; "
         f"ratio: {PAPER_SECONDS:g} s over the mean"
     )
     print_table(title, ["command", "mean", "slowest", "ratio"], rows)
@@ -329,7 +325,7 @@ def main() -> None:
 
 
 def _short(what: str, p50: float, p99: float | None, wanted: float, ratio: float) -> list[str]:
-    """A row of the last table."""
+    """Return a row of the last table."""
     return [what, f"{p50:.2f}", "" if p99 is None else f"{p99:.2f}", f"{wanted:.4g}", f"{ratio:.2f}"]
 
 

@@ -1,4 +1,4 @@
-"""How metrics respond to one harm at a time: the table in docs/metrics.md.
+"""Response of the metrics to one degradation at a time: the table in docs/metrics.md.
 
 python benchmarks/metric_response.py [CLIP.bvh]
 """
@@ -24,7 +24,7 @@ COLUMNS = (
 
 
 def harmed(motion: Motion) -> dict[str, Motion]:
-    """The motion, and what each harm makes of it."""
+    """Return the motion and its degraded versions."""
     turns, places, frames = motion.local_rotations, motion.root_positions, len(motion)
     first = np.broadcast_to(turns[:1], turns.shape)
     shakes = 0.02 * np.random.default_rng(0).standard_normal((frames, turns.shape[1], 3), np.float32)
@@ -52,7 +52,7 @@ def main() -> None:
     """Print the table."""
     path = Path(sys.argv[1]) if len(sys.argv) > 1 else WALK
     motion = resample(load_canonical(path)[0], 60.0)
-    print(f"{path.name}, {len(motion)} frames at 60 fps, against itself, harmed in one way each\n")
+    print(f"{path.name}, {len(motion)} frames at 60 fps, against versions with one degradation each\n")
     print("| |", " | ".join(name for name, _ in COLUMNS), "|")
     print("|" + "---|" * (len(COLUMNS) + 1))
     for name, harm in harmed(motion).items():

@@ -21,10 +21,10 @@ from motionkit.data.preprocess import PreprocessOptions, PreprocessReport, prepr
 
 
 def copied_samples(folder: Path, copies: int) -> Path:
-    """The sample clips several times over in folders of their own."""
+    """Copy the sample clips several times into separate folders."""
     clips = sorted(SAMPLE_FOLDER.glob("*.bvh"))
     if not clips:
-        raise SystemExit(f"{SAMPLE_FOLDER}: no sample clips here; give a folder of BVH files")
+        raise SystemExit(f"{SAMPLE_FOLDER}: no sample clips found; give a folder of BVH files")
     for number in range(copies):
         target = folder / f"motion-{number + 1}"
         target.mkdir(parents=True)
@@ -34,7 +34,7 @@ def copied_samples(folder: Path, copies: int) -> Path:
 
 
 def timed_run(folders: list[Path], output: Path, jobs: int) -> tuple[float, PreprocessReport]:
-    """Seconds and report of one run."""
+    """Return seconds and report of one run."""
     began = time.perf_counter()
     report = preprocess(folders, output, PreprocessOptions(jobs=jobs))
     return time.perf_counter() - began, report
@@ -44,11 +44,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("folders", nargs="*", type=Path, help="folders of BVH files")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes of the second run")
-    parser.add_argument("--copies", type=int, default=4, help="how often the sample clips are taken")
+    parser.add_argument("--copies", type=int, default=4, help="copies of the sample clips")
     arguments = parser.parse_args()
     with tempfile.TemporaryDirectory() as place:
         folders = arguments.folders or [copied_samples(Path(place) / "clips", arguments.copies)]
-        # The first run also warms the file cache, so it is made once more before it counts.
+        # The first run warms the file cache and is not counted.
         timed_run(folders, Path(place) / "warm", 1)
         runs = {jobs: timed_run(folders, Path(place) / f"jobs-{jobs}", jobs) for jobs in (1, arguments.jobs)}
     rows = []

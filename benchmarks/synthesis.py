@@ -38,7 +38,7 @@ Step = Callable[[], object]
 
 
 class WindowStep(TorchStep):
-    """The paper's way: the last 87 frames through the whole network, of which the last prediction counts."""
+    """The paper's method: run the whole network over the last 87 frames and use the last prediction."""
 
     def __init__(self, network: NetworkWeights, batch: int) -> None:
         super().__init__(network, batch)
@@ -47,7 +47,7 @@ class WindowStep(TorchStep):
 
     @torch.inference_mode()
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
-        """Take in a frame and predict the next."""
+        """Predict the next frame from a new frame."""
         new = (v[:, None] for v in (x, contacts, controls))
         self.past = [
             np.concatenate([past[:, 1:], now], axis=1) for past, now in zip(self.past, new, strict=True)
@@ -58,7 +58,7 @@ class WindowStep(TorchStep):
 
 
 def asked_of(model: MotionModel, count: int) -> FrameControls:
-    """Every character in a type of its own."""
+    """Return type weights that give every character its own type."""
     weights = np.eye(len(model.types), dtype=np.float32)[np.arange(count) % len(model.types)]
     return FrameControls(
         weights,
@@ -75,7 +75,7 @@ def characters(
     ik: bool,
     compiled: bool = True,
 ) -> Step:
-    """All of a frame for count characters, on a network step of one's choice."""
+    """Return a function that makes a whole frame for count characters with a given network step."""
     stream = CharacterStream(model, count, ik=ik, compiled=compiled)
     stream.state.network = make()
     asked = asked_of(model, count)
@@ -83,7 +83,7 @@ def characters(
 
 
 def network_alone(step: NetworkStep) -> Step:
-    """The network without anything around it."""
+    """Return a function that runs the network alone."""
     rng = np.random.default_rng(0)
     x, contacts = (rng.standard_normal((step.batch, n), np.float32) for n in (FEATURE_COUNT, CONTACT_COUNT))
     controls = rng.standard_normal((step.batch, step.weights.shallow.controls.shape[1]), np.float32)
@@ -91,7 +91,7 @@ def network_alone(step: NetworkStep) -> Step:
 
 
 def floor(weights: StepWeights, bits: int) -> Step:
-    """One sum over as much memory as the weights take."""
+    """Return a function that sums over as much memory as the weights take."""
     modules = (weights.shallow, weights.deep)
     size = sum(array.size for module in modules for array in vars(module).values()) + weights.head.size
     memory = np.ones(size * bits // 32, np.float32)
@@ -99,7 +99,7 @@ def floor(weights: StepWeights, bits: int) -> Step:
 
 
 def graph(model: MotionModel, folder: Path, weights: str) -> Step:
-    """The ONNX graph, forward kinematics included."""
+    """Return a function that runs the ONNX graph, including forward kinematics."""
     from motionkit.export.onnx_export import OnnxStep, build_graph
 
     path = folder / f"{weights}.onnx"
@@ -111,7 +111,7 @@ def graph(model: MotionModel, folder: Path, weights: str) -> Step:
 
 
 def timed(step: Step, steps: int, limit: float) -> tuple[list[float], list[float]]:
-    """Seconds of each step by the clock and of the processor, after some that do not count."""
+    """Return wall-clock and processor seconds of each step, after some warm-up steps."""
     for _ in range(3):
         step()
     seconds: list[float] = []
@@ -125,7 +125,7 @@ def timed(step: Step, steps: int, limit: float) -> tuple[list[float], list[float
 
 
 def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
-    """What is to be timed for a number of characters; the first is the baseline."""
+    """Return the functions to time for a number of characters; the first is the baseline."""
     network, weights = model.network, pack(model.network)
     out: dict[str, Step] = {
         "recompute the window, torch": characters(model, count, lambda: WindowStep(network, count), False),
@@ -157,8 +157,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
     parser.add_argument("--characters", type=int, nargs="+", default=[1, 64])
-    parser.add_argument("--steps", type=int, default=300, help="timed steps of each way")
-    parser.add_argument("--seconds", type=float, default=2.0, help="stop a way early after so long")
+    parser.add_argument("--steps", type=int, default=300, help="timed steps of each method")
+    parser.add_argument("--seconds", type=float, default=2.0, help="seconds after which a method stops early")
     arguments = parser.parse_args()
     model = open_model(arguments.model)
     cores = torch.get_num_threads()
@@ -183,7 +183,7 @@ def main() -> None:
         "times as fast",
     ]
     memory = NetworkStep(pack(model.network), 1).bytes_per_character
-    print_table("a frame, and how many times as fast as recomputing", header, rows)
+    print_table("time per frame, and speed-up over recomputing", header, rows)
     print(f"state of the network: {memory / 1024:.0f} KB per character")
 
 

@@ -2,8 +2,8 @@
 
     python benchmarks/training_step.py [--batch 16] [--window 96] [--threads 1] [--bfloat16]
 
-Everything but the attention is the same code, losses and optimizer included; the predictions of both
-are compared before the clock starts.
+Everything but the attention is the same code, including losses and optimizer. The predictions of both are compared
+before the timing.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LOSS_SCALE = 1.0 / FEATURE_COUNT
 
 
 class PlainAttention(nn.Module):
-    """Attention of all frames to all frames, with what lies outside the window masked away."""
+    """Attention of all frames to all frames, with a mask for frames outside the window."""
 
     def __init__(self, local: LocalAttention) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class PlainAttention(nn.Module):
         return self.out(mixed.transpose(2, 3).reshape(P, B, T, D), residual)
 
     def mask(self, frames: int) -> Tensor:
-        """Additive mask, broadcastable to (P, B, H, T, T)."""
+        """Return an additive mask, broadcastable to (P, B, H, T, T)."""
         distance = torch.arange(frames)[:, None] - torch.arange(frames)[None, :]
         inside = (distance >= 0) & (distance < self.window)
         mask = torch.where(inside, 0.0, -torch.inf)
@@ -59,7 +59,7 @@ class PlainAttention(nn.Module):
 
 
 def with_plain_attention(network: PartTransformer) -> PartTransformer:
-    """A copy of a network with the same weights and plain attention."""
+    """Return a copy of a network with the same weights and plain attention."""
     plain = copy.deepcopy(network)
     for module in (plain.shallow, plain.deep):
         for layer in module.layers:
@@ -68,7 +68,7 @@ def with_plain_attention(network: PartTransformer) -> PartTransformer:
 
 
 def random_batch(batch: int, frames: int) -> Batch:
-    """Windows of the right shapes; the numbers do not matter for time."""
+    """Return windows of random numbers, which do not affect the time."""
     generator = torch.Generator().manual_seed(0)
 
     def normal(*shape: int) -> Tensor:
@@ -87,7 +87,7 @@ def random_batch(batch: int, frames: int) -> Batch:
 
 
 def training_step(network: PartTransformer, batch: Batch, bfloat16: bool) -> Callable[[], None]:
-    """A step as the trainer makes it: forward, six losses, backward, AdamW."""
+    """Return a training step: forward, six losses, backward, AdamW."""
     network.train()
     modules = ConsistencyModules(network)
     optimizer = torch.optim.AdamW([*network.parameters(), *modules.parameters()], lr=1e-4)
@@ -114,7 +114,7 @@ def training_step(network: PartTransformer, batch: Batch, bfloat16: bool) -> Cal
 
 
 def largest_difference(a: PartTransformer, b: PartTransformer, batch: Batch) -> float:
-    """Between the predicted means of two networks without dropout."""
+    """Return the largest difference between the predicted means of two networks, without dropout."""
     with torch.no_grad():
         means = [n.eval()(batch.inputs, batch.contacts, batch.controls).mean for n in (a, b)]
     return float((means[0] - means[1]).abs().max())
@@ -128,13 +128,13 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1, help="torch threads")
     parser.add_argument(
-        "--bfloat16", action="store_true", help="time bfloat16 too; slow where it is emulated"
+        "--bfloat16", action="store_true", help="also time bfloat16, which is slow where it is emulated"
     )
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
     torch.manual_seed(0)
     network = PartTransformer(preset(arguments.preset), ControlLayout(TYPES).size)
-    with torch.no_grad():  # an untrained head is zero and hides what comes before it
+    with torch.no_grad():  # an untrained head is zero and hides the layers before it
         for parameter in network.parameters():
             parameter.add_(0.02 * torch.randn_like(parameter))
     plain = with_plain_attention(network)
@@ -153,7 +153,7 @@ def main() -> None:
         for name, s in zip(steps, seconds, strict=True)
     ]
     title = f"{arguments.preset}, {arguments.batch} windows of {arguments.window} frames"
-    print_table(title, ["attention", "ms per step (median)", "frames per second", "times as fast"], rows)
+    print_table(title, ["attention", "ms per step (median)", "frames per second", "speed-up"], rows)
     print(f"predictions of both attentions differ by at most {difference:.1e} (normalised units, float32)")
     ratios = [f"{seconds[0] / s:.2f} {name}" for name, s in zip(steps, seconds, strict=True)][1:]
     print(f"ratio: {'; '.join(ratios)}, against the full mask")

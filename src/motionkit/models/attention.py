@@ -1,7 +1,7 @@
 """Causal attention over a short window of frames: exact, and linear in time.
 
-Queries go in blocks of 16 against the 16 + W - 1 keys they can reach, with plain matrix products: the
-cost of a full mask grows with the square of the length, this one with the length.
+Blocks of 16 queries are multiplied with the 16 + W - 1 keys they can see, in plain matrix products. The cost grows
+with the length; with a full mask it would grow with its square.
 Shape legend: P parts, B batch, T frames, D width, H heads, E width of a head, W window.
 """
 
@@ -45,19 +45,19 @@ class LocalAttention(nn.Module):
         return self.out(mixed.transpose(2, 3).reshape(P, B, T, D), residual)
 
     def _with_reach(self, x: Tensor) -> Tensor:
-        """Each block (..., blocks, BLOCK, E) with the last W - 1 rows of the block before in front."""
+        """Prepend to each block (..., blocks, BLOCK, E) the last W - 1 rows of the block before."""
         tails = x[..., :-1, BLOCK - self.window + 1 :, :]
         tails = F.pad(tails, (0, 0, 0, 0, 1, 0))
         return torch.cat([tails, x], dim=-2)
 
     def _mask(self, parts: int, blocks: int, device: torch.device) -> Tensor:
-        """Additive mask, broadcastable to (P, B, H, blocks, BLOCK, keys): the bias inside the window, -inf outside."""
+        """Return a mask to add to (P, B, H, blocks, BLOCK, keys): the bias inside the window, -inf outside."""
         reach = self.window - 1
         query = torch.arange(BLOCK, device=device)[:, None]
         key = torch.arange(BLOCK + reach, device=device)[None, :] - reach
         distance = query - key
         inside = (distance >= 0) & (distance < self.window)
-        # Before the first frame there is nothing.
+        # There are no frames before the first.
         allowed = torch.stack([inside & (key >= 0)] + [inside] * (blocks - 1))
         zero = torch.zeros((), device=device)
         mask = torch.where(allowed, zero, zero - torch.inf)
@@ -69,14 +69,14 @@ class LocalAttention(nn.Module):
     def step(
         self, x_PBD: Tensor, residual: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
     ) -> Tensor:
-        """One frame against a ring of W keys and values, which it writes into.
+        """Attend from one new frame to a ring of W keys and values, and write the frame into the ring.
 
         Args:
             x_PBD: the new frame.
-            residual: (P, B, D) what the result is added to.
+            residual: (P, B, D) the result is added to this.
             keys, values: (P, B, H, W, E) rings, changed in place.
-            slot: the place in the ring of this frame.
-            bias: (P, 1, H, 1, W) per ring place, -inf where nothing has been written yet.
+            slot: place of this frame in the ring.
+            bias: (P, 1, H, 1, W) bias of each place in the ring; -inf for empty places.
         """
         P, B, D = x_PBD.shape
         H, E = self.heads, D // self.heads
@@ -88,7 +88,7 @@ class LocalAttention(nn.Module):
         return self.out(mixed.reshape(P, B, D), residual)
 
     def ring_bias(self, frame: int, device: torch.device) -> Tensor:
-        """The bias (P, 1, H, 1, W) of step() at a frame counted from the start of the stream."""
+        """Return the bias (P, 1, H, 1, W) of step() at a frame number since the start of the stream."""
         slots = torch.arange(self.window, device=device)
         distance = torch.remainder(frame - slots, self.window)
         empty = torch.where(distance > frame, -torch.inf, 0.0)

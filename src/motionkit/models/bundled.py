@@ -13,7 +13,7 @@ BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-f
 
 
 def load_bundled_model() -> MotionModel:
-    """The bundled model; raises ModelError if the installation lacks it."""
+    """Return the bundled model. Raises ModelError if the installation lacks it."""
     if not BUNDLED_MODEL.is_file():
         raise ModelError(
             f"{BUNDLED_MODEL}: the bundled model is missing from this installation; give --model"
@@ -22,5 +22,5 @@ def load_bundled_model() -> MotionModel:
 
 
 def open_model(path: str | Path | None) -> MotionModel:
-    """The model in a file, or the bundled one for None and for the word bundled."""
+    """Return the model of a file, or the bundled model for None and for the word "bundled"."""
     return load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)

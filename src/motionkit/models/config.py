@@ -1,4 +1,4 @@
-"""What a network is made of; a variant changes a field or two."""
+"""The configuration of a network."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from motionkit.errors import ModelError
 from motionkit.features.layout import DEFAULT_LAYOUT, LAYOUTS
 from motionkit.models.parts import PARTITIONS
 
-# What a config may hold: names among these, numbers from and to. A model file may come from anyone, and sizes
-# decide how much memory and time it takes. attention.py works in blocks of 16 frames, so it sees no more than 17.
+# Allowed values of a config: names, and ranges of numbers. Model files may come from untrusted sources, and sizes
+# determine memory and time. attention.py works in blocks of 16 frames, so a window has at most 17.
 CHOICES: dict[str, tuple[str, ...]] = {
     "partition": tuple(PARTITIONS),
     "layout": tuple(LAYOUTS),
@@ -41,35 +41,33 @@ RANGES: dict[str, tuple[float, float]] = {
 
 @dataclass(frozen=True)
 class ModelConfig:
-    """Sizes and choices of the network. The paper's supplement, which has its sizes, is not public."""
+    """Sizes and choices of the network. The paper gives its sizes in a supplement that is not public."""
 
-    partition: str = "two"  # which body parts: see models/parts.py
+    partition: str = "two"  # body parts, see models/parts.py
     layout: str = DEFAULT_LAYOUT  # version of the 276 columns
     width: int = 128  # channels of each part
     heads: int = 8  # attention heads
     ffn: int = 256  # hidden channels of each feed-forward layer
     layers: int = 6  # attention layers in each auto-regressive module (paper: 6)
-    window: int = 8  # frames a layer sees, its own included (paper: lm = 8)
+    window: int = 8  # frames a layer sees, including the current one (paper: lm = 8)
     kernel: int = 3  # causal convolution of the shallow modules (paper: 3; deep: 1)
-    control_width: int = (
-        32  # the first channels of the embedded controls, which stand beside the motion in width
-    )
-    control_embedding: int = 32  # channels the controls are embedded in: all enter every layer
-    shared_channels: int = 24  # first channels of the embedding, fed by the shared joints alone
-    input_dropout: float = 0.4  # on the motion that goes in (paper: 0.5)
-    deep_dropout: float = 0.1  # on the features that enter the deep modules (paper: 0.5)
-    spatial_dropout: float = 0.1  # whole channels, before the attention layers (paper: 0.1)
-    position: str = "bias"  # "bias": learned per head and offset, streams; "sinusoidal": the paper's
+    control_width: int = 32  # channels of width for the embedded controls; the motion has the others
+    control_embedding: int = 32  # channels of the embedded controls; all of them enter every layer
+    shared_channels: int = 24  # first channels of the embedding, which see the shared joints only
+    input_dropout: float = 0.4  # on the input motion (paper: 0.5)
+    deep_dropout: float = 0.1  # on the input of the deep modules (paper: 0.5)
+    spatial_dropout: float = 0.1  # of whole channels, before the attention layers (paper: 0.1)
+    position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
     norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
     fusion: str = "linear"  # "linear" (paper) or "none"
-    layer_controls: bool = True  # add the embedded controls to the input of every layer as well
-    consistency: bool = True  # consistency modules in training
+    layer_controls: bool = True  # whether the embedded controls also enter every layer
+    consistency: bool = True  # whether training uses consistency modules
     head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
-    head_momentum: bool = False  # adds a learned share, per column, of the step the input has just taken
+    head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last step
     log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
     log_sigma_max: float = 2.0
-    contact_hidden: int = 64  # Foot-MLP
-    consistency_hidden: int = 64  # consistency modules
+    contact_hidden: int = 64  # hidden channels of the Foot-MLP
+    consistency_hidden: int = 64  # hidden channels of the consistency modules
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -86,16 +84,16 @@ class ModelConfig:
 
     @property
     def receptive_field(self) -> int:
-        """Frames that can influence a prediction: TRL of the paper, 87 by default."""
+        """Number of frames that influence a prediction: the paper's TRL, 87 by default."""
         return (self.kernel - 1) + self.window + (2 * self.layers - 1) * (self.window - 1)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for a model file."""
+        """Return plain values, for a model file."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: Any) -> ModelConfig:
-        """The config a model file holds; raises ModelError for fields this release does not know."""
+        """Return the config of a model file. Raises ModelError for unknown fields or bad values."""
         if not isinstance(values, dict):
             raise ModelError(f"config is {values!r:.60}, expected an object")
         unknown = set(values) - {f.name for f in fields(cls)}
@@ -106,7 +104,7 @@ class ModelConfig:
 
 
 def _check(name: str, value: Any, default: Any) -> None:
-    """Raises ModelError for a field of another type than its default, or out of range."""
+    """Raise ModelError if a field has another type than its default or is out of range."""
     if name in CHOICES:
         if not isinstance(value, str) or value not in CHOICES[name]:
             raise ModelError(f"{name} is {value!r:.80}, expected one of {', '.join(CHOICES[name])}")

@@ -1,4 +1,4 @@
-"""Consistency modules: they decode shared features back to the shared data; training only (paper 4.1)."""
+"""Consistency modules, used in training only: they decode shared channels to the shared joints' data (paper 4.1)."""
 
 from __future__ import annotations
 
@@ -23,18 +23,18 @@ class ConsistencyModules(nn.Module):
         self.shallow, self.deep = FeedForward(*sizes), FeedForward(*sizes)
 
     def forward(self, shallow: Tensor, deep: Tensor) -> tuple[Tensor, Tensor]:
-        """Decoded data (P, B, T, 12 S) of both levels from features (P, B, T, D)."""
+        """Decode features (P, B, T, D) of both levels to data (P, B, T, 12 S)."""
         return self.shallow(shallow[..., : self.channels]), self.deep(deep[..., : self.channels])
 
 
 def shared_data(network: PartTransformer, x_BTF: Tensor) -> Tensor:
-    """The shared joints' columns (B, T, 12 S) of features, in the order every part takes them in."""
+    """Return the shared joints' columns (B, T, 12 S) of features, in the order of the parts' inputs."""
     columns = network.part_columns[0, : 12 * len(network.body.shared)]
     return x_BTF[..., columns]
 
 
 def feature_difference(features: Tensor, channels: int) -> Tensor:
-    """Mean over pairs of parts of the distance between their shared channels (paper L_feat), a scalar."""
+    """Return the mean distance between the shared channels of pairs of parts (paper L_feat), a scalar."""
     shared = features[..., :channels]
     pairs = [(p, q) for p in range(len(shared)) for q in range(p)]
     if not pairs:
@@ -43,5 +43,5 @@ def feature_difference(features: Tensor, channels: int) -> Tensor:
 
 
 def safe_norm(x: Tensor) -> Tensor:
-    """Euclidean norm over the last dimension with a gradient at zero."""
+    """Return the Euclidean norm over the last dimension, with a finite gradient at zero."""
     return torch.sqrt(x.float().square().sum(-1) + 1e-8)

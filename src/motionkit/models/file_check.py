@@ -1,6 +1,6 @@
-"""What a model file must hold: every value of its header, every tensor's shape and type, told before a weight is read.
+"""Checks of a model file: every value of its header, and every tensor's shape and type, before a weight is read.
 
-A model may come from anyone. Whatever passes here can be built and run; what does not is refused in one line.
+Models may come from untrusted sources. A file that passes can be built and run; any other is refused in one line.
 Shape legend: P parts, L layers, D width, C controls, H heads, W window.
 """
 
@@ -23,11 +23,11 @@ from motionkit.models.weights import part_columns
 from motionkit.motion.skeleton import JOINT_COUNT
 
 MOST_TYPES, MOST_CHARACTERS, LONGEST_NAME = 1000, 10_000, 200
-MOST_RECORDINGS = 10_000  # seeds or reference_clips of a type
-MOST_FRAMES = 1_000_000  # of a recording
+MOST_RECORDINGS = 10_000  # start poses or reference clips per type
+MOST_FRAMES = 1_000_000  # per recording
 FASTEST, LONGEST_PHASE = 1e4, 3600.0  # cm/s and seconds of a gait
 RATES = (1.0, 480.0)  # frames per second
-REFERENCE_GAINS = (0.0, 100.0)  # how many times larger a reference is shown; a share is at most 1
+REFERENCE_GAINS = (0.0, 100.0)  # also the range of noise
 LONGEST_BONE = 1e4  # cm
 FLOATS = ("F32", "F16")
 
@@ -36,7 +36,7 @@ Shape = tuple[int, ...]
 
 @dataclass(frozen=True)
 class TensorFacts:
-    """Type, as safetensors calls it, and shape of a tensor in a file."""
+    """Type (as safetensors names it) and shape of a tensor in a file."""
 
     dtype: str
     shape: Shape
@@ -46,7 +46,7 @@ class TensorFacts:
 
 
 def check_header(header: dict[str, Any]) -> None:
-    """Raises ModelError for a value that is missing, of the wrong type or out of range; config is not looked at."""
+    """Raise ModelError for a value that is missing, of the wrong type or out of range. Does not check config."""
     types: Any = header.get("types")
     check_names(types, header.get("characters"))
     _number("fps", header.get("fps"), *RATES)
@@ -78,7 +78,7 @@ def check_header(header: dict[str, Any]) -> None:
 
 
 def check_names(types: Any, characters: Any) -> None:
-    """Raises ModelError unless types and characters are lists of names that a model may have."""
+    """Raise ModelError unless types and characters are lists of allowed names."""
     for what, names, most in (("types", types, MOST_TYPES), ("characters", characters, MOST_CHARACTERS)):
         if not isinstance(names, list) or not 0 < len(names) <= most:
             raise ModelError(f"{what} are {_shown(names)}, expected a list of 1 to {most} names")
@@ -96,7 +96,7 @@ def check_names(types: Any, characters: Any) -> None:
 def _by_type(
     header: dict[str, Any], key: str, types: list[str], needed: bool = True
 ) -> Iterable[tuple[str, Any]]:
-    """The entries of an object whose names are types."""
+    """Return the entries of an object whose keys are types."""
     entries = header.get(key, None if needed else {})
     if not isinstance(entries, dict):
         raise ModelError(f"{key} is {_shown(entries)}, expected an object with a value per type")
@@ -112,7 +112,7 @@ def _number(what: str, value: Any, low: float, high: float) -> None:
 
 
 def _shown(value: Any) -> str:
-    """A value for a message: in one line, and not too long."""
+    """Format a value for a message: in one line, and not too long."""
     text = ascii(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -121,7 +121,7 @@ def _shown(value: Any) -> str:
 
 
 def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
-    """Shapes of all weights of PartTransformer(config, control_size) by name, without making them."""
+    """Return the shapes of all weights of PartTransformer(config, control_size) by name, without building it."""
     body = partition(config.partition)
     P, D, Dc = len(body.parts), config.width, config.control_embedding
     motion, feet = D - config.control_width, sum(bool(part.contacts) for part in body.parts)
@@ -161,9 +161,10 @@ def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
 
 
 def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[str, TensorFacts]) -> None:
-    """Raises ModelError unless a file has exactly the tensors its header speaks of, in their shapes and types.
+    """Raise ModelError unless a file has exactly the tensors of its header, with their shapes and types.
 
-    header is one that check_header has passed.
+    Args:
+        header: one that check_header has passed.
     """
     expected: dict[str, Shape] = {
         "scaling.mean": (FEATURE_COUNT,),
@@ -199,7 +200,7 @@ def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[st
 
 
 def check_shapes(found: Mapping[str, TensorFacts], expected: Mapping[str, Shape]) -> None:
-    """Raises ModelError unless just the expected tensors are there, in their shapes."""
+    """Raise ModelError unless exactly the expected tensors are there, with their shapes."""
     for name, shape in expected.items():
         if name not in found:
             raise ModelError(f"the tensor {_shown(name)} is missing")
@@ -213,7 +214,7 @@ def check_shapes(found: Mapping[str, TensorFacts], expected: Mapping[str, Shape]
 
 
 def _frames(found: Mapping[str, TensorFacts], name: str) -> int:
-    """The first size of a tensor that tells how long a recording is."""
+    """Return the first size of a tensor, which is the length of a recording."""
     facts = found.get(name)
     if facts is None:
         raise ModelError(f"the tensor {_shown(name)} is missing")
@@ -223,13 +224,13 @@ def _frames(found: Mapping[str, TensorFacts], name: str) -> int:
 
 
 def check_values(tensors: Iterable[tuple[str, np.ndarray]]) -> None:
-    """Raises ModelError, with the tensor's name, for NaN or infinite numbers and for numbers no recording has."""
+    """Raise ModelError, with the tensor's name, for NaN, infinite or impossible numbers."""
     for name, values in tensors:
         if not np.isfinite(values).all():
             raise ModelError(f"the tensor {_shown(name)} has numbers that are NaN or infinite")
         if name in ("scaling.std", "trajectory.std") and values.min() <= 0.0:
             raise ModelError(f"the tensor {_shown(name)} has {values.min():g}, expected positive deviations")
         if name == "references" and np.abs(np.linalg.norm(values, axis=-1) - 1.0).max() > 0.01:
-            raise ModelError(f"the tensor {_shown(name)} has rotations that are no unit quaternions")
+            raise ModelError(f"the tensor {_shown(name)} has rotations that are not unit quaternions")
         if name.startswith("character.") and np.abs(values).max() > LONGEST_BONE:
             raise ModelError(f"the tensor {_shown(name)} has a bone longer than {LONGEST_BONE:g} cm")

@@ -1,4 +1,4 @@
-"""Layers whose parts stand side by side, so that P streams cost one batched product.
+"""Layers of P parts at once: one batched product serves all parts.
 
 Shape legend: P parts, B batch, T frames, D width, H heads, E width of a head, W window.
 """
@@ -35,7 +35,7 @@ class PartLinear(nn.Module):
 
 
 class PartNorm(nn.Module):
-    """Layer normalisation; with a scale and shift per part only where no linear map follows to absorb them."""
+    """Layer normalisation. Scale and shift per part are optional, because a following linear map can absorb them."""
 
     def __init__(self, parts: int, width: int, affine: bool) -> None:
         super().__init__()
@@ -71,7 +71,7 @@ def spatial_dropout(x: Tensor, rate: float, training: bool) -> Tensor:
 
 
 def sinusoidal_positions(frames: int, width: int, device: torch.device) -> Tensor:
-    """Positional encoding (frames, width) of Vaswani et al. 2017."""
+    """Return the positional encoding (frames, width) of Vaswani et al. 2017."""
     place = torch.arange(frames, device=device, dtype=torch.float32)[:, None]
     rate = torch.exp(torch.arange(0, width, 2, device=device) * (-math.log(10000.0) / width))
     out = torch.zeros(frames, width, device=device)

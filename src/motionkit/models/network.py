@@ -1,4 +1,4 @@
-"""The part transformer: TPTN for two parts, the paper's EBTN, FPTN and 5PTN for one, four and five.
+"""The part transformer: TPTN with two parts, and the paper's EBTN, FPTN and 5PTN with one, four and five.
 
 Paper section 4.1. Shape legend: P parts, B batch, T frames, F features (276), C controls, D width.
 """
@@ -23,12 +23,12 @@ from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts,
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """The Gaussian of the next frame for every frame that went in; all in normalised units.
+    """The Gaussian of the next frame for every input frame, in normalised units.
 
     Attributes:
-        mean, log_sigma: (..., 276).
-        trajectory_mean, trajectory_log_sigma: (..., 24).
-        contact_logits: (..., 4).
+        mean, log_sigma: (..., 276) features.
+        trajectory_mean, trajectory_log_sigma: (..., 24) trajectory.
+        contact_logits: (..., 4) foot contacts.
         shallow, deep: (P, ..., D) features of the two module levels, for the consistency loss.
     """
 
@@ -62,7 +62,7 @@ class AttentionLayer(nn.Module):
     def step(
         self, x_PBD: Tensor, controls: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
     ) -> Tensor:
-        """One frame; see LocalAttention.step."""
+        """Process one frame; see LocalAttention.step."""
 
         def attention(x: Tensor, residual: Tensor) -> Tensor:
             return self.attention.step(x, residual, keys, values, slot, bias)
@@ -82,7 +82,7 @@ class AttentionLayer(nn.Module):
 
 
 class AutoRegressiveModule(nn.Module):
-    """Embed, add controls, attend: the shallow or the deep module of all parts at once."""
+    """The shallow or the deep module of all parts: embedding, controls, attention layers."""
 
     def __init__(self, parts: int, inputs: int, control_size: int, config: ModelConfig, kernel: int) -> None:
         super().__init__()
@@ -96,7 +96,7 @@ class AutoRegressiveModule(nn.Module):
         self.register_buffer("embed_mask", torch.ones(1), persistent=False)
 
     def embed_motion(self, x: Tensor) -> Tensor:
-        """Embedding of kernel frames side by side (P, ..., kernel x inputs), oldest first."""
+        """Embed kernel frames side by side (P, ..., kernel x inputs), oldest first."""
         flat = x.reshape(x.shape[0], -1, x.shape[-1])
         assert self.embed.bias is not None
         out = torch.baddbmm(self.embed.bias, flat, self.embed.weight * self.embed_mask)
@@ -120,7 +120,7 @@ class AutoRegressiveModule(nn.Module):
 
 
 class PartTransformer(nn.Module):
-    """P streams of a shallow and a deep module, fused once in the middle, aggregated at the end."""
+    """P parts with a shallow and a deep module each; they are fused in between and aggregated at the end."""
 
     def __init__(self, config: ModelConfig, control_size: int) -> None:
         super().__init__()
@@ -142,25 +142,25 @@ class PartTransformer(nn.Module):
         self._initialise()
 
     def _initialise(self) -> None:
-        """Small outputs at the start: the leaky head then begins near a fading copy of its input."""
+        """Make outputs small at first, so that the leaky head starts near a decaying copy of its input."""
         with torch.no_grad():
             self.aggregate.weight.mul_(0.1)
             self.aggregate.bias.zero_()
 
     @classmethod
     def from_weights(cls, weights: NetworkWeights) -> PartTransformer:
-        """The network of a model file, ready to predict."""
+        """Return the network of a model file, in evaluation mode."""
         network = cls(weights.config, weights.control_size)
         network.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
         return network.eval()
 
     def weights(self) -> NetworkWeights:
-        """A copy of all parameters as arrays."""
+        """Return a copy of all parameters as arrays."""
         arrays = {name: t.detach().cpu().float().numpy().copy() for name, t in self.state_dict().items()}
         return NetworkWeights(self.config, self.control_size, arrays)
 
     def split_parts(self, x: Tensor, contacts: Tensor) -> Tensor:
-        """Inputs of all parts (P, ..., N) from features (..., 276) and contacts (..., 4); short parts end in zeros."""
+        """Return the parts' inputs (P, ..., N) from features (..., 276) and contacts (..., 4), padded with zeros."""
         whole = torch.cat([x, contacts, torch.zeros_like(x[..., :1])], dim=-1)
         return whole[..., self.part_columns].movedim(-2, 0)
 
@@ -180,7 +180,7 @@ class PartTransformer(nn.Module):
         return self.predict(x_BTF, before, shallow, deep)
 
     def fuse(self, shallow: Tensor) -> Tensor:
-        """Shallow features (P, ..., D) plus a linear map of the other parts' (paper eq. 3)."""
+        """Add to shallow features (P, ..., D) a linear map of the other parts' features (paper eq. 3)."""
         if self.fusion is None:
             return shallow
         P = shallow.shape[0]
@@ -188,7 +188,7 @@ class PartTransformer(nn.Module):
         return shallow + self.fusion(others)
 
     def predict(self, x: Tensor, before: Tensor, shallow: Tensor, deep: Tensor) -> Prediction:
-        """Aggregation layer and Foot-MLP for input frames x (..., 276) and the frames before them."""
+        """Apply aggregation layer and Foot-MLP; x (..., 276) are the input frames, before those before them."""
         body = torch.cat(list(deep), dim=-1)
         out = self.aggregate(body).float()
         sizes = [FEATURE_COUNT, FEATURE_COUNT, TRAJECTORY_COUNT, TRAJECTORY_COUNT]
@@ -212,6 +212,6 @@ class PartTransformer(nn.Module):
 
 
 def parameter_count(network: PartTransformer) -> int:
-    """Parameters that can have an effect (those of padded or masked inputs are not counted)."""
+    """Return the number of parameters, without those of padded or masked inputs."""
     total = sum(p.numel() for p in network.parameters())
     return total - int((network.shallow.embed_mask == 0).sum())

@@ -1,4 +1,4 @@
-"""Body parts: tuples of joints, so that one network serves one, two, four or five of them."""
+"""Body parts as tuples of joints. The same network serves one, two, four or five parts."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from motionkit.motion.skeleton import JOINT_NAMES
 
 @dataclass(frozen=True)
 class BodyPart:
-    """A stream of the network.
+    """A body part: one stream of the network.
 
     Attributes:
         name: for logs.
         joints: canonical joint indices, the shared ones first.
-        contacts: columns of the four foot contacts this part takes in (left foot, left toe, right foot, right toe).
+        contacts: which of the four foot contacts are inputs (left foot, left toe, right foot, right toe).
     """
 
     name: str
@@ -60,8 +60,7 @@ _ARMS = _side("Left", _ARM) + _side("Right", _ARM)
 _ROOT = (0,)
 _SPINE_JOINTS = tuple(JOINT_NAMES.index(name) for name in ("Hips", *_SPINE))
 
-# Named as in the paper's ablation of body parts: whole body, two parts, four with the root or the
-# spine in common, five.
+# Named as in the paper's ablation of body parts: whole body, two parts, four that share the root or the spine, five.
 PARTITIONS: dict[str, Partition] = {
     "one": Partition((_part("body", _LEGS + _SPINE + _ARMS, _LEFT_FOOT + _RIGHT_FOOT),), _ROOT),
     "two": Partition(
@@ -75,7 +74,7 @@ PARTITIONS: dict[str, Partition] = {
 
 
 def partition(name: str) -> Partition:
-    """A partition by name; raises ModelError for an unknown one."""
+    """Return a partition by name. Raises ModelError if it is unknown."""
     if name not in PARTITIONS:
         raise ModelError(f"body partition {name!r} is unknown, expected one of {', '.join(PARTITIONS)}")
     return PARTITIONS[name]

@@ -9,7 +9,7 @@ from motionkit.models.config import ModelConfig
 
 
 def tptn() -> ModelConfig:
-    """Two parts; leaky head with momentum and relative positions, so that it fits fast and streams."""
+    """Two parts, a leaky head with momentum, which learns fast, and relative positions, which allow streaming."""
     return ModelConfig(
         control_embedding=80,
         input_dropout=0.1,
@@ -21,7 +21,7 @@ def tptn() -> ModelConfig:
 
 
 def tptn_paper() -> ModelConfig:
-    """As the paper has it: absolute head, sinusoidal positions, post-norm, its dropout, its root rotation."""
+    """The paper's network: absolute head, sinusoidal positions, post-norm, its dropout and root rotation."""
     return ModelConfig(
         layout="expmap-root-1",
         input_dropout=0.5,
@@ -88,7 +88,7 @@ PRESETS = {
 
 
 def preset(name: str) -> ModelConfig:
-    """A preset by name; raises ModelError for an unknown one."""
+    """Return a preset by name. Raises ModelError if it is unknown."""
     if name not in PRESETS:
         raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")
     return PRESETS[name]()

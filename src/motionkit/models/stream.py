@@ -1,8 +1,8 @@
-"""The network one frame at a time: constant work per frame, equal to the batch forward.
+"""The network one frame at a time: constant work per frame, with the results of the batched forward pass.
 
-Each attention layer keeps a ring of the last W keys and values, the shallow convolution its last
-inputs. Absolute (sinusoidal) positions change with every frame, so that option recomputes the whole
-receptive field instead, as the paper does.
+Each attention layer keeps a ring of the last W keys and values, and the shallow convolution keeps its last inputs.
+Absolute (sinusoidal) positions change with every frame. That option recomputes the whole receptive field instead,
+as the paper does.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class _ModuleRings:
 
 
 class NetworkStream:
-    """A batch of independent characters, fed frame by frame."""
+    """The network's state for a batch of independent characters."""
 
     def __init__(self, network: PartTransformer, batch: int) -> None:
         self.network, self.batch = network, batch
@@ -49,7 +49,7 @@ class NetworkStream:
 
     @torch.inference_mode()
     def step(self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor) -> Prediction:
-        """Take in one frame and predict the next; shapes as PartTransformer.forward without T."""
+        """Predict the next frame from one new frame; shapes as in PartTransformer.forward, without T."""
         if self.recomputes:
             return self._recompute(x_BF, contacts_B4, controls_BC)
         network = self.network
@@ -91,6 +91,6 @@ class NetworkStream:
         )
 
     def prime(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> None:
-        """Take in frames whose predictions are not needed."""
+        """Process frames whose predictions are not needed."""
         for t in range(x_BTF.shape[1]):
             self.step(x_BTF[:, t], contacts_BT4[:, t], controls_BTC[:, t])

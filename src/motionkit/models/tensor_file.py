@@ -1,4 +1,4 @@
-"""Safetensors files from anyone: what one holds is known before it is read."""
+"""Safetensors files from untrusted sources: names, types and shapes are known before tensors are read."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from motionkit.errors import ModelError
 from motionkit.files import open_regular, parse_json
 from motionkit.models.file_check import TensorFacts
 
-MOST_HEADER = 8 * 2**20  # bytes; that of the bundled model has 120,000
+MOST_HEADER = 8 * 2**20  # bytes; the bundled model has 120,000
 
 
 class TensorFile:
     """An open safetensors file.
 
     Attributes:
-        metadata: the JSON document under the file's key, {} where there is none.
+        metadata: the JSON document under the file's key; {} if there is none.
         found: type and shape of every tensor by name.
     """
 
@@ -35,11 +35,11 @@ class TensorFile:
             self.found[name] = TensorFacts(str(part.get_dtype()), tuple(part.get_shape()))
 
     def read(self, name: str) -> Array:
-        """A tensor of the file."""
+        """Return a tensor of the file."""
         return self._file.get_tensor(name)
 
     def read_all(self) -> dict[str, Array]:
-        """All tensors by name."""
+        """Return all tensors by name."""
         return {name: self.read(name) for name in self.found}
 
 
@@ -48,18 +48,18 @@ def open_tensors(path: str | Path, key: str, what: str, limit: int) -> Iterator[
     """Open a safetensors file whose metadata holds a JSON document under a key.
 
     Args:
-        what: what it should be, for messages: "a motionkit model".
-        limit: most bytes it may have.
+        what: the expected kind of file, for messages, such as "a motionkit model".
+        limit: largest size in bytes.
 
     Raises:
-        ModelError: if it is none, larger, or not a regular file.
+        ModelError: if it is not a safetensors file, is larger than limit, or is not a regular file.
     """
     path = Path(path)
     with open_regular(path, limit, what, ModelError) as raw:
         length = int.from_bytes(raw.read(8), "little")
     if length > MOST_HEADER:
         raise ModelError(
-            f"{path}: not {what} (its header would have {length} bytes, at most {MOST_HEADER} are read)"
+            f"{path}: not {what} (its header has {length} bytes, expected at most {MOST_HEADER})"
         )
     try:
         with safe_open(str(path), framework="numpy") as file:

@@ -1,7 +1,7 @@
-"""The rotation functions that losses differentiate, in torch; the tests hold them to motion/rotations.py.
+"""The rotation functions that losses differentiate, in torch. Tests compare them with motion/rotations.py.
 
-Shapes, units and conventions are those of motion/rotations.py. Quotients of small angles go through their series and
-roots through safe denominators, so that gradients stay finite.
+Shapes, units and conventions are those of motion/rotations.py. Small angles use series and roots use safe
+denominators, so that gradients stay finite.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from motionkit.motion.rotations import SMALL_ANGLE
 
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
-    """The product a b (..., 4): rotates by b first, then by a."""
+    """Return the product a b (..., 4): a rotation by b, then by a."""
     aw, ax, ay, az = a.unbind(-1)
     bw, bx, by, bz = b.unbind(-1)
     return torch.stack(
@@ -30,20 +30,20 @@ def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
 
 
 def quat_rotate(quat: Tensor, vector: Tensor) -> Tensor:
-    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
+    """Rotate vectors (..., 3) by unit quaternions (..., 4)."""
     axis, vector = torch.broadcast_tensors(quat[..., 1:], vector)
     twice_cross = 2.0 * torch.linalg.cross(axis, vector)
     return vector + quat[..., :1] * twice_cross + torch.linalg.cross(axis, twice_cross)
 
 
 def quat_from_yaw(yaw: Tensor) -> Tensor:
-    """Rotations (..., 4) about Y by yaw (...)."""
+    """Return rotations (..., 4) about Y by yaw (...) in radians."""
     zero = torch.zeros_like(yaw)
     return torch.stack([torch.cos(0.5 * yaw), zero, torch.sin(0.5 * yaw), zero], dim=-1)
 
 
 def expmap_to_quat(expmap: Tensor) -> Tensor:
-    """Unit quaternions (..., 4) of exponential maps (..., 3)."""
+    """Return unit quaternions (..., 4) of exponential maps (..., 3)."""
     squared = (expmap * expmap).sum(-1, keepdim=True)
     small = squared < SMALL_ANGLE**2
     angle = torch.sqrt(torch.where(small, torch.ones_like(squared), squared))
@@ -54,7 +54,7 @@ def expmap_to_quat(expmap: Tensor) -> Tensor:
 
 
 def matrix_to_quat(matrix: Tensor) -> Tensor:
-    """Unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3)."""
+    """Return unit quaternions (..., 4) with w >= 0 of rotation matrices (..., 3, 3)."""
     m = matrix.reshape(*matrix.shape[:-2], 9).unbind(-1)
     m00, m01, m02, m10, m11, m12, m20, m21, m22 = m
     candidates = torch.stack(
@@ -73,7 +73,7 @@ def matrix_to_quat(matrix: Tensor) -> Tensor:
 
 
 def sixd_to_quat(sixd: Tensor) -> Tensor:
-    """Unit quaternions (..., 4) of two matrix columns (..., 6), made orthonormal first (Gram-Schmidt)."""
+    """Return unit quaternions (..., 4) of two matrix columns (..., 6), after Gram-Schmidt orthonormalisation."""
     first = F.normalize(sixd[..., :3], dim=-1, eps=1e-8)
     second = sixd[..., 3:] - (first * sixd[..., 3:]).sum(-1, keepdim=True) * first
     second = F.normalize(second, dim=-1, eps=1e-8)
@@ -81,7 +81,7 @@ def sixd_to_quat(sixd: Tensor) -> Tensor:
 
 
 def decode_rotations(features: Tensor, reference_rotations: Tensor, layout: str) -> Tensor:
-    """Local rotations (..., 23, 4) of features (..., 276), unnormalised, the root's relative to its heading."""
+    """Return local rotations (..., 23, 4) of unnormalised features (..., 276); the root is relative to its heading."""
     columns = feature_layout(layout)
     root = features[..., columns.blocks["root_rotation"]]
     root = (sixd_to_quat if columns.root_is_sixd else expmap_to_quat)(root)

@@ -1,4 +1,4 @@
-"""A network's weights as plain arrays: what a model file holds, and what runs without torch.
+"""A network's weights as plain arrays, as in a model file and in inference without torch.
 
 Shape legend: P parts, N inputs of a part.
 """
@@ -20,8 +20,9 @@ class NetworkWeights:
     """The parameters of a part transformer.
 
     Attributes:
-        control_size: numbers in its control vector.
-        arrays: float32 parameters by the names that PartTransformer gives them.
+        config: sizes and choices of the network.
+        control_size: length of its control vector.
+        arrays: float32 parameters by their names in PartTransformer.
     """
 
     config: ModelConfig
@@ -32,12 +33,12 @@ class NetworkWeights:
         return self.arrays[name]
 
     def get(self, name: str) -> Floats | None:
-        """A parameter that not every configuration has."""
+        """Return a parameter, or None if the configuration does not have it."""
         return self.arrays.get(name)
 
 
 def part_columns(config: ModelConfig) -> tuple[Array, Array]:
-    """For each part the columns it takes in (P, N), and which of them are of shared joints (P, N).
+    """Return each part's input columns (P, N), and which of them belong to shared joints (P, N).
 
     Columns count the 276 features, then the 4 contacts, then one column of zeros for padding.
     """
@@ -58,7 +59,7 @@ def part_columns(config: ModelConfig) -> tuple[Array, Array]:
 
 
 def embedding_mask(config: ModelConfig) -> Floats:
-    """(P, kernel N, motion width) of 0 and 1: the first channels take the shared joints only, padding reaches none."""
+    """Return a mask (P, kernel N, motion width): the first channels see shared joints only, and none sees padding."""
     gather, shared = part_columns(config)
     mask = np.ones((*gather.shape, config.width - config.control_width), np.float32)
     mask[:, :, : config.shared_channels] = shared[:, :, None]
@@ -67,5 +68,5 @@ def embedding_mask(config: ModelConfig) -> Floats:
 
 
 def foot_parts(config: ModelConfig) -> list[int]:
-    """The parts that have a foot: the Foot-MLP sees their features."""
+    """Return the parts that have a foot; their features are the input of the Foot-MLP."""
     return [i for i, part in enumerate(partition(config.partition).parts) if part.contacts]
