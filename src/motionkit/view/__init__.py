@@ -1,1 +1,1 @@
-"""Motion in, something to look at out: pages, contact sheets, GIFs, films."""
+"""Motions to web pages, contact sheets, GIFs and videos."""

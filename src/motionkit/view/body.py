@@ -1,7 +1,7 @@
-"""A body around a skeleton: torso, limbs, head, hands and feet for human rigs, tapered bones for others.
+"""A body mesh for a skeleton: torso, limbs, head, hands and feet for human rigs, tapered bones for others.
 
-Measures are shares of a human with legs (thigh plus shin) of 0.834 m, the canonical skeleton, and grow
-with the legs at hand; where a rig says how long or how wide something is, that wins.
+Sizes are those of a human with legs (thigh plus shin) of 0.834 m, the canonical skeleton, and scale with the leg
+length of the rig; lengths and widths that the rig gives take precedence.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from motionkit.motion.rig_names import RigMap, map_rig, name_part
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
 from motionkit.view.surface import Array, Ring, Surface, SurfaceBuilder, cross_axes, rounded, unit
 
-LEG = 0.834  # m, what the profiles below are drawn for
+LEG = 0.834  # m, leg length of the profiles below
 ANKLE, BALL = 0.095, 0.022  # heights of a standing foot's joints, m
 SIDES = ("Left", "Right")
 Profile = tuple[tuple[float, ...], ...]
 
-# Share of the way, half width, half depth, shift to the front; m.
+# Share of the length, half width, half depth, shift to the front, m.
 _THIGH = ((0.0, 0.086, 0.094, 0.0), (0.2, 0.084, 0.092, 0.004), (0.55, 0.069, 0.075, 0.006),
           (0.85, 0.055, 0.058, 0.004), (1.0, 0.053, 0.056, 0.004))  # fmt: skip
 _SHIN = ((0.0, 0.051, 0.053, 0.002), (0.15, 0.052, 0.056, -0.008), (0.32, 0.054, 0.058, -0.014),
@@ -37,21 +37,21 @@ _MITTEN = ((0.0, 0.020, 0.026, 0.0), (0.22, 0.017, 0.038, 0.0), (0.48, 0.015, 0.
            (0.72, 0.012, 0.036, 0.0), (1.0, 0.009, 0.022, 0.0))  # fmt: skip
 _THUMB = ((0.0, 0.013, 0.014, 0.0), (1.0, 0.009, 0.010, 0.0))
 _COLLAR = ((0.0, 0.046, 0.052, 0.0), (0.6, 0.047, 0.053, 0.0), (1.0, 0.052, 0.055, 0.0))
-_BELT = 0.18  # share of the way where the trousers end
+_BELT = 0.18  # share of the torso where the trousers end
 _NECK = ((0.0, 0.060, 0.062, 0.0), (0.5, 0.052, 0.056, 0.0), (1.0, 0.050, 0.054, 0.0))
-# Height in half heads from the middle, then as above.
+# Height from the middle in half heads, then as above.
 _HEAD = ((-1.0, 0.012, 0.016, 0.036), (-0.95, 0.032, 0.034, 0.034), (-0.82, 0.047, 0.054, 0.026),
          (-0.55, 0.060, 0.077, 0.014), (-0.15, 0.071, 0.089, 0.006), (0.2, 0.077, 0.096, 0.0),
          (0.5, 0.074, 0.094, -0.003), (0.75, 0.060, 0.077, -0.004), (0.91, 0.039, 0.050, -0.004),
          (0.98, 0.018, 0.024, -0.003))  # fmt: skip
 _HEAD_HALF = 0.118
-# Share of the way from the middle of the hips to the middle of the shoulders, then as above.
+# Share of the distance from the middle of the hips to the middle of the shoulders, then as above.
 _TORSO = ((-0.17, 0.040, 0.050, -0.004), (-0.13, 0.095, 0.086, -0.006), (-0.05, 0.150, 0.108, -0.010),
           (0.06, 0.163, 0.112, -0.010), (0.17, 0.156, 0.107, -0.005),
           (0.19, 0.157, 0.108, -0.005), (0.42, 0.132, 0.096, 0.004),
           (0.62, 0.148, 0.110, 0.006), (0.8, 0.164, 0.119, 0.006), (0.93, 0.163, 0.107, 0.0),
           (1.03, 0.132, 0.080, -0.008), (1.11, 0.078, 0.064, -0.010), (1.16, 0.058, 0.056, -0.008))  # fmt: skip
-# Metres ahead of the ankle (the ball of the foot at 0.1), half width, height of sole and instep.
+# Distance ahead of the ankle in m (the ball of the foot is at 0.1), half width, heights of sole and instep.
 _FOOT = ((-0.062, 0.014, 0.016, 0.042), (-0.054, 0.027, 0.004, 0.066), (-0.03, 0.034, 0.0, 0.094),
          (0.0, 0.036, 0.0, 0.106), (0.035, 0.038, 0.0, 0.090), (0.07, 0.042, 0.0, 0.066),
          (0.1, 0.046, 0.0, 0.049), (0.13, 0.044, 0.001, 0.039), (0.155, 0.035, 0.004, 0.031),
@@ -60,12 +60,12 @@ _FOOT = ((-0.062, 0.014, 0.016, 0.042), (-0.054, 0.027, 0.004, 0.066), (-0.03, 0
 
 @dataclass(frozen=True, eq=False)
 class BodyPose:
-    """The pose a body is made in.
+    """The pose in which a body mesh is made.
 
     Attributes:
-        rotations: (J, 3, 3) of the joints in the world.
-        places: (J, 3) of the joints in the world, m.
-        ends: joint to the (3,) point that ends its bone.
+        rotations: (J, 3, 3) global rotations.
+        places: (J, 3) global positions, m.
+        ends: joint to the end (3,) of its bone.
         parents: J parent indices.
         bones: joints whose bone to the parent is part of the body.
     """
@@ -77,7 +77,7 @@ class BodyPose:
     bones: frozenset[int]
 
     def matrices_from(self, rotations: Array, places: Array) -> Array:
-        """Affine (J, 3, 4) matrices that carry this pose into another one of rotations and places."""
+        """Affine matrices (J, 3, 4) from this pose to another, given by its rotations and places."""
         turn = rotations @ self.rotations.transpose(0, 2, 1)
         return np.concatenate(
             [turn, (places - np.einsum("jab,jb->ja", turn, self.places))[..., None]], axis=2
@@ -85,11 +85,11 @@ class BodyPose:
 
 
 def make_body(motion: Motion, bones: Iterable[int]) -> tuple[Surface, BodyPose]:
-    """A surface for the rig of a motion in metres, and the pose it is made in.
+    """A body mesh for the rig of a motion in metres, and the pose in which it is made.
 
     Args:
-        motion: whose rest pose, or else whose best frame, shows the body upright.
-        bones: joints that hang from their parent by a bone; others are joined by nothing.
+        motion: its rest pose, or else its best frame, shows the body upright.
+        bones: joints with a bone to their parent.
     """
     drawn = frozenset(bones)
     try:
@@ -97,7 +97,7 @@ def make_body(motion: Motion, bones: Iterable[int]) -> tuple[Surface, BodyPose]:
     except SkeletonError:
         return _bony(motion, _rest(motion, drawn))
     poses = [_rest(motion, drawn)]
-    if _stoop(poses[0], rig) > 0.5:  # a rest pose that is only a construction
+    if _stoop(poses[0], rig) > 0.5:  # the rest pose is not a standing human
         poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
     pose = min(poses, key=lambda p: _stoop(p, rig))
     return _Human(motion, rig, pose).surface(), pose
@@ -129,7 +129,7 @@ def _frame(motion: Motion, frame: int, bones: frozenset[int]) -> BodyPose:
 
 
 def _stoop(pose: BodyPose, rig: RigMap) -> float:
-    """How far a pose is from one with the thighs below the hips, left and right apart, and the chest on top."""
+    """The deviation of a pose from standing: thighs below the hips, sides apart, chest on top."""
     at = {name: pose.places[joint] for name, joint in rig.places.items()}
     hips, chest = (at["LeftUpLeg"] + at["RightUpLeg"]) / 2, (at["LeftArm"] + at["RightArm"]) / 2
     up = unit(chest - hips, np.zeros(3))
@@ -140,7 +140,7 @@ def _stoop(pose: BodyPose, rig: RigMap) -> float:
 
 
 class _Human:
-    """The pieces of a human body, from the canonical joints' places in a rig."""
+    """Makes the parts of a human body from the places of the canonical joints in a rig."""
 
     def __init__(self, motion: Motion, rig: RigMap, pose: BodyPose) -> None:
         self.names, self.pose, self.rig = motion.skeleton.names, pose, rig.places
@@ -161,14 +161,14 @@ class _Human:
         return self.pose.places[self.rig[name]]
 
     def path(self, above: int, joint: int) -> list[int]:
-        """Joints from above (if it is above) down to a joint, both included."""
+        """Joints from an ancestor `above` down to a joint, both included."""
         out = [joint]
         while out[-1] != above and self.pose.parents[out[-1]] >= 0:
             out.append(self.pose.parents[out[-1]])
         return out[::-1]
 
     def limb_end(self, side: str, part: str, below: str) -> Array:
-        """Where a limb's last bone ends: its joint, its End Site, or as long as the bone before."""
+        """The end of a limb's last bone: its joint, its End Site, or extrapolated by the bone before."""
         if side + below in self.rig:
             return self.at(side + below)
         joint = self.rig[side + part]
@@ -202,7 +202,7 @@ class _Human:
         self.builder.limb(path, self.scaled(profile), self.front, tint)
 
     def _collar(self, side: str) -> None:
-        """What joins the upper arm to the chest, and rises with the collar bone."""
+        """The shoulder between upper arm and chest, which rises with the collar bone."""
         chest = next(self.rig[n] for n in ("Spine1", "Spine", "LowerBack", "Hips") if n in self.rig)
         arm = self.at(f"{side}Arm")
         base = self.hips + 0.95 * self.torso * self.up
@@ -216,7 +216,7 @@ class _Human:
         height = self.torso / 0.507
         spine = [self.rig[n] for n in ("Hips", "LowerBack", "Spine", "Spine1") if n in self.rig]
         shares = [float((self.pose.places[j] - self.hips) @ self.up) / self.torso for j in spine]
-        # Each spine joint is at its fullest halfway to the next.
+        # The weight of each spine joint is largest halfway to the next.
         middles = [0.08] + [(a + b) / 2 for a, b in zip(shares[1:], [*shares[2:], 1.0], strict=True)]
         rings = []
         for share, width, depth, shift in _TORSO:
@@ -293,7 +293,7 @@ class _Human:
         length = float(np.linalg.norm(bone))
         bone = bone / length
         left = unit(np.cross(-down, bone), self.left)
-        # The sole is flat on the floor when ankle and ball are at their standing heights.
+        # The sole is flat on the floor if ankle and ball are at their standing heights.
         drop = float(np.arcsin(np.clip(s * (ANKLE - BALL) / length, 0.0, 0.85)))
         raised = unit(np.cross(bone, left), -down)
         ahead = np.cos(drop) * bone + np.sin(drop) * raised
@@ -318,7 +318,7 @@ class _Human:
         place = self.pose.places[hand]
         along = unit(place - self.at(f"{side}ForeArm"), self.left)
         knuckles = [self.pose.places[j] for j in self._knuckles(hand)]
-        if knuckles:  # the palm reaches to where the fingers begin
+        if knuckles:  # the palm ends where the fingers begin
             reach = float(np.median([np.linalg.norm(k - place) for k in knuckles]))
             along = unit(np.mean(knuckles, axis=0) - place, along)
             spread = max((np.linalg.norm(a - b) for a in knuckles for b in knuckles), default=0.0)
@@ -341,13 +341,13 @@ class _Human:
         self.builder.limb([(root, hand), (tip, hand)], self.scaled(_THUMB), self.front, "hand")
 
     def _knuckles(self, hand: int) -> list[int]:
-        """The first joints of a hand's fingers; none where a rig has no more than a thumb and a tip."""
+        """The first joints of a hand's fingers; none if the rig has only a thumb and a tip."""
         parents = self.pose.parents
         fingers = [j for j, parent in enumerate(parents) if parent == hand and j in parents]
         return fingers if len(fingers) >= 3 else []
 
     def _others(self) -> None:
-        """Fingers, tails and whatever else hangs from a human, as thin bones."""
+        """Fingers, tails and other extra joints, as thin bones."""
         hands = {self.rig[f"{side}Hand"] for side in SIDES if f"{side}Hand" in self.rig}
         knuckles = {joint for hand in hands for joint in self._knuckles(hand)}
         closed = {self.rig[n] for n in ("Head", "LeftFoot", "RightFoot") if n in self.rig}
@@ -374,7 +374,7 @@ def _bone(
 
 
 def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
-    """Tapered bones for a rig that is no known human, thicker towards the trunk, and a head where one is named."""
+    """Tapered bones for a rig that is not a known human, thicker towards the trunk, with a head if one is named."""
     names, count = motion.skeleton.names, len(pose.places)
     below = np.ones(count)
     for joint in range(count - 1, 0, -1):

@@ -1,7 +1,7 @@
-"""Contact sheets: a motion on one picture, to be judged at a glance.
+"""Contact sheets: a motion in one picture.
 
-For each clip stick figures in time, the path of the root and the footprints from above, and the
-heights of feet and root. Drawn with Pillow at twice the size and shrunk, for smooth lines.
+Each clip is shown by stick figures over time, the root's path and footprints from above, and the heights of feet and
+root. Pillow draws at twice the size; the picture is then reduced for smooth lines.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from motionkit.view.contact_sheet_geometry import (
 if TYPE_CHECKING:
     from PIL import Image
 
-ZOOM = 2  # everything is drawn this much larger and averaged down
+ZOOM = 2  # everything is drawn larger by this factor and averaged down
 MARGIN = 16
 TITLE_HEIGHT = 30
 FIGURE_HEIGHT = 240
@@ -37,7 +37,7 @@ PLOT_HEIGHT = 240
 PATH_WIDTH = 380
 POSES_PER_ROW = 16
 MAX_POSES = 480
-OVERLAP = 1.6  # the widest pose may reach this share of its cell; its neighbours seldom reach theirs
+OVERLAP = 1.6  # widest pose as a share of its cell; its neighbours are usually narrower
 
 Color = tuple[int, int, int]
 SIDE_COLORS: dict[str, Color] = {"left": (31, 99, 214), "right": (219, 84, 20), "": (60, 60, 66)}
@@ -85,11 +85,14 @@ class _Canvas:
     def text(
         self, x: float, y: float, words: str, color: Color = INK, size: float = 12, anchor: str = "la"
     ) -> None:
-        """Text with its anchor ("la" left top, "ma" middle top, "rm" right middle ...) at (x, y)."""
+        """Draw text with its anchor ("la" left top, "ma" middle top, "rm" right middle ...) at (x, y)."""
         font = _font(self._fonts, size)
         try:
             self._draw.text((x * ZOOM, y * ZOOM), words, fill=color, font=font, anchor=anchor)
-        except (ValueError, UnicodeError):  # Pillow without FreeType has one small Latin-1 font, no anchors
+        except (
+            ValueError,
+            UnicodeError,
+        ):  # Pillow without FreeType has only a small Latin-1 font without anchors
             plain = words.encode("latin-1", "replace").decode("latin-1")
             self._draw.text((x * ZOOM, y * ZOOM), plain, fill=color, font=font)
 
@@ -100,7 +103,7 @@ class _Canvas:
 
 
 def load_pillow() -> tuple[Any, Any, Any]:
-    """Pillow's Image, ImageDraw and ImageFont; raises MotionkitError where it is not installed."""
+    """Pillow's Image, ImageDraw and ImageFont; raises MotionkitError if Pillow is not installed."""
     try:
         from PIL import Image, ImageDraw, ImageFont
     except ImportError:
@@ -118,19 +121,20 @@ def _font(fonts: Any, size: float) -> Any:
 
 
 def pose_frames(frames: int, poses: int = 12, every: int | None = None) -> list[int]:
-    """The frames shown: `poses` evenly spaced ones from first to last, or every so many.
+    """The frames to show: `poses` evenly spaced ones from first to last, or one every `every` frames.
 
-    Raises MotionkitError when neither makes sense or more than 480 poses would be drawn.
+    Raises:
+        MotionkitError: poses or every is below 1, or there would be more than 480 poses.
     """
     if (every is not None and every < 1) or poses < 1:
-        raise MotionkitError("a contact sheet needs at least one pose, and a step of at least one frame")
+        raise MotionkitError("a contact sheet needs poses and every of at least 1")
     if every is not None:
         shown = list(range(0, frames, every))
     else:
         shown = sorted({int(f) for f in np.linspace(0, frames - 1, min(poses, frames)).round()})
     if len(shown) > MAX_POSES:
         raise MotionkitError(
-            f"{len(shown)} poses of one clip do not fit a sheet, expected at most {MAX_POSES}"
+            f"{len(shown)} poses of one clip do not fit on a sheet, expected at most {MAX_POSES}"
         )
     return shown
 
@@ -138,20 +142,24 @@ def pose_frames(frames: int, poses: int = 12, every: int | None = None) -> list[
 def contact_sheet(
     motions: Sequence[tuple[str, Motion]], poses: int = 12, width: int = 1800, every: int | None = None
 ) -> Image.Image:
-    """A PIL picture of named motions, one block each; lengths in any unit, any rig.
+    """Draw a contact sheet of motions of any rig and unit, one block each.
 
     Args:
         motions: titles and motions, at least one.
-        poses: stick figures per clip, evenly spaced in time.
-        width: of the picture, in pixels.
-        every: show every so many frames instead.
+        poses: number of stick figures per clip, evenly spaced in time.
+        width: width of the picture in pixels, at least 600.
+        every: show one pose every this many frames instead.
 
-    Raises MotionkitError without Pillow, without motions, or when the poses do not fit.
+    Returns:
+        A PIL image.
+
+    Raises:
+        MotionkitError: Pillow is not installed, there are no motions, or the poses do not fit.
     """
     if not motions:
         raise MotionkitError("a contact sheet needs at least one motion")
     if width < 600:
-        raise MotionkitError(f"a contact sheet of {width} pixels cannot be read, expected at least 600")
+        raise MotionkitError(f"a contact sheet {width} pixels wide is unreadable, expected at least 600")
     load_pillow()
     shown = [pose_frames(len(motion), poses, every) for _, motion in motions]
     heights = [_block_height(len(frames)) for frames in shown]
@@ -172,9 +180,9 @@ def write_contact_sheet(
     width: int = 1800,
     every: int | None = None,
 ) -> None:
-    """Write a contact sheet as PNG, whole or not at all; raises MotionkitError for other endings."""
+    """Write a contact sheet as PNG, atomically; arguments as for contact_sheet. Raises MotionkitError."""
     if Path(path).suffix.lower() != ".png":
-        raise MotionkitError(f"{path}: contact sheets are written as .png, found {Path(path).suffix!r}")
+        raise MotionkitError(f"{path}: a contact sheet is a .png file, found {Path(path).suffix!r}")
     picture = contact_sheet(motions, poses, width, every)
     with atomic_write(path, "wb") as file:
         picture.save(file, format="PNG")
@@ -238,7 +246,7 @@ def _draw_poses(
     angle: float,
     box: _Box,
 ) -> None:
-    """Figures side by side, each centred on its root, feet on one ground line, all at one scale."""
+    """Draw figures side by side, each centred on its root, on one ground line and at one scale."""
     screen = screen_points(figure.positions[all_frames], angle)
     roots = screen_points(figure.root[all_frames], angle)
     drawn = sorted({point for bone in figure.bones for point in bone} | {figure.hips})
@@ -262,7 +270,7 @@ def _draw_poses(
 
 
 def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], scale: float) -> None:
-    """One pose; far bones first and paler, so that what is near is seen in front."""
+    """Draw one pose, far bones first and paler, so that near bones are in front."""
     if not figure.bones:
         canvas.dot(points[0, 0], points[0, 1], 3.0, SIDE_COLORS[""])
         return
@@ -289,7 +297,7 @@ def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], s
 
 
 def _round_length(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is not above value."""
+    """The largest of 1, 2, 5 times a power of ten that is at most value."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
@@ -297,7 +305,7 @@ def _round_length(value: float) -> float:
 def _draw_path(
     canvas: _Canvas, figure: Figure, frames: list[int], angle: float, cm: float, box: _Box
 ) -> None:
-    """The root from above with ticks where it faces, and the places where each foot is low."""
+    """Draw the root's path from above with ticks for its facing, and the places where each foot is low."""
     canvas.box(box, outline=GRID)
     canvas.text(box.left + 6, box.top + 4, "from above: root, facing, footprints", FAINT, size=11)
     tracks = [figure.root, *(figure.positions[:, foot] for foot in figure.feet.values())]
@@ -336,7 +344,7 @@ def _draw_path(
 def _draw_footprints(
     canvas: _Canvas, figure: Figure, track: NDArray[np.float64], foot: int, color: Color
 ) -> None:
-    """A foot that stands leaves a dot, one that slides leaves a streak in the sliding colour."""
+    """Draw footprints: a standing foot leaves a dot, a sliding one a streak in the sliding colour."""
     low, slides = low_frames(figure, foot), sliding_frames(figure, foot)
     for frame in np.flatnonzero(low):
         canvas.dot(
@@ -347,7 +355,7 @@ def _draw_footprints(
 def _draw_heights(
     canvas: _Canvas, figure: Figure, frames: list[int], unit: str, cm: float, box: _Box
 ) -> None:
-    """Heights of feet and root over time above the ground line, and when a low foot slides."""
+    """Draw heights of feet and root over time, and mark when a low foot slides."""
     named = [(side or "foot", foot) for side, foot in figure.feet.items()]
     curves = [(figure.root[:, 1] - figure.floor, ROOT_COLOR)]
     curves += [(figure.positions[:, f, 1] - figure.floor, SIDE_COLORS.get(n, INK)) for n, f in named]
@@ -394,7 +402,7 @@ def _draw_heights(
 
 
 def _draw_band(canvas: _Canvas, figure: Figure, foot: int, color: Color, x_of: Any, y: float) -> None:
-    """A bar along time: pale where the foot is low, strong where it slides while low."""
+    """Draw a bar over time: pale while the foot is low, strong while it slides."""
     slides = sliding_frames(figure, foot)
     low = low_frames(figure, foot)
     for mask, shade in ((low, _lighter(color, 0.7)), (slides, SLIDE_COLOR)):

@@ -1,4 +1,4 @@
-"""What a contact sheet shows, as arrays: positions with up along axis 1, a view, a floor, the feet."""
+"""The data of a contact sheet: positions with axis 1 up, view, floor and feet."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from motionkit.motion.rotations import quat_rotate
 
 Array = NDArray[np.float64]
 
-# Units seen in BVH files: name, cm per unit, and the statures a person may have in it.
+# Units of BVH files: name, cm per unit, and the range of statures in this unit.
 UNITS = (
     ("m", 100.0, 0.9, 2.6),
     ("CMU units", 2.54 / 0.45, 16.0, 45.0),
@@ -23,12 +23,12 @@ UNITS = (
     ("cm", 1.0, 95.0, 260.0),
     ("mm", 0.1, 900.0, 2600.0),
 )
-# A foot nearer to the floor than this share of the stature, and faster than this many statures a
-# second along the floor, is sliding: 4 cm and 0.5 m/s for a person of 1.75 m.
+# A foot slides if its height is below this share of the stature and its speed along the floor above this many
+# statures per second: 4 cm and 0.5 m/s for a person of 1.75 m.
 LOW_SHARE = 0.025
 SLIDE_SHARE = 0.28
-# A joint that moves against its parent by more than this share of the stature hangs from no bone: so
-# do the hips below a root that stays on the floor.
+# A joint whose distance from its parent varies by more than this share of the stature has no bone to it, such as hips
+# below a root that stays on the floor.
 LOOSE_SHARE = 0.2
 
 
@@ -37,15 +37,15 @@ class Figure:
     """A motion as points and bones in the world.
 
     Attributes:
-        positions: (T, N, 3) joints, then end sites; axis 1 is up, lengths in the motion's own unit.
+        positions: (T, N, 3) joints, then end sites; axis 1 is up, lengths in the motion's unit.
         bones: pairs of point indices, parent first.
-        sides: for every point "left", "right" or "".
-        hips: the point drawn as the root.
-        head: the point drawn as a head, or None.
-        feet: side to the point that stands for the foot.
+        sides: "left", "right" or "" for each point.
+        hips: index of the point drawn as the root.
+        head: index of the point drawn as the head, or None.
+        feet: side to the index of the foot's point.
         floor: height of the ground line.
-        floor_is_zero: whether that is the world's zero rather than the lowest the body goes.
-        facing: (T,) angle of the body's front in the ground plane, atan2 of axis 2 and axis 0.
+        floor_is_zero: whether the floor is at zero, rather than at the lowest point of the body.
+        facing: (T,) facing angle in the ground plane in radians, atan2 of axis 2 and axis 0.
         stature: estimated standing height.
         fps: frames per second.
     """
@@ -64,11 +64,11 @@ class Figure:
 
     @property
     def root(self) -> Array:
-        """(T, 3) the root joint, or the hips where the root itself only stays on the floor."""
+        """Positions (T, 3) of the root, or of the hips if the root stays on the floor."""
         return self.positions[:, self.hips]
 
     def unit(self) -> tuple[str, float]:
-        """The likely unit by stature: its name and cm per unit; ("units", 1.0) when none fits."""
+        """The likely unit by stature, as name and cm per unit; ("units", 1.0) if none fits."""
         for name, cm, low, high in UNITS:
             if low <= self.stature < high:
                 return name, cm
@@ -76,7 +76,7 @@ class Figure:
 
 
 def motion_figure(motion: Motion) -> Figure:
-    """The points and bones of a motion, turned so that axis 1 is up."""
+    """The points and bones of a motion, rotated so that axis 1 is up."""
     skeleton = motion.skeleton
     rotations, positions = motion_kinematics(motion)
     ends = sorted(skeleton.end_sites)
@@ -97,7 +97,7 @@ def motion_figure(motion: Motion) -> Figure:
     hips = _hips(points, skeleton.parents, floor, stature)
     stand = (
         range(hips + 1) if hips else range(0)
-    )  # what leads up from the floor to the hips is no part of a body
+    )  # bones from the floor up to the hips are not part of the body
     return Figure(
         points,
         tuple(bone for bone in bones if not _is_loose(points, bone, stature) and bone[1] not in stand),
@@ -114,10 +114,10 @@ def motion_figure(motion: Motion) -> Figure:
 
 
 def _stature(points: Array, parents: tuple[int, ...]) -> float:
-    """Roughly the standing height: from the lowest to the highest end of the body along its bones.
+    """An estimate of the standing height from the longest chain of bones.
 
-    The two longest chains from the root reach the toes and the head or a hand; along bones they are
-    about a sixth longer than the body is tall.
+    The longest chains from the root end at the toes and at the head or a hand; twice their length is about a sixth
+    more than the height of the body.
     """
     middle = points[len(points) // 2]
     reach = np.zeros(len(parents))
@@ -139,7 +139,7 @@ def _floor(points: Array, stature: float) -> tuple[float, bool]:
 
 
 def _hips(points: Array, parents: tuple[int, ...], floor: float, stature: float) -> int:
-    """The first joint from the root on that stays off the floor, while there is but one way to go."""
+    """The first joint above the floor, following single children from the root."""
     hips = 0
     while points[:, hips, 1].mean() - floor < 0.2 * stature:
         below = [joint for joint, parent in enumerate(parents) if parent == hips]
@@ -157,7 +157,7 @@ def _head(names: tuple[str, ...]) -> int | None:
 
 
 def _feet(names: tuple[str, ...], sides: tuple[str, ...], points: Array) -> dict[str, int]:
-    """For each side its toe, else its foot, else its lowest joint; without sides the lowest of all."""
+    """For each side its toe, else its foot, else its lowest joint; without sides the lowest joint."""
     feet: dict[str, int] = {}
     heights = points[:, : len(names), 1].mean(axis=0)
     for side in sorted(set(sides) - {""}) or [""]:
@@ -171,7 +171,7 @@ def _feet(names: tuple[str, ...], sides: tuple[str, ...], points: Array) -> dict
 
 
 def _facing(points: Array, sides: tuple[str, ...]) -> Array:
-    """(T,) where the front is: a quarter turn from the line between the left and the right half."""
+    """The facing angle (T,) in radians: a quarter turn from the line between the left and the right joints."""
     left = [i for i, side in enumerate(sides) if side == "left"]
     right = [i for i, side in enumerate(sides) if side == "right"]
     if not left:
@@ -181,10 +181,10 @@ def _facing(points: Array, sides: tuple[str, ...]) -> Array:
 
 
 def camera_angle(figure: Figure) -> float:
-    """The screen's x axis as an angle in the ground plane, so that the body is seen from the best side.
+    """The angle in radians of the screen's x axis in the ground plane, for the best view of the body.
 
-    Someone who travels is seen at right angles to the way, someone who stays is seen half from the
-    front; both a little towards the viewer, so that left and right do not cover each other.
+    A travelling body is seen from the side, a body that stays in place half from the front; both are turned a little
+    towards the viewer, so that left and right do not cover each other.
     """
     ground = figure.root[:, [0, 2]]
     steps = ground - ground.mean(axis=0)
@@ -200,7 +200,7 @@ def camera_angle(figure: Figure) -> float:
 
 
 def screen_points(points: Array, angle: float) -> Array:
-    """Points (..., 3) as (..., 3): right, up, and depth towards the viewer, for a level camera."""
+    """Convert points (..., 3) to right, up and depth towards the viewer (..., 3), for a level camera."""
     cosine, sine = np.cos(angle), np.sin(angle)
     right = points[..., 0] * cosine + points[..., 2] * sine
     towards = -points[..., 0] * sine + points[..., 2] * cosine
@@ -208,16 +208,16 @@ def screen_points(points: Array, angle: float) -> Array:
 
 
 def low_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
-    """(T,) whether the foot is near the height at which it stands."""
+    """Whether the foot is near its standing height (T,)."""
     heights = figure.positions[:, foot, 1]
     standing = np.percentile(heights, 3)
     return heights < standing + LOW_SHARE * figure.stature
 
 
 def sliding_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
-    """(T,) whether the foot moves along the floor while it is low, also a twentieth of a second either side.
+    """Whether the foot moves along the floor while it is low (T,).
 
-    So neither the touch-down nor the push-off of a step counts.
+    It must be low for a twentieth of a second before and after too, so touch-down and push-off of a step do not count.
     """
     track = figure.positions[:, foot]
     span = max(1, round(figure.fps / 20))

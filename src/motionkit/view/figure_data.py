@@ -1,7 +1,7 @@
-"""What a page needs to draw a figure, packed small: the rig, its body, and its frames, in metres with Y up.
+"""The data that a page needs to draw a figure: rig, body and frames, in metres with Y up, compressed.
 
-Numbers are packed as {"type", "shape", "data"}: little-endian, deflated, base64. Whole numbers are
-differences from row to row, which deflate well.
+Arrays are packed as {"type", "shape", "data"}: little-endian, deflated, base64. Integer arrays hold differences from
+row to row, which compress well.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_fig
 from motionkit.view.surface import TINTS
 
 CM = 0.01
-QUATERNION_STEPS = 32767  # a rotation is told to a few thousandths of a degree
-POINT_STEPS = 10_000  # a point of the body to a tenth of a millimetre
+QUATERNION_STEPS = 32767  # resolution of rotations: a few thousandths of a degree
+POINT_STEPS = 10_000  # resolution of body points: a tenth of a millimetre
 # Y up from Z up: -90 degrees about X.
 _UPRIGHT = np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0], np.float32)
 
@@ -43,10 +43,10 @@ class Shown:
     """A motion to show.
 
     Attributes:
-        name: what to call it.
-        motion: in any unit, either axis up.
-        types: motion types with their seconds, one after another; empty when unknown.
-        path: (N, 2) x, z in cm of the path it was asked to follow, or None.
+        name: title of the motion.
+        motion: in any unit, with Y or Z up.
+        types: motion types and their seconds in sequence; empty if unknown.
+        path: (N, 2) x, z in cm of the requested path, or None.
     """
 
     name: str
@@ -56,11 +56,11 @@ class Shown:
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:
-    """Numbers of any shape for the page; kind is "f4", or "i2", "u2" or "u1" for whole numbers."""
+    """Pack an array of any shape for the page; kind is "f4", or "i2", "u2" or "u1" for integers."""
     array = np.asarray(values)
     if kind == "f4":
         raw = array.astype("<f4")
-    else:  # wraps around, as the page's sums do
+    else:  # wraps around, like the sums in the page
         flat = array.astype(np.int64).reshape(len(array), -1)
         steps = np.diff(flat, axis=0, prepend=np.zeros((1, flat.shape[1]), dtype=np.int64))
         raw = (steps & (0xFFFF if kind[1] == "2" else 0xFF)).astype(f"<u{kind[1]}")
@@ -69,7 +69,7 @@ def pack(values: NDArray, kind: str) -> dict[str, Any]:
 
 
 def figure_data(shown: Shown) -> dict[str, Any]:
-    """A motion as the page takes it: rig, body, frames, contacts, types and path."""
+    """The data of a motion for the page: rig, body, frames, contacts, types and path."""
     motion, scale, note = in_metres(shown.motion)
     figure = motion_figure(motion)
     path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
@@ -99,9 +99,11 @@ def figure_data(shown: Shown) -> dict[str, Any]:
 
 
 def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
-    """The rig of a motion in metres with Y up, and its body, for the page.
+    """The rig and body of a motion in metres with Y up, for the page.
 
-    figure is the motion's, where it is already at hand.
+    Args:
+        motion: in metres with Y up.
+        figure: its motion_figure, computed if None.
     """
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
@@ -132,7 +134,7 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
 
 
 def in_metres(motion: Motion) -> tuple[Motion, float, str]:
-    """The motion in metres with Y up, metres per unit of the file, and how that was found."""
+    """The motion in metres with Y up, the metres per file unit, and how that was determined."""
     cm, note = _cm_per_unit(motion)
     scaled = motion.scaled(cm * CM)
     _, positions = motion_kinematics(motion)
@@ -155,7 +157,7 @@ def _cm_per_unit(motion: Motion) -> tuple[float, str]:
 
 
 def _leg(skeleton: Skeleton) -> float:
-    """Thigh plus shin of a human rig, 0 for any other."""
+    """Thigh plus shin of a human rig, 0 for other rigs."""
     try:
         places = map_rig(skeleton).places
     except SkeletonError:
@@ -174,7 +176,7 @@ def _leg(skeleton: Skeleton) -> float:
 
 
 def _moving(motion: Motion) -> dict[str, Any] | None:
-    """Where joints are against their parents, for those that do not stay at their offsets."""
+    """Local positions of the joints that do not stay at their offsets."""
     if motion.local_positions is None:
         return None
     places = motion.local_positions

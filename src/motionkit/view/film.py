@@ -1,4 +1,4 @@
-"""GIFs and films of motions."""
+"""GIFs and videos of motions."""
 
 from __future__ import annotations
 
@@ -21,47 +21,48 @@ GIF_FPS, GIF_WIDTH, GIF_COLORS = 20, 480, 96
 FILM_FPS, FILM_WIDTH = 30, 960
 MAX_SECONDS = 600.0
 MAX_WIDTH = 3840
-MAX_GIF_PIXELS = 500_000_000  # of all frames: Pillow keeps them in memory until the last
+MAX_GIF_PIXELS = 500_000_000  # of all frames together, because Pillow keeps them in memory
 Progress = Callable[[int, int], None]
 
 
 def write_film(
     path: str | Path, shown: Sequence[Shown], width: int | None = None, progress: Progress | None = None
 ) -> None:
-    """Write motions side by side as .gif or .mp4, in real time, whole or not at all.
+    """Write motions side by side as .gif or .mp4, in real time and atomically.
 
     Args:
-        path: of the file; its ending decides.
-        shown: what to show, at least one.
-        width: in pixels, at most 3840; 480 for a GIF, 960 for a film. Three quarters as high.
-        progress: called with frames drawn and frames in all.
+        path: file to write; its ending chooses the format.
+        shown: motions to show, at least one.
+        width: width in pixels, at most 3840; by default 480 for a GIF, 960 for a video. The height is 3/4 of it.
+        progress: called with the number of frames drawn and of all frames.
 
-    Raises MotionkitError for other endings, without Pillow (or imageio-ffmpeg for .mp4), for motions
-    of more than ten minutes, and for a GIF of more than 500 million pixels.
+    Raises:
+        MotionkitError: the ending is another, Pillow (or imageio-ffmpeg for .mp4) is not installed, a motion is longer
+            than ten minutes, or a GIF has more than 500 million pixels.
     """
     kind = Path(path).suffix.lower()
     if kind not in (".gif", ".mp4"):
-        raise MotionkitError(f"{path}: films are written as .gif or .mp4, found {kind!r}")
+        raise MotionkitError(f"{path}: a video is a .gif or .mp4 file, found {kind!r}")
     if not shown:
-        raise MotionkitError("a film needs at least one motion")
+        raise MotionkitError("a video needs at least one motion")
     if kind == ".mp4":
         _ffmpeg()
     wide, fps = (GIF_WIDTH, GIF_FPS) if kind == ".gif" else (FILM_WIDTH, FILM_FPS)
     wide = width or wide
     if wide > MAX_WIDTH:
-        raise MotionkitError(f"{path}: films are at most {MAX_WIDTH} pixels wide, found {wide}")
+        raise MotionkitError(f"{path}: a video is at most {MAX_WIDTH} pixels wide, found {wide}")
     wide += wide % 2
-    high = wide * 3 // 4 // 2 * 2  # films need even sizes
+    high = wide * 3 // 4 // 2 * 2  # videos need even sizes
     seconds = max((len(one.motion) - 1) / one.motion.fps for one in shown)
     if seconds > MAX_SECONDS:
         raise MotionkitError(
-            f"{path}: {seconds:.0f} s of motion, expected at most {MAX_SECONDS:.0f} s for a film"
+            f"{path}: {seconds:.0f} s of motion, expected at most {MAX_SECONDS:.0f} s for a video"
         )
     most = MAX_GIF_PIXELS / (wide * high * fps)
     if kind == ".gif" and seconds > most:
         raise MotionkitError(
             f"{path}: {seconds:.0f} s of motion, expected at most {most:.0f} s for a GIF {wide} pixels wide; "
-            "write .mp4, or give a smaller --width"
+            "write .mp4 or choose a smaller --width"
         )
     pictures = _pictures(Scenery(shown, wide, high), fps, progress)
     if kind == ".gif":
@@ -80,7 +81,7 @@ def _pictures(scenery: Scenery, fps: int, progress: Progress | None) -> Iterator
 
 def _write_gif(path: str | Path, pictures: Iterator[Image.Image]) -> None:
     image, _, _ = load_pillow()
-    with atomic_write(path, "wb") as file:  # before the first picture, so that a bad place is told at once
+    with atomic_write(path, "wb") as file:  # before the first picture, so that a bad path fails at once
         first = next(pictures).quantize(GIF_COLORS)
         # One palette for all frames and no dithering: small files and no flicker.
         rest = (picture.quantize(palette=first, dither=image.Dither.NONE) for picture in pictures)
@@ -94,11 +95,11 @@ def _write_mp4(path: str | Path, pictures: Iterator[Image.Image], size: tuple[in
         made = Path(folder) / "film.mp4"
         try:
             _encode(made, pictures, size)
-        except OSError as error:  # what ffmpeg had to say follows the first line
+        except OSError as error:  # ffmpeg's own messages follow the first line
             told = (str(error).strip() or type(error).__name__).splitlines()[0]
-            raise MotionkitError(f"{path}: ffmpeg could not write the film ({told})") from None
+            raise MotionkitError(f"{path}: ffmpeg could not write the video ({told})") from None
         if not made.exists() or not made.stat().st_size:
-            raise MotionkitError(f"{path}: ffmpeg wrote no film")
+            raise MotionkitError(f"{path}: ffmpeg wrote no video")
         with made.open("rb") as film:
             shutil.copyfileobj(film, file)
 

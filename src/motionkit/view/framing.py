@@ -1,4 +1,4 @@
-"""Where motions stand beside each other, and a camera that keeps all of them in the picture."""
+"""Places motions side by side, and a camera that keeps all of them in the picture."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ import numpy as np
 from motionkit.view.contact_sheet_geometry import Figure
 from motionkit.view.surface import Array
 
-FIELD = 0.6  # height of what is seen at a distance of 1
-DISTANCE = 4.0  # m from the camera to what it looks at, if nothing is further out
+FIELD = 0.6  # height of the view at distance 1
+DISTANCE = 4.0  # m, smallest distance from the camera to its target
 LIFT = 0.17  # radians the camera looks down
-EYE = 0.9  # m, what it looks at
-GAP = 0.6  # m at least between the joints of bodies side by side
-FLESH = 0.09  # statures from a joint to the outside of the body
-SIDE_ANGLE = 0.55  # radians between the camera and the front of those it looks at
-TRAVEL_ANGLE = 0.95  # and between it and the way of one that travels
-_RATE = 30.0  # times a second the camera's way is worked out for
-_SMOOTHING = 0.4  # s either side that it is averaged over
-_ANGLES = 16  # that are tried
-_FACE = 0.3  # how much further away faces may be than backs, as a share
-_EDGE = 0.05  # share of the picture left free at the sides and the bottom
+EYE = 0.9  # m, height of the target
+GAP = 0.6  # m, smallest distance between the joints of two bodies
+FLESH = 0.09  # distance from a joint to the body's surface, as a share of the stature
+SIDE_ANGLE = 0.55  # radians between the camera and the facing of the bodies
+TRAVEL_ANGLE = 0.95  # radians between the camera and the direction of a travelling body
+_RATE = 30.0  # samples per second of the camera's path
+_SMOOTHING = 0.4  # s on either side over which it is averaged
+_ANGLES = 16  # number of camera directions to try
+_FACE = 0.3  # how much more distant a view of faces may be than one of backs, as a share
+_EDGE = 0.05  # share of the picture kept free at the sides and the bottom
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,9 +30,9 @@ class Camera:
     """A camera at one moment.
 
     Attributes:
-        target: (3,) what it looks at if nothing is further out, m.
-        shift: (3,) to the right, up and back from the target to where it is, m.
-        axes: (3, 3) its directions right, up and back, in rows.
+        target: (3,) point it looks at without a shift, m.
+        shift: (3,) from the target to the camera, along right, up and back, m.
+        axes: (3, 3) the directions right, up and back, in rows.
         size: width and height of the picture.
     """
 
@@ -57,15 +57,15 @@ class Camera:
 
 
 class Framing:
-    """The places of several motions and the way of a camera.
+    """The places of several motions and the path of a camera.
 
-    The camera goes along with the middle of all, and so far back that nobody leaves the picture. With the
-    direction fixed, a point is inside if four linear inequalities hold, one for each edge of the picture:
-    so the largest left sides over all points, smoothed over time, give the nearest place for the camera.
+    The camera follows the middle of all bodies, far enough away that none leaves the picture. For a fixed direction a
+    point is inside the picture if four linear inequalities hold, one per edge. The largest left sides over all points,
+    smoothed over time, therefore give the nearest camera position.
     """
 
     def __init__(self, figures: Sequence[Figure], size: tuple[int, int], top: float = 0.0) -> None:
-        """Figures in metres; size is the picture's in pixels, top how many of them to keep free above heads."""
+        """Figures are in metres; size is the picture's in pixels; top pixels are kept free above heads."""
         self.size = size
         self.seconds = max((len(f.positions) - 1) / f.fps for f in figures)
         self._times = np.arange(int(np.ceil(self.seconds * _RATE)) + 1) / _RATE
@@ -73,7 +73,7 @@ class Framing:
         wide = FIELD / 2 * size[0] / size[1]
         sides = wide * (1 - 2 * _EDGE)
         high = FIELD / 2
-        # Tangents of what may be seen to the right, left, top and bottom.
+        # Tangents of the view angles to the right, left, top and bottom.
         self._tangents = np.array([sides, sides, high * (1 - 2 * top / size[1]), high * (1 - 2 * _EDGE)])
         self._nearest = DISTANCE * max(1.0, 1.2 * size[1] / size[0])
         bodies = [_at_times(f, self._times) for f in figures]
@@ -92,7 +92,7 @@ class Framing:
         )
 
     def tops(self, time: float) -> Array:
-        """(N, 3) points above the motions' heads at a time, which move gently."""
+        """Smoothly moving points (N, 3) above the heads at a time."""
         return np.stack([self._at(top, time) for top in self._tops])
 
     def _at(self, rows: Array, time: float) -> Array:
@@ -123,7 +123,7 @@ class Framing:
 
     @staticmethod
     def _side_by_side(bodies: list[Array], hips: list[Array], angle: float) -> list[Array]:
-        """(3,) to move each by: they begin in a row across the picture and never walk behind each other."""
+        """Translations (3,) that start the motions in a row across the picture, so that none hides another."""
         if len(bodies) == 1:
             return [np.zeros(3)]
         row = np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -141,21 +141,21 @@ class Framing:
         return [place - middle for place in places]
 
     def _targets(self, hips: list[Array], places: list[Array]) -> Array:
-        """(T, 3) what the camera looks at: the middle of all hips, smooth over time."""
+        """The target (T, 3) of the camera: the middle of all hips, smoothed over time."""
         middle = np.mean([h + p for h, p in zip(hips, places, strict=True)], axis=0)
         way = _smooth(middle)
-        # Steps and jumps are left to the room above the head; stairs are not.
+        # The camera follows stairs, but not steps and jumps; those use the room above the head.
         way[:, 1] = EYE + way[:, 1] - np.clip(way[:, 1], -0.5, 1.5)
         return way
 
     def _shifts(self, bodies: list[Array], places: list[Array], way: Array, angle: float) -> Array:
-        """(T, 3) from the target to the camera along its axes."""
+        """The shift (T, 3) from the target to the camera along its axes."""
         supports = self._supports(bodies, places, way, angle)
-        # An average of maxima over as long holds every one of the values.
+        # An average of maxima over an equal window is never below the values.
         return self._fitted(_smooth(_largest_around(supports)))
 
     def _supports(self, bodies: list[Array], places: list[Array], way: Array, angle: float) -> Array:
-        """(T, 4) the largest left side of the inequalities of the right, left, top and bottom edge."""
+        """The largest left sides (T, 4) of the inequalities of the right, left, top and bottom edges."""
         axes = camera_axes(angle)
         sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         normals = sides @ axes[:2] + self._tangents[:, None] * axes[2]
@@ -168,18 +168,18 @@ class Framing:
         return np.maximum(found, self._tangents * self._nearest)
 
     def _fitted(self, supports: Array) -> Array:
-        """(T, 3) the nearest camera for supports (T, 4): p + t z <= c + t z_c for every point and edge."""
+        """The nearest camera (T, 3) for supports (T, 4): p + t z <= c + t z_c for every point and edge."""
         right, left, top, bottom = supports.T
         t_right, t_left, t_top, t_bottom = self._tangents
         back = np.maximum((right + left) / (t_right + t_left), (top + bottom) / (t_top + t_bottom))
         across = ((right - t_right * back) + (t_left * back - left)) / 2
-        # Free room goes above the heads: the ground is where a picture begins.
+        # Spare room goes above the heads; the ground is at the bottom edge.
         up = np.clip(0.0, top - t_top * back, t_bottom * back - bottom)
         return np.stack([across, up, back], axis=-1)
 
 
 def camera_axes(angle: float) -> Array:
-    """(3, 3) the directions right, up and back of a camera that stands at an angle from +Z towards +X."""
+    """The directions right, up and back (3, 3) of a camera at an angle in radians from +Z towards +X."""
     sine, cosine = np.sin(angle), np.cos(angle)
     back = np.array([np.cos(LIFT) * sine, np.sin(LIFT), np.cos(LIFT) * cosine])
     right = np.array([cosine, 0.0, -sine])
@@ -187,24 +187,24 @@ def camera_axes(angle: float) -> Array:
 
 
 def frame_at(time: float, fps: float, frames: int) -> int:
-    """The frame shown at a time; the last one stays."""
+    """The frame shown at a time in seconds; the last frame is held."""
     return min(int(time * fps + 1e-6), frames - 1)
 
 
 def _at_times(figure: Figure, times: Array) -> Array:
-    """(T, N, 3) the figure's points at times, the floor at zero."""
+    """The figure's points (T, N, 3) at times (T,), with the floor at zero."""
     count = len(figure.positions)
     points = figure.positions[[frame_at(float(t), figure.fps, count) for t in times]]
     return points - [0.0, 0.0 if figure.floor_is_zero else figure.floor, 0.0]
 
 
 def _front(figure: Figure) -> Array:
-    """(2,) x and z of where a figure faces, averaged over time."""
+    """The mean facing direction (2,) of a figure, x and z."""
     return np.array([np.cos(figure.facing).mean(), np.sin(figure.facing).mean()])
 
 
 def _smooth(rows: Array) -> Array:
-    """Averages over _SMOOTHING either side; the first and last row go on beyond the ends."""
+    """Averages over _SMOOTHING on either side; the first and last row are held beyond the ends."""
     reach = round(_SMOOTHING * _RATE)
     padded = np.concatenate(
         [np.repeat(rows[:1], reach + 1, axis=0), rows, np.repeat(rows[-1:], reach, axis=0)]
@@ -215,7 +215,7 @@ def _smooth(rows: Array) -> Array:
 
 
 def _largest_around(rows: Array) -> Array:
-    """The largest of each column over _SMOOTHING either side."""
+    """The maximum of each column over _SMOOTHING on either side."""
     reach = round(_SMOOTHING * _RATE)
     padded = np.pad(rows, ((reach, reach), (0, 0)), mode="edge")
     largest: Array = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0).max(axis=-1)

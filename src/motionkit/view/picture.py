@@ -1,4 +1,4 @@
-"""Pictures of bodies on a ground, drawn with Pillow: what the page shows, without a browser."""
+"""Draws bodies on a ground with Pillow, like the page but without a browser."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ from motionkit.view.surface import TINTS, Array
 if TYPE_CHECKING:
     from PIL import Image
 
-ZOOM = 2  # drawn so much larger and averaged down
-GRID_REACH = 9  # lines around the camera's target, each way
+ZOOM = 2  # drawn larger by this factor and averaged down
+GRID_REACH = 9  # lines on each side of the camera's target
 SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)
 SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116), (168, 115, 222), (221, 85, 103), (43, 167, 172))
-SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm([1.7, 5.6, 2.2])  # where from, for a camera at SIDE_ANGLE
+SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm(
+    [1.7, 5.6, 2.2]
+)  # direction of the light, for a camera at SIDE_ANGLE
 
 
 @dataclass(frozen=True, eq=False)
 class _Actor:
-    """A motion ready to be drawn: rotations (T, J, 3, 3), places (T, J, 3), hips (T, 3), all in metres."""
+    """A motion prepared for drawing: rotations (T, J, 3, 3), places (T, J, 3) and hips (T, 3), in metres."""
 
     shown: Shown
     color: tuple[int, int, int]
@@ -53,7 +55,7 @@ class _Actor:
 
     @cached_property
     def shades(self) -> Array:
-        """(F, 3) the colour of each triangle in full light."""
+        """The colour (F, 3) of each triangle in full light."""
         surface = self._parts[0]
         mixes = {"head": ((242, 224, 208), 0.85), "leg": ((42, 48, 64), 0.68), "foot": ((20, 23, 28), 0.82)}
         mixes["hand"] = mixes["head"]
@@ -64,14 +66,14 @@ class _Actor:
         return np.array(table)[surface.tints[surface.triangles[:, 0]]]
 
     def triangles(self, time: float) -> tuple[Array, Array]:
-        """Corners (F, 3, 3) in the world at a time, the floor at zero, and normals (F, 3) of the skin there."""
+        """World corners (F, 3, 3) at a time, with the floor at zero, and smoothed normals (F, 3)."""
         surface, pose, turns, places, figure = self._parts
         frame = frame_at(time, figure.fps, len(turns))
         points = surface.posed(pose.matrices_from(turns[frame], places[frame]))
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
         corners = points[surface.triangles]
         normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        # Averaged over neighbours, twice: at the points, then back on the triangles.
+        # Average twice over neighbours: from triangles to points and back.
         spread = [np.bincount(surface.triangles.ravel(), np.repeat(n, 3), len(points)) for n in normals.T]
         skin: Array = np.stack(spread, axis=-1).astype(np.float64)
         skin = skin / np.maximum(np.linalg.norm(skin, axis=-1, keepdims=True), 1e-12)
@@ -79,7 +81,7 @@ class _Actor:
 
 
 class Scenery:
-    """Motions side by side, and the camera that goes with them."""
+    """Motions side by side, with their camera."""
 
     def __init__(self, shown: Sequence[Shown], width: int, height: int) -> None:
         self.pillow = load_pillow()
@@ -100,7 +102,7 @@ class Scenery:
         self.step = _grid_step(self.framing.farthest)
 
     def frame(self, time: float) -> Image.Image:
-        """The picture at a time, seconds from the start."""
+        """The picture at a time in seconds."""
         image, image_draw, _ = self.pillow
         camera = self.framing.camera(time)
         bodies = [a.triangles(time) for a in self.actors]
@@ -118,7 +120,7 @@ class Scenery:
         return picture
 
     def _shadows(self, picture: Image.Image, bodies: list[tuple[Array, Array]], camera: Camera) -> None:
-        """Soft shadows on the ground, drawn small: nothing of them is sharp."""
+        """Draw soft shadows on the ground, at low resolution because they are blurred."""
         image, _, _ = self.pillow
         from PIL import ImageFilter
 
@@ -139,7 +141,7 @@ class Scenery:
             picture.paste((40, 46, 58), large, mask)
 
     def _ground(self, pen: Any, camera: Camera) -> None:
-        """The floor with lines that fade into the distance."""
+        """Draw the floor with lines that fade into the distance."""
         width, height = self.size
         away = -camera.axes[2] * [1.0, 0.0, 1.0]
         horizon = camera.screen(camera.target * [1.0, 0.0, 1.0] + 1e5 * away)
@@ -163,7 +165,7 @@ class Scenery:
             pen.line(way, fill=tuple(color), width=ZOOM)
 
     def _shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
-        """Triangles that face the camera, corners (F, 3, 2) and colours (F, 3), from far to near."""
+        """Corners (F, 3, 2) and colours (F, 3) of the triangles that face the camera, from far to near."""
         corners: list[Array] = []
         colors: list[NDArray[np.uint8]] = []
         for actor, (body, normals) in zip(self.actors, bodies, strict=True):
@@ -171,7 +173,7 @@ class Scenery:
             sides = np.diff(seen[..., :2], axis=1)
             facing = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0] < 0.0
             skin = normals[facing]
-            # From all around and above, from the sun, and a little from the camera, so that no face is in the dark.
+            # Ambient light, the sun, and some light from the camera, so that no side is dark.
             light = 0.5 + 0.13 * skin[:, 1] + 0.42 * np.clip(skin @ self.sun, 0.0, 1.0)
             light += 0.16 * np.clip(skin @ camera.axes[2], 0.0, 1.0)
             colors.append(np.clip(actor.shades[facing] * light[:, None], 0, 255).astype(np.uint8))
@@ -182,7 +184,7 @@ class Scenery:
 
 
 def _grid_step(distance: float) -> float:
-    """Metres between the lines of the ground: 1, 2, 5, 10 ..., more if the camera is far away."""
+    """Distance in metres between the lines of the ground: 1, 2, 5, 10 ..., by the camera's distance."""
     wanted = max(1.0, distance / (2 * DISTANCE))
     ten = 10.0 ** np.floor(np.log10(wanted))
     return float(next(ten * step for step in (1.0, 2.0, 5.0, 10.0) if ten * step >= wanted))

@@ -1,4 +1,4 @@
-"""Names above the heads of figures in pictures."""
+"""Draws names above the heads of figures."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
     from PIL import Image
 
 Color = tuple[int, int, int]
-SMALLEST = 12  # pixels of letters
+SMALLEST = 12  # smallest font size in pixels
 PAD = 4  # pixels around a name
 GAP = 2  # pixels between names
-LONGEST = 80  # letters that are looked at
+LONGEST = 80  # most characters considered
 
 
 class Labels:
-    """A tag for every motion, its name on the colour of its shirt."""
+    """A tag for each motion: its name on the colour of its shirt."""
 
     def __init__(self, shown: Sequence[Shown], colors: Sequence[Color], width: int, height: int) -> None:
         image, image_draw, fonts = load_pillow()
@@ -37,7 +37,7 @@ class Labels:
         self.height = max(tag.height for tag in self.tags) + GAP
 
     def draw(self, picture: Image.Image, points: Array) -> None:
-        """Draw the tags above points (N, 2) in pixels; who is in the way of another goes above it."""
+        """Draw the tags above points (N, 2) in pixels; overlapping tags are stacked."""
         taken: list[tuple[float, float, float, float]] = []
         for n in np.argsort(-points[:, 1], kind="stable"):
             tag = self.tags[n]
@@ -70,7 +70,7 @@ def _tag(image: Any, image_draw: Any, font: Any, name: str, color: Color, most: 
 
 
 def _shortened(pen: Any, font: Any, name: str, most: float) -> tuple[str, tuple[float, ...]]:
-    """A name with what does not fit left out of its middle, where names differ least, and its box."""
+    """A name, shortened in its middle to fit, and its box."""
     name = name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}{name[-LONGEST // 2 :]}"
     words, kept = name, len(name)
     while True:
@@ -82,11 +82,11 @@ def _shortened(pen: Any, font: Any, name: str, most: float) -> tuple[str, tuple[
 
 
 def _plain(pen: Any, font: Any, name: str) -> str:
-    """A name on one line, with what the font cannot write replaced."""
+    """A name on one line, with characters that the font lacks replaced."""
     name = "".join(letter if letter.isprintable() else "?" for letter in name) or "?"
     try:
         _box(pen, font, name)
-    except UnicodeError:  # Pillow without FreeType has one small Latin-1 font
+    except UnicodeError:  # Pillow without FreeType has only a small Latin-1 font
         return name.encode("latin-1", "replace").decode("latin-1")
     return name
 

@@ -1,4 +1,4 @@
-"""Many small triangles filled at once, in numpy: a call for each would take longer than everything else."""
+"""Fills many small triangles at once in numpy; one call per triangle would be far slower."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from numpy.typing import NDArray
 
 from motionkit.view.surface import Array
 
-_AT_ONCE = 500_000  # pixels filled in one go, to bound the memory
+_AT_ONCE = 500_000  # pixels filled at a time, which limits memory
 
 
 def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np.uint8]) -> None:
-    """Fill triangles, each over those before it, where they hold the middle of a pixel.
+    """Fill the pixels whose centres are inside triangles; later triangles cover earlier ones.
 
     Args:
-        canvas: (H, W, C), written into.
-        corners: (F, 3, 2) x and y in pixels, in either direction around; what is not finite is left out.
+        canvas: (H, W, C), changed in place.
+        corners: (F, 3, 2) x and y in pixels, in any orientation; triangles that are not finite are skipped.
         colors: (F, C).
     """
     height, width = canvas.shape[:2]
@@ -26,7 +26,7 @@ def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np
         highs = np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2])
         first = np.maximum(np.ceil(lows - 0.5), 0.0)
         last = np.minimum(np.floor(highs - 0.5), [width - 1.0, height - 1.0])
-        # Comparisons are false for NaN.
+        # Comparisons are False for NaN.
         sides, areas = _sides(corners)
         seen = np.flatnonzero((last >= first).all(axis=1) & (areas > 0.0) & (areas < np.inf))
     tops, counts = first[seen, 1], (last - first)[seen, 1].astype(np.int64) + 1
@@ -41,12 +41,12 @@ def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np
     pixels = canvas.reshape(height * width, -1)
     for part in _parts(lengths):
         run, within = _spread(lengths[part])
-        # Of several assignments to a pixel the last one stays.
+        # The last of several assignments to a pixel wins.
         pixels[begins[part][run] + within] = paints[part][run]
 
 
 def _sides(corners: Array) -> tuple[Array, Array]:
-    """(F, 3, 3) the sides as lines a x + b y + c, not negative inside, and twice the areas (F,)."""
+    """The sides (F, 3, 3) as lines a x + b y + c, non-negative inside, and twice the areas (F,)."""
     after = corners[:, [1, 2, 0]]
     a, b = corners[..., 1] - after[..., 1], after[..., 0] - corners[..., 0]
     c = -(a * corners[..., 0] + b * corners[..., 1])
@@ -56,7 +56,7 @@ def _sides(corners: Array) -> tuple[Array, Array]:
 
 
 def _spans(sides: Array, y: Array) -> tuple[Array, Array]:
-    """Where lines (N,) of pixels at heights y begin and end inside triangles with sides (N, 3, 3)."""
+    """Start and end of pixel rows (N,) at heights y inside triangles with sides (N, 3, 3)."""
     a = sides[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = -(sides[:, 1] * y[:, None] + sides[:, 2]) / a
@@ -69,7 +69,7 @@ def _spans(sides: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _spread(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For items that have counts of parts: the item of each part, and which of its parts it is."""
+    """For items with counts of parts: the item of each part, and the part's index within its item."""
     which = np.repeat(np.arange(len(counts)), counts)
     within = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
     return which, within

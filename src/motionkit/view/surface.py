@@ -1,4 +1,4 @@
-"""Closed surfaces that joints carry: rings of points along a line, joined to a mesh that bends with the joints."""
+"""Closed meshes skinned to joints: rings of points along a line, connected to a surface that bends with the joints."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
-RING = 16  # points around
-_CAP = 4  # rings of a rounded end
+RING = 16  # points per ring
+_CAP = 4  # rings per rounded end
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +18,11 @@ class Surface:
     """V points and F triangles in one pose of a skeleton.
 
     Attributes:
-        points: (V, 3) in the pose the surface was made in.
+        points: (V, 3) in the pose in which the surface was made.
         triangles: (F, 3) indices, counterclockwise seen from outside.
-        joints: (V, 2) the joints that carry a point.
-        weights: (V,) the share of the second joint.
-        tints: (V,) what a point belongs to, one of the indices of TINTS.
+        joints: (V, 2) the two joints that move a point.
+        weights: (V,) weight of the second joint.
+        tints: (V,) index into TINTS.
     """
 
     points: Array
@@ -32,7 +32,7 @@ class Surface:
     tints: NDArray[np.int64]
 
     def posed(self, matrices: Array) -> Array:
-        """The points (V, 3) when joint j has moved by the affine (J, 3, 4) matrices[j] since the making."""
+        """The points (V, 3) after joint j has moved by matrices[j], affine (J, 3, 4), from the original pose."""
         whole = np.concatenate([self.points, np.ones((len(self.points), 1))], axis=1)
         first = np.einsum("vij,vj->vi", matrices[self.joints[:, 0]], whole)
         second = np.einsum("vij,vj->vi", matrices[self.joints[:, 1]], whole)
@@ -44,7 +44,7 @@ TINTS = ("body", "leg", "head", "hand", "foot")
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """An ellipse: a middle (3,), half axes a and b (3,), the joints that carry it, and its own tint, if any."""
+    """An ellipse: middle (3,), half axes a and b (3,), the joints that move it, and a tint of its own or None."""
 
     middle: Array
     a: Array
@@ -55,7 +55,7 @@ class Ring:
 
 
 class SurfaceBuilder:
-    """Collects closed pieces into one surface."""
+    """Combines closed pieces to one surface."""
 
     def __init__(self) -> None:
         self._points: list[Array] = []
@@ -65,7 +65,7 @@ class SurfaceBuilder:
         self._tints: list[int] = []
 
     def loft(self, rings: Sequence[Ring], tint: str = "body") -> None:
-        """A closed skin over rings, which are given from one end to the other; a x b points onward."""
+        """Add a closed skin over rings, in order from one end to the other; a x b points to the next ring."""
         angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
         first = len(self._weights)
         for ring in rings:
@@ -91,7 +91,7 @@ class SurfaceBuilder:
         self._tints += [TINTS.index(ring.tint or tint)] * len(points)
 
     def surface(self) -> Surface:
-        """What was collected."""
+        """The surface of all pieces."""
         return Surface(
             np.concatenate(self._points),
             np.concatenate(self._triangles),
@@ -107,13 +107,13 @@ class SurfaceBuilder:
         front: Array,
         tint: str = "body",
     ) -> None:
-        """A rounded limb along joints.
+        """Add a rounded limb along joints.
 
         Args:
-            path: points (3,) from the near to the far end, each with the joint that carries what follows.
-            profile: (share of the way, half width, half depth, shift to the front) in lengths, shares
-                rising from 0 to 1; the ends are rounded off beyond the path.
-            front: (3,) the direction depth is measured in.
+            path: points (3,) from the near to the far end, each with the joint that moves the bone after it.
+            profile: (share of the length, half width, half depth, shift to the front), shares
+                rising from 0 to 1; rounded ends extend beyond the path.
+            front: (3,) direction of the depth.
         """
         points = np.array([point for point, _ in path])
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=-1)
@@ -133,7 +133,7 @@ class SurfaceBuilder:
 
 
 def rounded(rings: list[Ring], along: Array) -> list[Ring]:
-    """The rings with half an ellipsoid before the first and after the last."""
+    """Add half an ellipsoid before the first and after the last ring."""
 
     def cap(ring: Ring, direction: float) -> list[Ring]:
         reach = float(np.sqrt(np.linalg.norm(ring.a) * np.linalg.norm(ring.b)))
@@ -154,13 +154,13 @@ def rounded(rings: list[Ring], along: Array) -> list[Ring]:
 
 
 def unit(vector: Array, otherwise: Array) -> Array:
-    """The direction of a vector (3,), or another where it has none."""
+    """The direction of a vector (3,), or `otherwise` if its length is zero."""
     length = float(np.linalg.norm(vector))
     return vector / length if length > 1e-9 else otherwise
 
 
 def cross_axes(along: Array, front: Array) -> tuple[Array, Array]:
-    """Unit axes across and to the front, at right angles to a direction; across x front is along."""
+    """Unit axes across and front, perpendicular to along; across x front is along."""
     depth = front - (front @ along) * along
     if np.linalg.norm(depth) < 1e-3:
         spare = np.eye(3)[int(np.argmin(np.abs(along)))]

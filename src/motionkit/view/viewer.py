@@ -1,4 +1,4 @@
-"""The viewer file: motions and the page that plays them in one HTML file, which needs nothing else."""
+"""The viewer file: a self-contained HTML file with motions and the page that plays them."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ MAX_MOTIONS = 32
 
 
 def viewer_page(shown: Sequence[Shown], title: str = "") -> str:
-    """The text of an HTML page that plays the motions; it opens from disk and asks the network for nothing.
+    """The text of an HTML page that plays the motions; it opens from disk and needs no network.
 
-    Raises MotionkitError without motions, or for more than 32.
+    Raises:
+        MotionkitError: there are no motions, or more than 32.
     """
     if not 0 < len(shown) <= MAX_MOTIONS:
         raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
@@ -28,19 +29,19 @@ def viewer_page(shown: Sequence[Shown], title: str = "") -> str:
 
 
 def write_viewer(path: str | Path, shown: Sequence[Shown], title: str = "") -> None:
-    """Write a viewer file, whole or not at all."""
+    """Write a viewer file, atomically."""
     page = viewer_page(shown, title)
     with atomic_write(path) as file:
         file.write(page)
 
 
 def fill_page(name: str, data: dict[str, Any]) -> str:
-    """A built page with the data it is to show."""
-    # Escaped, nothing in a name can end the element that holds the data.
+    """A built page with its data."""
+    # Escaped, so that no name can end the element with the data.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return page_asset(name).replace("__DATA__", text)
 
 
 def page_asset(name: str) -> str:
-    """One of the built pages that come with the package (web/README.md tells how they are built)."""
+    """One of the built pages of the package (web/README.md says how to build them)."""
     return (files("motionkit") / "assets" / "web" / name).read_text("utf-8")
