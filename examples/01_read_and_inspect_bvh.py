@@ -1,4 +1,4 @@
-"""Read any BVH file, map it onto the 23 joints, and print what it is.
+"""Read any BVH file, retarget it to the 23 joints, and print its facts.
 
 python examples/01_read_and_inspect_bvh.py examples/data/35_01.bvh
 """
@@ -19,7 +19,7 @@ def main() -> None:
     parser.add_argument("file", type=Path)
     arguments = parser.parse_args()
 
-    # As it stands in the file: its own joints, channels, units and angles in degrees.
+    # The content of the file: its own joints, channels and units, angles in degrees.
     bvh = read_bvh(arguments.file)
     frames, channels = bvh.values.shape
     print(f"{len(bvh.skeleton)} joints, {channels} channels, {frames} frames at {bvh.fps:g} fps")
@@ -27,7 +27,7 @@ def main() -> None:
         above = bvh.skeleton.names[parent] if parent >= 0 else "the world"
         print(f"  {name} under {above}")
 
-    # As motionkit uses it: 23 joints, centimetres, radians.
+    # The motion in motionkit: 23 joints, centimetres, radians.
     motion, report = retarget(bvh)
     print(f"1 unit is {report.scale:.4g} cm ({report.scale_source}); leg length {report.leg_length:.1f} cm")
     print(f"joints without a source: {', '.join(report.missing) or 'none'}")

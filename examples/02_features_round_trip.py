@@ -1,4 +1,4 @@
-"""A motion to its 276 numbers per frame and back, and how little is lost.
+"""Encode a motion as 276 features per frame, decode it, and print the error.
 
 python examples/02_features_round_trip.py examples/data/49_06.bvh
 """
@@ -21,7 +21,7 @@ from motionkit.motion.rotations import quat_angle
 
 
 def print_round_trip(motion: Motion, layout: str) -> None:
-    """What one layout of the 276 numbers loses, and how far its root rotation leaps."""
+    """Print the error of one layout of the features, and the largest step of its root rotation."""
     encoded = encode_motion(motion, layout=layout)
     decoded = decode_motion(encoded.features, motion.skeleton, motion.fps, encoded.ground[0], layout=layout)
     distance = np.linalg.norm(motion_kinematics(decoded)[1] - motion_kinematics(motion)[1], axis=-1).max()

@@ -1,4 +1,4 @@
-"""Motion types one after another, from the bundled model or your own.
+"""Synthesize motion types one after another, with the bundled model or your own.
 
 python examples/03_synthesize.py --types running:2,cartwheel:3 -o out.bvh
 """
@@ -13,14 +13,14 @@ import motionkit as mk
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--types", default="running:2,cartwheel:3", help="types, with seconds if wanted")
+    parser.add_argument("--types", default="running:2,cartwheel:3", help="types, optionally with seconds")
     parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("-o", "--output", type=Path, default=Path("out.bvh"))
     arguments = parser.parse_args()
 
     model = mk.load_model(arguments.model)
-    print(f"the model knows {', '.join(model.types)}")
+    print(f"types of the model: {', '.join(model.types)}")
     result = mk.synthesize(arguments.types, model=model, seed=arguments.seed)
     motion = result.motion
     mk.write_bvh(arguments.output, motion)

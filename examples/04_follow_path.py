@@ -1,4 +1,4 @@
-"""A path of your own making: a spiral to walk, then a straight line to run.
+"""Follow your own path: walk a spiral, then run along a straight line.
 
 python examples/04_follow_path.py -o spiral.bvh
 """
@@ -14,7 +14,7 @@ import motionkit as mk
 
 
 def spiral(turns: float, radius: float) -> np.ndarray:
-    """Points (N, 2) x, z in cm from the origin outwards."""
+    """Return points (N, 2) x, z in cm from the origin outwards."""
     share = np.linspace(0.15, 1.0, int(120 * turns) + 2, dtype=np.float32)
     angle = 2 * np.pi * turns * share
     points = radius * share[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=-1)
@@ -24,8 +24,8 @@ def spiral(turns: float, radius: float) -> np.ndarray:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--turns", type=float, default=1.5)
-    parser.add_argument("--radius", type=float, default=4.0, help="of the spiral, metres")
-    parser.add_argument("--run", type=float, default=6.0, help="length of the run, metres")
+    parser.add_argument("--radius", type=float, default=4.0, help="radius of the spiral in metres")
+    parser.add_argument("--run", type=float, default=6.0, help="length of the run in metres")
     parser.add_argument("--model", type=Path, help="a model file; the bundled model by default")
     parser.add_argument("-o", "--output", type=Path, default=Path("spiral.bvh"))
     arguments = parser.parse_args()

@@ -1,4 +1,4 @@
-"""From BVH files to a model of your own in a minute: a tiny network, to see every step.
+"""Train a tiny model on BVH files in a minute, to show every step.
 
 python examples/05_train_tiny.py examples/data --minutes 1 -o tiny.safetensors
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def show(event: TrainEvent) -> None:
-    """Print the losses as they come, and a line for everything else worth knowing."""
+    """Print losses and notes of the run."""
     if event.kind == "log":
         losses = ", ".join(f"{name} {value:.2f}" for name, value in event.losses.items())
         print(f"step {event.step}: {losses}")
@@ -30,7 +30,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folder", type=Path, help="BVH files, with a labels.csv or in folders named by type")
     parser.add_argument("--minutes", type=float, default=1.0)
-    parser.add_argument("--steps", type=int, help="end after so many steps, if that is earlier")
+    parser.add_argument("--steps", type=int, help="stop after this many steps, if that is earlier")
     parser.add_argument("-o", "--output", type=Path, default=Path("tiny.safetensors"))
     arguments = parser.parse_args()
 

@@ -11,7 +11,7 @@ from motionkit.arrays import Array
 from motionkit.control.follow import PathFollower
 from motionkit.control.path import METRE, SHAPES, SPACING, Path2D, PathPart, make_path, shape_path
 from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import Progress, roll_controlled
+from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.inference.rollout import FrameControls
 from motionkit.metrics.trajectory import trajectory_distance
@@ -91,17 +91,16 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
         note = "not measured: every path needs a type the model does not have"
         return Section("paths", "Path following", [], [], [note])
     walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.repeats)]
-    starts = np.stack([_start(walker.follower) for walker in walkers])
-    kinds = [walker.follower.path.parts[0].type for walker in walkers]
+    characters = [
+        Driven(walker.follower.path.parts[0].type, walker, _start(walker.follower)) for walker in walkers
+    ]
     performed = roll_controlled(
         model,
-        kinds,
-        list(walkers),
+        characters,
         max(walker.limit for walker in walkers),
         settings.noise,
         settings.seed,
         progress,
-        starts,
         lambda: all(walker.over for walker in walkers),
     )
     rows, goals = [], []

@@ -18,7 +18,7 @@ from motionkit.arrays import Array
 from motionkit.control.drive import Driver, Wish
 from motionkit.evaluation.body import SPEED_SPAN, Body, spans
 from motionkit.evaluation.report import Cell, Goal, Section, Table
-from motionkit.evaluation.rolling import Progress, roll_controlled
+from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.inference.rollout import FrameControls
 from motionkit.models.model import MotionModel
@@ -144,8 +144,7 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
     frames = round((BEFORE_SECONDS + AFTER_SECONDS) * model.fps)
     performed = roll_controlled(
         model,
-        [c.before.type or "" for c in wanted],
-        [_Commanded(model, c) for c in wanted],
+        [Driven(c.before.type or "", _Commanded(model, c)) for c in wanted],
         frames,
         settings.noise,
         settings.seed,

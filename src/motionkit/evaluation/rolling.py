@@ -6,7 +6,7 @@ The scoreboard rolls out all seeds and types as one batch, because a batch takes
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -115,33 +115,45 @@ def _roll_batch(
     return performances(model, rollout)
 
 
+@dataclass(frozen=True, eq=False)
+class Driven:
+    """A character with a controller.
+
+    Attributes:
+        type: the type whose start poses it starts from.
+        controller: called in every frame.
+        ground: (3,) root x and z in cm and heading at the start; the origin facing +Z by default.
+    """
+
+    type: str
+    controller: Controller
+    ground: Array = field(default_factory=lambda: np.zeros(3, np.float32))
+
+
 def roll_controlled(
     model: MotionModel,
-    kinds: list[str],
-    controllers: list[Controller],
+    characters: list[Driven],
     frames: int,
     noise: Noise,
     seed: int = 0,
     progress: Progress | None = None,
-    ground: Array | None = None,
     done: Callable[[], bool] | None = None,
 ) -> list[Performance]:
     """Roll out each character with its own controller for `frames` frames, or until done.
 
     Args:
-        kinds: for each character the type whose start poses it starts from.
-        ground: (B, 3) root x and z in cm and heading at the start; the origin facing +Z if None.
         done: called after every frame; true ends the roll-out.
     """
-    seeds = [model.types[kind].start_poses for kind in kinds]
-    features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(seeds)])
-    weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(kind) for kind in kinds]]
+    starts = [model.types[character.type].start_poses for character in characters]
+    features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(starts)])
+    type_ids = [model.type_id(character.type) for character in characters]
+    weights = np.eye(len(model.types), dtype=np.float32)[type_ids]
     made: list[tuple[Array, Array, Array]] = []
-    state = RolloutState(model, len(kinds), noise, seed)
-    state.start(features, contacts, weights, ground)
+    state = RolloutState(model, len(characters), noise, seed)
+    state.start(features, contacts, weights, np.stack([character.ground for character in characters]))
     for frame in range(frames):
         here = state.ground
-        asked = [c(frame, here[i : i + 1]) for i, c in enumerate(controllers)]
+        asked = [c.controller(frame, here[i : i + 1]) for i, c in enumerate(characters)]
         made.append(state.step(together(asked)))
         if progress:
             progress((frame + 1) / frames)
