@@ -57,7 +57,7 @@ def home(tmp_path: Path, tiny_model_file: Path, dataset_folder: Path) -> Path:
         (["synthesize", "--types", "idle:0.1", "--view", "-o", "v.html"], "v.html: would be written twice"),
         (["follow-path", "way.csv", "-o", "way.csv"], "way.csv: is read"),
         (["follow-path", "line", "--view", "-o", "v.html"], "v.html: would be written twice"),
-        (["export", "--onnx", "m.json"], "m.json: the metadata go into"),
+        (["export", "--onnx", "m.json"], "m.json: the metadata are written to this file"),
         (["export", "--model", "m.safetensors", "--onnx", "m.safetensors"], "m.safetensors: is read"),
         (["train", "ds", "-o", "m.safetensors", *QUICK, "--steps", 1], "m.safetensors: exists"),
         (

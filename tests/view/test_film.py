@@ -194,6 +194,6 @@ def test_an_ffmpeg_that_fails_is_one_line(tmp_path: Path, monkeypatch: pytest.Mo
         raise OSError("broken pipe\nand much more")
 
     monkeypatch.setattr(ffmpeg, "write_frames", broken)
-    with pytest.raises(MotionkitError, match=r"could not write the film \(broken pipe\)$"):
+    with pytest.raises(MotionkitError, match=r"could not write the video \(broken pipe\)$"):
         write_film(tmp_path / "a.mp4", [Shown("a", make_walk(4))], 160)
     assert not list(tmp_path.iterdir())
