@@ -11,16 +11,17 @@ from __future__ import annotations
 
 import argparse
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from common import print_table
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import Signals, last_poses
-from motionkit.control.script import TypePart, plan_signals
+from motionkit.control.reference_player import last_poses
+from motionkit.control.script import TypePart, plan_controls
 from motionkit.export.onnx_export import WEIGHTS, OnnxStep, build_graph
-from motionkit.features.control import TRAJECTORY_OFFSETS
+from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.inference.rollout import Noise
 from motionkit.inference.start import type_start
@@ -33,21 +34,20 @@ from motionkit.models.model import MotionModel
 ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead; None: as recorded
 
 
-def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Signals:
+def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Controls:
     """The controls of each frame."""
     seen = type_start(model, kind, 1).features[0]
-    recorded = plan_signals(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
+    recorded = plan_controls(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
     if speed is None:
         return recorded
     ahead = np.zeros((len(TRAJECTORY_OFFSETS), 2), np.float32)
     ahead[:, 1] = speed / model.fps * np.array(TRAJECTORY_OFFSETS)
     facing = np.tile(np.float32([0.0, 1.0]), (len(TRAJECTORY_OFFSETS), 1))
     way = np.tile(np.concatenate([ahead, facing]).reshape(1, -1), (frames, 1))
-    none = np.zeros(frames, np.float32)
-    return Signals(np.zeros_like(recorded.reference), none, way, none + 1.0, none - 1.0)
+    return replace(Controls.of_types(recorded.type_weights), trajectory=way).with_mask(1.0)
 
 
-def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
+def roll(model: MotionModel, path: Path, kind: str, asked: Controls) -> Array:
     """Return joint positions (T, 23, 3) in cm of the graph in closed loop."""
     graph = OnnxStep(path)
     start = type_start(model, kind, 1)
@@ -66,9 +66,10 @@ def roll(model: MotionModel, path: Path, kind: str, asked: Signals) -> Array:
     for frame in range(len(asked.phase)):
         noise[0] = keeps * noise[0] + takes * random.standard_normal(noise[0].shape)
         noise[1] = keeps_too * noise[1] + takes_too * noise[0]
-        graph.values["noise"][:] = settings.temperature * model.noise.get(kind, 1.0) * noise[1]
+        graph.values["noise"][:] = settings.temperature * model.types[kind].preset.noise_scale * noise[1]
         for name, values in vars(asked).items():
-            graph.values[name][:] = values[frame]
+            if name != "type_weights":
+                graph.values[name][:] = values[frame]
         out.append(graph.step()["positions"][0].copy())
     return np.stack(out)
 

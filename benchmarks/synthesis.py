@@ -23,9 +23,9 @@ import torch
 from common import percentiles, print_table
 
 from motionkit.arrays import Floats
+from motionkit.features.control import Controls
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.rollout import FrameControls
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel, kernel_library
 from motionkit.inference.step_weights import StepWeights, pack
@@ -57,15 +57,10 @@ class WindowStep(TorchStep):
         self.contact_logits[:] = made.contact_logits[:, -1].numpy()
 
 
-def asked_of(model: MotionModel, count: int) -> FrameControls:
+def asked_of(model: MotionModel, count: int) -> Controls:
     """Return type weights that give every character its own type."""
     weights = np.eye(len(model.types), dtype=np.float32)[np.arange(count) % len(model.types)]
-    return FrameControls(
-        weights,
-        np.zeros((count, 24), np.float32),
-        np.zeros(count, np.float32),
-        np.full((count,), -1.0, np.float32),
-    )
+    return Controls.of_types(weights)
 
 
 def characters(

@@ -11,9 +11,8 @@ from motionkit.control.drive import DriveOptions, Driver, Wish, together
 from motionkit.control.follow import PathFollower
 from motionkit.control.path import shape_path
 from motionkit.errors import ControlError
-from motionkit.features.control import future_trajectory
+from motionkit.features.control import Controls, future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, reference_signal
-from motionkit.inference.rollout import FrameControls
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip
 from motionkit.motion.rotations import rotate_ground
@@ -21,7 +20,7 @@ from motionkit.motion.rotations import rotate_ground
 AT_ORIGIN = np.zeros((1, 3), np.float32)
 
 
-def obey(ground: Array, asked: FrameControls) -> Array:
+def obey(ground: Array, asked: Controls) -> Array:
     """Where a body is that goes just where its trajectory says; one without a trajectory stays."""
     if not bool(asked.trajectory_mask[0]):
         return ground
@@ -41,7 +40,7 @@ def play(driver: Driver, frames: int, ground: Array = AT_ORIGIN, first: int = 0)
     return out, ground
 
 
-def shares(asked: list[FrameControls], model: MotionModel, kind: str) -> list[float]:
+def shares(asked: list[Controls], model: MotionModel, kind: str) -> list[float]:
     return [float(a.type_weights[0, model.type_id(kind)]) for a in asked]
 
 

@@ -18,7 +18,7 @@ from motionkit.control.reference_player import (
     ReferencePlayer,
     last_poses,
 )
-from motionkit.control.script import TypePart, plan_signals
+from motionkit.control.script import TypePart, plan_controls
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
 from motionkit.models.model import MotionModel
@@ -46,7 +46,7 @@ def recording(frames: int, phases: Array | None = None, first: float = 0.0) -> R
 
 def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel) -> None:
     parts = [TypePart("walking", 1.0), TypePart("cartwheel", 0.5), TypePart("walking", 0.5)]
-    asked = plan_signals(flips, parts, NEAR)
+    asked = plan_controls(flips, parts, NEAR)
     assert asked.trajectory.shape == (120, 24) and asked.reference.shape == (120, REFERENCE_COUNT)
     assert asked.trajectory_mask.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
     assert asked.reference_gain.tolist() == pytest.approx(
@@ -62,7 +62,7 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
 def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
     far = recording(300, first=1000.0)
     model = with_clips(tiny_model, {"walking": [recording(300)], "running": [far]})
-    asked = plan_signals(model, [TypePart("walking", 1.0), TypePart("running", 1.0)], NEAR)
+    asked = plan_controls(model, [TypePart("walking", 1.0), TypePart("running", 1.0)], NEAR)
     steps = np.diff(asked.reference[58 : 60 + BLEND + 2, 0])
     leap = float(asked.reference[60 + BLEND, 0] - asked.reference[59, 0])
     assert leap > 800.0 and float(steps.max()) < 1.5 * leap / BLEND
@@ -70,7 +70,7 @@ def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
 
 def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: MotionModel) -> None:
     length = len(flips.types["cartwheel"].reference_clips[0])
-    asked = plan_signals(flips, [TypePart("cartwheel", (2 * length + PAUSE) / flips.fps)], NEAR)
+    asked = plan_controls(flips, [TypePart("cartwheel", (2 * length + PAUSE) / flips.fps)], NEAR)
     second = slice(length + PAUSE, None)
     for signal in (asked.reference, asked.trajectory, asked.phase):
         assert np.array_equal(signal[:length], signal[second])
@@ -84,19 +84,19 @@ def test_a_second_performance_follows_after_a_pause_that_leads_over(flips: Motio
 
 def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: MotionModel) -> None:
     reference_clips, parts = flips.types["cartwheel"].reference_clips, [TypePart("cartwheel", 10 / flips.fps)]
-    asked = plan_signals(flips, parts, NEAR, behind=5)
+    asked = plan_controls(flips, parts, NEAR, behind=5)
     assert np.array_equal(asked.phase, reference_clips[0].phases[5:15])
-    other = plan_signals(flips, parts, NEAR, choice=1)
+    other = plan_controls(flips, parts, NEAR, choice=1)
     assert np.array_equal(other.reference, reference_signal(reference_clips[1].poses, np.arange(10)))
-    again = plan_signals(flips, parts, NEAR, choice=len(reference_clips))
+    again = plan_controls(flips, parts, NEAR, choice=len(reference_clips))
     assert np.array_equal(again.reference, reference_signal(reference_clips[0].poses, np.arange(10)))
 
 
 def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
-    asked = plan_signals(replace(flips, uses_references=False), [TypePart("walking", 1.0)], NEAR)
+    asked = plan_controls(replace(flips, uses_references=False), [TypePart("walking", 1.0)], NEAR)
     assert not asked.reference_gain.any()
     unknown = with_clips(flips, {})
-    asked = plan_signals(unknown, [TypePart("walking", 1.0)], NEAR)
+    asked = plan_controls(unknown, [TypePart("walking", 1.0)], NEAR)
     assert not asked.reference_gain.any() and not asked.reference.any() and float(asked.phase.max()) == -1.0
 
 
@@ -139,7 +139,7 @@ def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
 
 def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
     plays = [
-        plan_signals(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).reference for c in (4, 4, 5)
+        plan_controls(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).reference for c in (4, 4, 5)
     ]
     assert np.array_equal(plays[0], plays[1]) and not np.array_equal(plays[0], plays[2])
 

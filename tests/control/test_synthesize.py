@@ -10,8 +10,9 @@ from model_changes import with_preset
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, on_character, synthesize
 from motionkit.errors import ControlError, MotionkitError
+from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion
-from motionkit.inference.rollout import FrameControls, Noise, RolloutState
+from motionkit.inference.rollout import Noise, RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.models.model import MotionModel
@@ -239,9 +240,7 @@ def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
     """With no share the draw is the mean, with twice the share it is twice as far from it."""
     seed = tiny_model.types["walking"].start_poses[0]
     weights = np.eye(len(tiny_model.types), dtype=np.float32)[[tiny_model.type_id("walking")]]
-    asked = FrameControls(
-        weights, np.zeros((1, 24), np.float32), np.zeros(1, np.float32), np.full((1,), -1.0, np.float32)
-    )
+    asked = Controls.of_types(weights)
     made = []
     for share in (0.0, 1.0, 2.0):
         state = RolloutState(with_preset(tiny_model, noise_scale=share), 1, Noise("sample"), seed=5)

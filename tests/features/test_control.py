@@ -10,14 +10,16 @@ from motionkit.features.control import (
     TRAJECTORY_COUNT,
     TRAJECTORY_OFFSETS,
     ControlLayout,
+    Controls,
     blend_types,
     control_vector,
     future_trajectory,
     phase_signal,
     trajectory_mirror,
 )
+from motionkit.features.layout import FEATURE_COUNT
 from motionkit.features.normalize import Scaling
-from motionkit.features.reference import REFERENCE_COUNT
+from motionkit.features.reference import REFERENCE_COUNT, ReferenceMap
 
 
 def circle(frames: int, radius: float = 200.0, rate: float = 0.8) -> Array:
@@ -46,29 +48,23 @@ def test_phase_is_a_turn_and_silent_without_one() -> None:
     )
 
 
-def test_control_vector_hides_a_trajectory_or_guide_that_is_not_given() -> None:
+def test_control_vector_hides_what_is_not_given() -> None:
     layout = ControlLayout(("walking", "running"))
     scaling = Scaling(np.zeros(TRAJECTORY_COUNT, np.float32), np.full((TRAJECTORY_COUNT,), 2.0, np.float32))
-    weights, trajectory = (
+    plain = ReferenceMap(
+        np.ones(REFERENCE_COUNT), np.zeros((FEATURE_COUNT, REFERENCE_COUNT)), np.zeros(REFERENCE_COUNT)
+    )
+    asked = Controls(
         np.array([[1.0, 0.0]] * 2, np.float32),
         np.full((2, TRAJECTORY_COUNT), 6.0, np.float32),
-    )
-    given, progress = np.array([0.0, 1.0], np.float32), np.array([-1.0, 0.25], np.float32)
-    reference, reference_gain = (
+        np.array([0.0, 1.0], np.float32),
+        np.array([-1.0, 0.25], np.float32),
         np.full((2, REFERENCE_COUNT), 3.0, np.float32),
         np.array([1.0, 0.0], np.float32),
+        np.ones(2, np.float32),
     )
-    vectors = control_vector(
-        layout,
-        np.zeros(69, np.float32),
-        weights,
-        trajectory,
-        given,
-        progress,
-        reference,
-        reference_gain,
-        scaling,
-    )
+    skeleton, x = np.zeros(69, np.float32), np.zeros((2, FEATURE_COUNT), np.float32)
+    vectors = control_vector(layout, skeleton, asked, x, scaling, plain)
     assert vectors[:, layout.flag].tolist() == [0.0, 1.0]
     assert np.array_equal(vectors[0, layout.trajectory], np.zeros(TRAJECTORY_COUNT, np.float32))
     assert np.allclose(vectors[1, layout.trajectory], np.full((TRAJECTORY_COUNT,), 3.0, np.float32))

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.features.control import ControlLayout
+from motionkit.features.control import ControlLayout, Controls
 from motionkit.features.layout import LAYOUTS
 from motionkit.inference import frame_kernel, step_kernel
 from motionkit.inference.character import CharacterStream
@@ -19,7 +19,7 @@ from motionkit.inference.foot_lock import FootLock
 from motionkit.inference.frame_kernel import PoseKernel
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import PoseDecoder
-from motionkit.inference.rollout import FrameControls, Noise
+from motionkit.inference.rollout import Noise
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack
@@ -123,7 +123,8 @@ def try_characters(rng: np.random.Generator) -> None:
     weights = rng.dirichlet(np.ones(len(model.types)), 3).astype(np.float32)
     for frame in range(20):
         way = (odd if frame >= 18 else usual)(rng, (3, 24))
-        stream.step(FrameControls(weights, way, np.ones(3, np.float32), np.full(3, 0.5, np.float32)))
+        asked = replace(Controls.of_types(weights), trajectory=way, phase=np.full(3, 0.5, np.float32))
+        stream.step(asked.with_mask(1.0))
 
 
 def main() -> None:

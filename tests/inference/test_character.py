@@ -11,25 +11,20 @@ from motionkit.arrays import Array
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError
+from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterFrame, CharacterStream
-from motionkit.inference.rollout import FrameControls, Noise
+from motionkit.inference.rollout import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.skeleton import PARENTS
 
 
-def asked(model: MotionModel, kinds: list[str]) -> FrameControls:
-    count = len(kinds)
+def asked(model: MotionModel, kinds: list[str]) -> Controls:
     weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(kind) for kind in kinds]]
-    return FrameControls(
-        weights,
-        np.zeros((count, 24), np.float32),
-        np.zeros(count, np.float32),
-        np.full((count,), -1.0, np.float32),
-    )
+    return Controls.of_types(weights)
 
 
-def frames(stream: CharacterStream, controls: FrameControls, count: int) -> list[CharacterFrame]:
+def frames(stream: CharacterStream, controls: Controls, count: int) -> list[CharacterFrame]:
     return [stream.step(controls) for _ in range(count)]
 
 

@@ -16,14 +16,15 @@ import pytest
 import motionkit
 from motionkit.control.script import TypePart, parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.features.control import Controls
 from motionkit.inference import rollout as rollout_module
 from motionkit.inference import step_kernel, stepping
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.frame_kernel import frame_library
-from motionkit.inference.rollout import FrameControls, Noise
+from motionkit.inference.rollout import Noise
 from motionkit.inference.step_kernel import kernel_library
 from motionkit.models.bundled import load_bundled_model
-from motionkit.models.checkpoint import MotionModel
+from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh
 
 HERE = Path(__file__)
@@ -95,7 +96,7 @@ def test_live_characters_too_whatever_is_reset(model: MotionModel, ik: bool) -> 
     count, frames = 40, 60
     random = np.random.default_rng(0)
     weights = random.dirichlet(np.ones(len(model.types)), count).astype(np.float32)
-    asked = FrameControls(
+    asked = Controls(
         weights,
         random.normal(0.0, 30.0, (count, 24)).astype(np.float32),
         (np.arange(count) % 2).astype(np.float32),
@@ -108,7 +109,7 @@ def test_live_characters_too_whatever_is_reset(model: MotionModel, ik: bool) -> 
 
     def run(rows: list[int]) -> np.ndarray:
         stream = CharacterStream(model, len(rows), Noise(), 7 + rows[0], ik)
-        mine = FrameControls(**{name: values[rows] for name, values in vars(asked).items()})
+        mine = asked.at(rows)
         kept = []
         for frame in range(frames):
             row, kind = resets.get(frame, (-1, ""))

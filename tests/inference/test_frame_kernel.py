@@ -8,13 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.features.control import Controls
 from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.foot_lock import FootLock
 from motionkit.inference.frame_kernel import PoseKernel, frame_library
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
-from motionkit.inference.rollout import FrameControls, Noise
+from motionkit.inference.rollout import Noise
 from motionkit.inference.step_kernel import load_library
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
@@ -25,15 +26,12 @@ pytestmark = pytest.mark.skipif(
 CLOSE = 1e-4  # cm
 
 
-def asked(model: MotionModel, count: int, frame: int) -> FrameControls:
+def asked(model: MotionModel, count: int, frame: int) -> Controls:
     weights = np.eye(len(model.types), dtype=np.float32)[np.arange(count) % len(model.types)]
     trajectory = np.tile(np.linspace(-40.0, 40.0, 24, dtype=np.float32), (count, 1))
-    return FrameControls(
-        weights,
-        trajectory,
-        np.full((count,), float(frame % 90 < 45)),
-        np.full((count,), (frame % 70) / 70.0, np.float32),
-    )
+    phase = np.full(count, (frame % 70) / 70.0, np.float32)
+    asked = replace(Controls.of_types(weights), trajectory=trajectory, phase=phase)
+    return asked.with_mask(float(frame % 90 < 45))
 
 
 @pytest.mark.parametrize("noise", [Noise(), Noise("sample", 0.3)], ids=str)

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
+from motionkit.features.control import Controls
 from motionkit.features.decode import root_height
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.inference import height_correction
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.rollout import FrameControls, Noise, Rollout, rollout_motion
+from motionkit.inference.rollout import Noise, Rollout, rollout_motion
 from motionkit.metrics.ground import foot_positions
 from motionkit.models.bundled import load_bundled_model
 from motionkit.motion.kinematics import motion_kinematics
@@ -83,9 +84,7 @@ def rolled(frames: int = 120) -> tuple[Rollout, list[Array]]:
     stream.reset(0, type="dance-indian")
     weights = np.zeros((1, len(MODEL.types)), np.float32)
     weights[0, MODEL.type_id("dance-indian")] = 1.0
-    asked = FrameControls(
-        weights, np.zeros((1, 24), np.float32), np.zeros(1, np.float32), np.full((1,), -1.0, np.float32)
-    )
+    asked = Controls.of_types(weights)
     features, ground, positions = [], [], []
     for _ in range(frames):
         positions.append(stream.step(asked).positions[0])

@@ -9,8 +9,9 @@ import pytest
 
 from model_changes import with_presets
 from motionkit.arrays import Array, lerp
+from motionkit.features.control import Controls
 from motionkit.inference import slip_correction
-from motionkit.inference.rollout import FrameControls, Noise, RolloutState, blended_columns
+from motionkit.inference.rollout import Noise, RolloutState, blended_columns
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
@@ -19,14 +20,8 @@ from motionkit.motion.rotations import rotate_ground
 KINDS = ("walking", "cartwheel")
 
 
-def asked(model: MotionModel, weights: Array) -> FrameControls:
-    count = len(weights)
-    return FrameControls(
-        weights,
-        np.zeros((count, 24), np.float32),
-        np.zeros(count, np.float32),
-        np.full((count,), -1.0, np.float32),
-    )
+def asked(model: MotionModel, weights: Array) -> Controls:
+    return Controls.of_types(weights)
 
 
 def started(

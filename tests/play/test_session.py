@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from motionkit.errors import ControlError
+from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterFrame
-from motionkit.inference.rollout import FrameControls
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.rotations import quat_angle
@@ -208,7 +208,7 @@ def test_a_character_whose_numbers_go_astray_starts_anew(
     play(session, 3)
     step, calls = character.stream.step, []
 
-    def astray(asked: FrameControls) -> CharacterFrame:
+    def astray(asked: Controls) -> CharacterFrame:
         made = step(asked)
         calls.append(1)
         return replace(made, positions=made.positions * math.nan) if len(calls) == 1 else made

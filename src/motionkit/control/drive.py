@@ -3,26 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.follow import PathFollower
 from motionkit.control.path import SPACING, Path2D
-from motionkit.control.reference_player import ReferencePlayer, Signals
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.steering import (
     STANDS_BELOW,
     Steering,
     SteeringOptions,
     steered_type,
 )
-from motionkit.features.control import TRAJECTORY_COUNT
-from motionkit.features.reference import REFERENCE_COUNT
-from motionkit.inference.rollout import FrameControls
+from motionkit.features.control import Controls
 from motionkit.models.model import MotionModel
 
 DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
+PATH = ""  # stands for a type where a path names the types
+_TRAJECTORY = ("trajectory", "trajectory_mask")
 AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
 
 
@@ -61,28 +61,12 @@ class _Performance:
 
     type: str
     begins: int
-    signals: Signals
+    controls: Controls
 
     @property
     def frames(self) -> int:
         """How long it takes."""
-        return len(self.signals.phase)
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """Controls on their way: a kind, or for a path its type weights; trajectory (1, 24) if one is given.
-
-    progress (1,); reference (1, 72) and reference_gain (1,) if one is given; slip_correction (1,), the share of it that counts, None for all.
-    """
-
-    kind: str
-    trajectory: Array | None = None
-    phase: Array = field(default_factory=lambda: np.full(1, -1.0, np.float32))
-    weights: Array | None = None
-    reference: Array | None = None
-    reference_gain: Array | None = None
-    slip_correction: Array | None = None
+        return len(self.controls.phase)
 
 
 class Driver:
@@ -140,23 +124,17 @@ class Driver:
             return None
         return min(1.0, self._follower.arc / max(self._follower.path.length - SPACING, SPACING))
 
-    def __call__(self, frame: int, ground: Array) -> FrameControls:
-        """Controls of a frame; frame counts up by one at each call, ground (1, 3) is where the body is."""
+    def __call__(self, frame: int, ground: Array) -> Controls:
+        """Controls (1, ...) of a frame; frame counts up by one at each call, ground (1, 3) is where the body is."""
         self._take_turns(frame)
         shown = self._performance
         free = self.wish.velocity is None or self._follower is not None or shown is not None
         x, z, heading = ground[0].tolist()
         self.steering.observe(x, z, heading, free)
-        asked = self._steer() if self._follower is None else self._follow(self._follower, frame, ground)
+        kind, asked = self._steer() if self._follower is None else self._follow(self._follower, frame, ground)
         if shown is not None:
-            asked = self._show(shown, frame, asked)
-        weights = self._blend(asked.kind, asked.weights)
-        given = np.array([0.0 if asked.trajectory is None else 1.0], np.float32)
-        trajectory = (
-            np.zeros((1, TRAJECTORY_COUNT), np.float32) if asked.trajectory is None else asked.trajectory
-        )
-        signals = (asked.phase, asked.reference, asked.reference_gain, asked.slip_correction)
-        return FrameControls(weights[None], trajectory, given, *signals)
+            kind, asked = self._show(shown, frame, kind, asked)
+        return replace(asked, type_weights=self._blend(kind, asked.type_weights[0])[None])
 
     def _take_turns(self, frame: int) -> None:
         """End a performance that is over, begin the one that waits, and repeat one the wish holds on to."""
@@ -179,10 +157,11 @@ class Driver:
             length = event + AFTER_EVENT if event else 0
         # Weights cross the middle of their blend as the first frame is due, as they do in training.
         begins = frame if over is not None and over.type == kind else frame + self.options.blend_frames // 2
-        signals = player.play(max(1, length or round(seconds * self.model.fps)))
-        self._performance = _Performance(kind, begins, signals)
+        controls = player.play(max(1, length or round(seconds * self.model.fps)))
+        self._performance = _Performance(kind, begins, controls)
 
-    def _steer(self) -> _Asked:
+    def _steer(self) -> tuple[str, Controls]:
+        """The type and the controls of the wish."""
         wish = self.wish
         if wish.velocity is None:
             return self._with_reference(wish.type or steered_type(self.model, (0.0, 0.0), None), None)
@@ -194,65 +173,56 @@ class Driver:
         trajectory = np.array([self.steering.trajectory(wish.velocity, facing)], np.float32)
         if self.model.types[kind].steered:
             self._played = ""
-            return _Asked(kind, trajectory)
+            return kind, replace(self._free(kind), trajectory=trajectory).with_mask(1.0)
         return self._with_reference(kind, trajectory)
 
-    def _with_reference(self, kind: str, trajectory: Array | None) -> _Asked:
-        """A type as it is recorded, for as long as it is wished."""
+    def _with_reference(self, kind: str, trajectory: Array | None) -> tuple[str, Controls]:
+        """A type with its reference clips, for as long as it is wished."""
         if kind != self._played:
             self._player.begin(kind)
             self._played = kind
         asked = self._player.play(1, trajectory)
-        shown = None if trajectory is None else asked.trajectory
-        return _Asked(kind, shown, asked.phase, None, asked.reference, asked.reference_gain)
+        return kind, asked if trajectory is not None else without_trajectory(asked)
 
-    def _follow(self, follower: PathFollower, frame: int, ground: Array) -> _Asked:
+    def _follow(self, follower: PathFollower, frame: int, ground: Array) -> tuple[str, Controls]:
+        """The controls of a path, which has type weights of its own."""
         asked = follower(frame, ground)
         if follower.arc >= follower.path.length - SPACING:
             self._follower, self.wish = None, Wish()
-        weights = asked.type_weights[0]
-        return _Asked(
-            "",
-            asked.trajectory,
-            asked.phase,
-            weights,
-            asked.reference,
-            asked.reference_gain,
-            asked.slip_correction,
-        )
+        return PATH, asked
 
-    def _show(self, shown: _Performance, frame: int, otherwise: _Asked) -> _Asked:
-        """What a performance asks for; before its first frame is due and in its last ones, only in part."""
+    def _show(self, shown: _Performance, frame: int, kind: str, otherwise: Controls) -> tuple[str, Controls]:
+        """The controls of a performance; before its first frame is due and in its last ones, only some of them."""
         at = frame - shown.begins
-        half = self.options.blend_frames // 2
         if at < 0:
-            return _Asked(shown.type, otherwise.trajectory, slip_correction=otherwise.slip_correction)
-        still = at < shown.frames - half
-        kind, weights = (shown.type, None) if still else (otherwise.kind, otherwise.weights)
-        now, asked = slice(at, at + 1), shown.signals
-        signals = (
-            asked.phase[now],
-            weights,
-            asked.reference[now],
-            asked.reference_gain[now],
-            otherwise.slip_correction,
-        )
-        if bool(asked.trajectory_mask[at]):
-            return _Asked(kind, asked.trajectory[now], *signals)
-        # Who stands and kicks is not to be held in place; who goes or follows a path goes on.
-        goes = self._follower is not None or math.hypot(*(self.wish.velocity or (0.0, 0.0))) >= STANDS_BELOW
-        return _Asked(kind, otherwise.trajectory if goes else None, *signals)
+            kept = {name: getattr(otherwise, name) for name in (*_TRAJECTORY, "slip_correction")}
+            return shown.type, replace(self._free(shown.type), **kept)
+        asked = shown.controls.at(slice(at, at + 1))
+        asked = replace(asked, slip_correction=otherwise.slip_correction)
+        if at < shown.frames - self.options.blend_frames // 2:
+            kind = shown.type
+        else:
+            asked = replace(asked, type_weights=otherwise.type_weights)
+        if not asked.trajectory_mask.any():
+            # A standing character that kicks is not held in place; a moving one keeps its trajectory.
+            speed = math.hypot(*(self.wish.velocity or (0.0, 0.0)))
+            if self._follower is not None or speed >= STANDS_BELOW:
+                asked = replace(asked, **{name: getattr(otherwise, name) for name in _TRAJECTORY})
+        return kind, asked
 
-    def _blend(self, kind: str, weights: Array | None) -> Array:
-        """Type weights (N,) that go over to those of a kind, or to the given ones, within blend_frames."""
+    def _blend(self, kind: str, goal: Array) -> Array:
+        """Type weights (N,) on their way to a goal, which they reach within blend_frames of a change of kind."""
         if kind != self._target:
             self._from, self._target, self._blended = self._weights, kind, 0
         self._blended += 1
         share = min(1.0, self._blended / max(1, self.options.blend_frames))
-        goal = self._one(kind) if weights is None else weights
         self._weights = self._from + share * (goal - self._from)
         self.type = kind or self.model.type_names[int(goal.argmax())]
         return self._weights
+
+    def _free(self, kind: str) -> Controls:
+        """Controls (1, ...) of a type alone."""
+        return Controls.of_types(self._one(kind)[None])
 
     def _one(self, kind: str) -> Array:
         weights = np.zeros(len(self.model.types), np.float32)
@@ -260,19 +230,11 @@ class Driver:
         return weights
 
 
-def together(asked: list[FrameControls]) -> FrameControls:
+def without_trajectory(controls: Controls) -> Controls:
+    """The same controls without a trajectory."""
+    return replace(controls, trajectory=np.zeros_like(controls.trajectory)).with_mask(0.0)
+
+
+def together(asked: list[Controls]) -> Controls:
     """The controls of several characters as those of one batch."""
-    none, never, all_of_it = (
-        np.zeros((1, REFERENCE_COUNT), np.float32),
-        np.zeros(1, np.float32),
-        np.ones(1, np.float32),
-    )
-    return FrameControls(
-        np.concatenate([a.type_weights for a in asked]),
-        np.concatenate([a.trajectory for a in asked]),
-        np.concatenate([a.trajectory_mask for a in asked]),
-        np.concatenate([a.phase for a in asked]),
-        np.concatenate([none if a.reference is None else a.reference for a in asked]),
-        np.concatenate([never if a.reference_gain is None else a.reference_gain for a in asked]),
-        np.concatenate([all_of_it if a.slip_correction is None else a.slip_correction for a in asked]),
-    )
+    return Controls.concatenated(asked)

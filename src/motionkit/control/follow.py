@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -14,8 +14,8 @@ from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motion
 from motionkit.errors import ControlError
-from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
-from motionkit.inference.rollout import FrameControls, Noise, Rollout, RolloutState
+from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
+from motionkit.inference.rollout import Noise, Rollout, RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
@@ -78,7 +78,7 @@ class PathFollower:
         """How long the path takes at the asked speeds."""
         return _seconds_along(self.path, self.speeds)
 
-    def __call__(self, frame: int, ground: Array) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> Controls:
         self.arc = self._project(ground[0, :2])
         self.arcs.append(self.arc)
         ahead = self._arcs_ahead(TRAJECTORY_OFFSETS)
@@ -88,23 +88,19 @@ class PathFollower:
         facing = self.facings[self.path.part_at(ahead)]
         directions = rotate_ground(-heading - facing, tangents)
         trajectory = np.concatenate([positions.reshape(-1), directions.reshape(-1)])
-        weights = self._type_weights()[None]
         part = int(self.path.part_at(self.arc))
         kind = self.path.parts[part].type
-        # On a path the way comes first, wherever feet stand or those of a recording went.
-        loose = np.zeros(1, np.float32)
         if self.model.types[kind].steered:
             self.entered = part
-            no_phase = np.full((1,), -1.0, np.float32)
-            return FrameControls(
-                weights, trajectory[None], np.ones(1, np.float32), no_phase, slip_correction=loose
-            )
-        if part != self.entered:
-            self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
-            self.entered = part
-        asked = self.player.play(1, trajectory[None])
-        shown = (asked.phase, asked.reference, asked.reference_gain)
-        return FrameControls(weights, trajectory[None], np.ones(1, np.float32), *shown, loose)
+            asked = Controls.of_types(self._type_weights()[None])
+        else:
+            if part != self.entered:
+                self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
+                self.entered = part
+            asked = replace(self.player.play(1, trajectory[None]), type_weights=self._type_weights()[None])
+        # On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
+        free = np.zeros(1, np.float32)
+        return replace(asked, trajectory=trajectory[None], slip_correction=free).with_mask(1.0)
 
     def _project(self, point: Array) -> float:
         first = max(0, int((self.arc - SEARCH_BACK) / SPACING))

@@ -1,7 +1,7 @@
-"""Where a type's recordings may be gone over to: the places most like a pose and a trajectory over the ground.
+"""Finds the frames of reference clips that are most like a pose and a trajectory.
 
-What motion matching seeks among recorded frames (Clavet 2016, "Motion Matching and The Road to Next-Gen
-Animation"), here only to choose what a reference shows: the body itself is the network's.
+This is the search of motion matching (Clavet 2016, "Motion Matching and The Road to Next-Gen Animation"). It chooses
+only which reference poses are shown; the network makes the body itself.
 """
 
 from __future__ import annotations
@@ -15,33 +15,32 @@ from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.models.motion_type import ReferenceClip
 
 NEARBY = 90  # frames
-# A state is the pose now and so many frames before: how it moves, and what it has just done.
+# A state is the present pose and those so many frames ago: how the body moves, and what it has just done.
 STATE_FRAMES = (0, 5, 15, 30)
-# A place that is so far off (cm), or a direction so far (of its length), counts as a pose one deviation off.
-PLACE_UNIT, DIRECTION_UNIT = 20.0, 0.5
+# A position (cm) or a direction (of unit length) that differs by so much costs as much as a pose one deviation off.
+POSITION_UNIT, DIRECTION_UNIT = 20.0, 0.5
 
 
 class MotionIndex:
-    """All frames of some recordings in reference_clip.
+    """All frames of some clips, with their states and trajectories.
 
     Attributes:
-        first: the number of each recording's first frame among all frames.
-        left: (P,) frames to the end of the recording, the frame itself included.
-        moves: (P,) whether at least the type's usual movement follows.
+        clips: the clips, in the order given.
+        first: for each clip the number of its first frame among all frames.
+        left: (F,) frames to the end of the clip, the frame itself included.
+        moves: (F,) whether at least the usual movement follows.
     """
 
-    def __init__(self, reference_clips: Sequence[ReferenceClip]) -> None:
-        self.reference_clips = reference_clips
-        lengths = [len(reference_clip) for reference_clip in reference_clips]
+    def __init__(self, clips: Sequence[ReferenceClip]) -> None:
+        self.clips = tuple(clips)
+        lengths = [len(clip) for clip in clips]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]
         self.left = np.concatenate([np.arange(length, 0, -1) for length in lengths])
-        movement = np.concatenate([reference_clip.movement for reference_clip in reference_clips])
+        movement = np.concatenate([clip.movement for clip in clips])
         self.moves = movement >= lower_median(movement)
         frames = [np.arange(length) for length in lengths]
-        states = [pose_states(o, at) for o, at in zip(reference_clips, frames, strict=True)]
-        trajectories = [
-            future_trajectory(o.ground, at) for o, at in zip(reference_clips, frames, strict=True)
-        ]
+        states = [pose_states(clip, at) for clip, at in zip(clips, frames, strict=True)]
+        trajectories = [future_trajectory(clip.ground, at) for clip, at in zip(clips, frames, strict=True)]
         self._features = np.concatenate(
             [np.concatenate(states).reshape(len(self.left), -1), _scaled(np.concatenate(trajectories))],
             axis=1,
@@ -50,12 +49,13 @@ class MotionIndex:
     def nearest(
         self, state: Array, trajectory: Array, least: int, stay: int | None = None, gain: float = 1.0
     ) -> tuple[int, int]:
-        """The recording and frame most like a state (S, 24) and a trajectory (24,) to go.
+        """Return the clip and the frame most like a state (S, 24) and a trajectory (24,).
 
         Args:
-            least: frames that have to be left.
-            stay: a place to stay at, unless another costs less than gain times as much. What is near it in its
-                recording does not count: of what moves slowly the same second would be played again and again.
+            least: frames that must follow in the clip.
+            stay: number of the present frame, which is kept unless another costs less than gain times as much. Frames
+                near it do not count: in a slow motion the same second would be played again and again.
+            gain: see stay.
         """
         wanted = np.concatenate([state.reshape(-1), _scaled(trajectory)])
         all_costs = np.square(self._features - wanted).sum(axis=1)
@@ -69,18 +69,18 @@ class MotionIndex:
         return number, best - self.first[number]
 
 
-def pose_states(reference_clip: ReferenceClip, frames: Array) -> Array:
-    """The poses (..., S, 24) in reference_clip STATE_FRAMES before frames (...)."""
-    return reference_clip.poses[np.maximum(frames[..., None] - np.array(STATE_FRAMES), 0)]
+def pose_states(clip: ReferenceClip, frames: Array) -> Array:
+    """Pose embeddings (..., S, 24) of a clip STATE_FRAMES before frames (...)."""
+    return clip.poses[np.maximum(frames[..., None] - np.array(STATE_FRAMES), 0)]
 
 
-def pose_state(reference_clip: ReferenceClip, at: int) -> Array:
-    """The poses (S, 24) in reference_clip STATE_FRAMES before a frame."""
-    return pose_states(reference_clip, np.array(at))
+def pose_state(clip: ReferenceClip, at: int) -> Array:
+    """Pose embeddings (S, 24) of a clip STATE_FRAMES before a frame."""
+    return pose_states(clip, np.array(at))
 
 
 def _scaled(trajectories: Array) -> Array:
     half = TRAJECTORY_COUNT // 2
     return np.concatenate(
-        [trajectories[..., :half] / PLACE_UNIT, trajectories[..., half:] / DIRECTION_UNIT], axis=-1
+        [trajectories[..., :half] / POSITION_UNIT, trajectories[..., half:] / DIRECTION_UNIT], axis=-1
     )

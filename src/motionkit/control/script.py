@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import ReferencePlayer, Signals
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.errors import ControlError
-from motionkit.features.control import blend_types
-from motionkit.inference.rollout import Controller, FrameControls
+from motionkit.features.control import Controls, blend_types
+from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
 
 DEFAULT_SECONDS = 4.0
@@ -87,49 +87,42 @@ def crowd_controller(
     behind: list[int],
     choice: int = 0,
 ) -> Controller:
-    """What is asked of a crowd: characters take the plans in turn, and go on with the last frame of theirs.
+    """Controls of a crowd: characters take the plans in turn, and repeat the last frame of theirs.
 
     Args:
-        near: for each character the last reference_clips of the frames it starts from (last_poses).
-        behind: for each plan the frames of its first performance that lie behind already.
-        choice: picks among recordings; each character makes a choice of its own.
+        near: for each character the pose embeddings of its last start frames (last_poses).
+        behind: for each plan the frames of its first performance that the start frames have shown.
+        choice: picks among reference clips; each character makes a choice of its own.
     """
     turn = [i % len(plans) for i in range(len(near))]
-    tracks = [plan_weights(model, plan) for plan in plans]
-    longest = max(len(track) for track in tracks)
+    asked = [plan_controls(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
+    together = Controls.side_by_side(asked)
+    last = len(together.phase) - 1
 
-    def whole(values: Array) -> Array:
-        return np.pad(values, ((0, longest - len(values)), (0, 0)), mode="edge")
-
-    weights = np.stack([whole(track) for track in tracks], 1)[:, turn]
-    asked = [plan_signals(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
-    signals = Signals.side_by_side(asked)
-
-    def controls(frame: int, ground: Array) -> FrameControls:
-        now = min(frame, longest - 1)
-        return signals.controls(now, weights[now])
+    def controls(frame: int, ground: Array) -> Controls:
+        return together.at(min(frame, last))
 
     return controls
 
 
 def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Array:
-    """Blended type weights (T, N) of the parts: 40 frames at each change."""
+    """Type weights (T, N) of the parts, blended over 40 frames at each change."""
     return blend_types(type_track(model, parts), len(model.types))
 
 
-def plan_signals(
+def plan_controls(
     model: MotionModel, parts: Sequence[TypePart], near: Array, behind: int = 0, choice: int = 0
-) -> Signals:
-    """What recordings of the parts' types ask for, frame by frame.
+) -> Controls:
+    """Controls (T, ...) of the parts one after another, with reference poses.
 
     Args:
-        near: (S, 24) the last reference_clips of the frames before (last_poses).
-        behind: frames of the first part's performance that lie behind already.
-        choice: picks among the recordings of the types.
+        near: (S, 24) pose embeddings of the frames before (last_poses).
+        behind: frames of the first part's performance that have been shown already.
+        choice: picks among the reference clips of the types.
     """
     player = ReferencePlayer(model, choice)
     asked = []
     for number, part in enumerate(parts):
         player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0)
         asked.append(player.play(max(1, round(part.seconds * model.fps))))
-    return Signals.joined(asked)
+    return replace(Controls.concatenated(asked), type_weights=plan_weights(model, parts))

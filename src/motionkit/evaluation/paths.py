@@ -13,7 +13,7 @@ from motionkit.control.path import METRE, SHAPES, SPACING, Path2D, PathPart, mak
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.inference.rollout import FrameControls
+from motionkit.features.control import Controls
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
 
@@ -67,9 +67,9 @@ class _Walker:
         self.follower = PathFollower(model, trial.path)
         self.limit = int((PATIENCE * self.follower.expected_seconds + 3.0) * model.fps)
         self.frames, self.finished = 0, False
-        self._asked: FrameControls | None = None
+        self._asked: Controls | None = None
 
-    def __call__(self, frame: int, ground: Array) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> Controls:
         if self._asked is not None and self.over:  # waits for the other characters
             return self._asked
         self._asked = self.follower(frame, ground)

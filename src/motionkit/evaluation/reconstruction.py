@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import ReferencePlayer, Signals, last_poses
+from motionkit.control.reference_player import ReferencePlayer, last_poses
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.evaluation.body import Body, body_of
@@ -16,9 +16,9 @@ from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Performance, Progress, performances
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.features.control import blend_types, future_trajectory
+from motionkit.features.control import Controls, blend_types, future_trajectory
 from motionkit.features.decode import decode_motion
-from motionkit.inference.rollout import FrameControls, RolloutState, run
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
 from motionkit.metrics.report import evaluate_motion, placed_like
 from motionkit.models.model import MotionModel
@@ -89,7 +89,7 @@ def roll_like(
     """
     frames = max(clip.frames for clip in clips)
     places = np.array([model.type_id(k) if k in model.types else 0 for k in dataset.types])
-    weights, trajectories, clocks = [], [], []
+    weights, trajectories, phases = [], [], []
     # A clip that is rolled out several times needs its reference poses once.
     references_of = {clip: clip_references(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
     references = [references_of[clip] for clip in clips]
@@ -97,21 +97,20 @@ def roll_like(
         wanted = np.minimum(np.arange(frames) + INIT_FRAMES, len(clip.data.types) - 1)
         weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
         trajectories.append(future_trajectory(clip.data.ground, wanted))
-        clocks.append(clip.data.phases[wanted])
+        phases.append(clip.data.phases[wanted])
     first = np.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
-    weight, trajectory, clock = (np.stack(v, axis=1) for v in (weights, trajectories, clocks))
-    given = np.ones(len(clips), np.float32)
-    reference, reference_gain, phase, reference_trajectory = (
-        np.stack([getattr(g, name) for g in references], axis=1)
-        for name in ("reference", "reference_gain", "phase", "trajectory")
-    )
-    clock = np.where(reference_gain > 0.0, phase, clock)
-    trajectory = np.where(reference_gain[..., None] > 0.0, reference_trajectory, trajectory)
+    weight, trajectory, phase = (np.stack(v, axis=1) for v in (weights, trajectories, phases))
+    played = Controls.side_by_side(references)
+    shown = played.reference_gain > 0.0
+    asked = replace(
+        played,
+        type_weights=weight,
+        trajectory=np.where(shown[..., None], played.trajectory, trajectory),
+        phase=np.where(shown, played.phase, phase),
+    ).with_mask(1.0)
 
-    def controls(frame: int, ground: Array) -> FrameControls:
-        return FrameControls(
-            weight[frame], trajectory[frame], given, clock[frame], reference[frame], reference_gain[frame]
-        )
+    def controls(frame: int, ground: Array) -> Controls:
+        return asked.at(frame)
 
     state = RolloutState(model, len(clips), settings.noise, settings.seed)
     state.start(
@@ -124,7 +123,7 @@ def roll_like(
     return performances(model, rollout)
 
 
-def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Signals:
+def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Controls:
     """Return reference poses for the types of a clip after its first INIT_FRAMES; the last type lasts to the end."""
     types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
     player = ReferencePlayer(model)
@@ -140,7 +139,7 @@ def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames:
         asked = player.play(len(trajectories), trajectories)
         steered = name not in model.types or model.types[name].steered
         parts.append(replace(asked, reference_gain=np.zeros_like(asked.reference_gain)) if steered else asked)
-    return Signals.joined(parts)
+    return Controls.concatenated(parts)
 
 
 class NearestClip:

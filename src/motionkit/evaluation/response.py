@@ -20,7 +20,7 @@ from motionkit.evaluation.body import SPEED_SPAN, Body, spans
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.inference.rollout import FrameControls
+from motionkit.features.control import Controls
 from motionkit.models.model import MotionModel
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
@@ -129,7 +129,7 @@ class _Commanded:
         self.change = round(BEFORE_SECONDS * model.fps)
         self.driver.set_wish(command.before)
 
-    def __call__(self, frame: int, ground: Array) -> FrameControls:
+    def __call__(self, frame: int, ground: Array) -> Controls:
         if frame == self.change:
             self.driver.set_wish(self.command.after)
         return self.driver(frame, ground)

@@ -12,14 +12,14 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.drive import together
-from motionkit.control.reference_player import Signals, last_poses
-from motionkit.control.script import TypePart, plan_signals, plan_weights
+from motionkit.control.reference_player import last_poses
+from motionkit.control.script import TypePart, plan_controls
 from motionkit.evaluation.body import Body, bodies
+from motionkit.features.control import Controls
 from motionkit.features.decode import decode_rotations, root_height
 from motionkit.inference.height_correction import raised
 from motionkit.inference.rollout import (
     Controller,
-    FrameControls,
     Noise,
     Rollout,
     RolloutState,
@@ -92,8 +92,6 @@ def roll_plans(
 def _roll_batch(
     model: MotionModel, plans: list[Plan], noise: Noise, seed: int, progress: Progress
 ) -> list[Performance]:
-    weights = np.stack([plan_weights(model, plan.parts) for plan in plans], axis=1)
-    frames = len(weights)
     starts = [model.types[plan.parts[0].type].start_poses for plan in plans]
     features, contacts = start_batch(
         [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
@@ -101,16 +99,17 @@ def _roll_batch(
     # The start poses of a performance are its first frames, as in synthesize.
     lengths = [model.phase_seconds(plan.parts[0].type) * model.fps for plan in plans]
     asked = [
-        plan_signals(model, plan.parts, last_poses(model, seen), len(seen) if length else 0, plan.choice)
+        plan_controls(model, plan.parts, last_poses(model, seen), len(seen) if length else 0, plan.choice)
         for plan, seen, length in zip(plans, features, lengths, strict=True)
     ]
-    signals = Signals.side_by_side(asked)
+    together = Controls.side_by_side(asked)
+    frames = len(together.phase)
 
-    def controls(frame: int, ground: Array) -> FrameControls:
-        return signals.controls(frame, weights[frame])
+    def controls(frame: int, ground: Array) -> Controls:
+        return together.at(frame)
 
     state = RolloutState(model, len(plans), noise, seed)
-    state.start(features, contacts, weights[0], None, lengths)
+    state.start(features, contacts, together.type_weights[0], None, lengths)
     rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     return performances(model, rollout)
 

@@ -12,7 +12,7 @@ import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -21,19 +21,19 @@ import numpy as np
 from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, plan_signals, plan_weights
+from motionkit.control.script import TypePart, plan_controls
 from motionkit.errors import ModelError, MotionkitError, OverwriteError
 from motionkit.export.onnx_body import write_body
 from motionkit.export.onnx_graph import Graph
 from motionkit.export.onnx_network import present_name, state_shapes, write_network
-from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS
+from motionkit.features.control import TRAJECTORY_COUNT, TRAJECTORY_OFFSETS, Controls
 from motionkit.features.layout import FEATURE_COUNT, column_names
 from motionkit.features.reference import REFERENCE_COUNT, REFERENCE_OFFSETS
 from motionkit.files import atomic_write, read_json
 from motionkit.inference.character import model_first_type
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
-from motionkit.inference.rollout import FrameControls, Noise, RolloutState
+from motionkit.inference.rollout import Noise, RolloutState
 from motionkit.inference.start import Start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
@@ -342,7 +342,7 @@ class OnnxStep:
         return made
 
 
-def every_control(model: MotionModel, frames: int) -> list[FrameControls]:
+def every_control(model: MotionModel, frames: int) -> list[Controls]:
     """Controls of one character in which each control changes: what ways of making a frame are compared on.
 
     Up to four types blend into each other: the first, one with a gait, a performance, one with references. Their
@@ -356,34 +356,31 @@ def every_control(model: MotionModel, frames: int) -> list[FrameControls]:
     kinds = list(dict.fromkeys([first, *gaits[:1], *performances[:1], *free[:1]]))
     parts = [TypePart(kind, frames / len(kinds) / model.fps) for kind in kinds]
     near = last_poses(model, type_start(model, first).features[0])
-    played, weights = plan_signals(model, parts, near), plan_weights(model, parts)
+    played = plan_controls(model, parts, near)
     steps = np.array(TRAJECTORY_OFFSETS, np.float32) / model.fps
     out = []
     for frame in range(frames):
-        now = slice(min(frame, len(weights) - 1), min(frame, len(weights) - 1) + 1)
+        row = min(frame, len(played.phase) - 1)
+        now = played.at(slice(row, row + 1))
         # Where a performance asks for no trajectory of its own: in turns none, and a slow curve.
         angle = 0.5 * np.sin(frame / 40.0)
         forward = np.array([np.sin(angle), np.cos(angle)], np.float32)
         curve = np.concatenate([np.outer(100.0 * steps, forward).ravel(), np.tile(forward, len(steps))])[None]
-        mask = np.maximum(played.trajectory_mask[now], np.float32(frame // 45 % 2))
-        trajectory = np.where(played.trajectory_mask[now, None] > 0, played.trajectory[now], curve)
-        slip = np.full(1, (1.0, 0.5, 0.0)[frame // 30 % 3], np.float32)
-        gain = played.reference_gain[now] * np.float32(frame % 100 < 80)
-        signals = (played.phase[now], played.reference[now], gain, slip)
-        out.append(FrameControls(weights[now], trajectory.astype(np.float32), mask, *signals))
+        changed = {
+            "trajectory_mask": np.maximum(now.trajectory_mask, np.float32(frame // 45 % 2)),
+            "trajectory": np.where(now.trajectory_mask[:, None] > 0, now.trajectory, curve.astype(np.float32)),
+            "slip_correction": np.full(1, (1.0, 0.5, 0.0)[frame // 30 % 3], np.float32),
+            "reference_gain": now.reference_gain * np.float32(frame % 100 < 80),
+        }
+        out.append(replace(now, **changed))
     return out
 
 
-def set_controls(graph: OnnxStep, asked: FrameControls, noise: Array) -> None:
+def set_controls(graph: OnnxStep, asked: Controls, noise: Array) -> None:
     """Give a graph the controls of one character, and noise (1, 276)."""
-    nothing, all_of_it = np.zeros(1, np.float32), np.ones(1, np.float32)
-    reference = 0.0 if asked.reference is None else asked.reference
-    gain = nothing if asked.reference_gain is None else asked.reference_gain
-    slip = all_of_it if asked.slip_correction is None else asked.slip_correction
-    graph.values["type_weights"][:], graph.values["trajectory"][:] = asked.type_weights, asked.trajectory
-    graph.values["trajectory_mask"][:], graph.values["phase"][:] = asked.trajectory_mask, asked.phase
-    graph.values["reference"][:], graph.values["reference_gain"][:] = reference, gain
-    graph.values["slip_correction"][:], graph.values["noise"][:] = slip, noise
+    for name, values in vars(asked).items():
+        graph.values[name][:] = values
+    graph.values["noise"][:] = noise
 
 
 def _start_graph(graph: OnnxStep, model: MotionModel, start: Start, type_weights: Array) -> None:

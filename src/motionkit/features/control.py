@@ -7,13 +7,14 @@ performance; and reference poses (features/reference.py), which say what the bod
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.features.normalize import Scaling
-from motionkit.features.reference import REFERENCE_COUNT
+from motionkit.features.reference import REFERENCE_COUNT, ReferenceMap
 from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, canonical_skeleton
 
@@ -23,6 +24,61 @@ SKELETON_COUNT = 3 * JOINT_COUNT
 TYPE_BLEND_FRAMES = 40
 # The network sees rest-pose positions as differences from the canonical body, in units of 10 cm.
 SKELETON_UNIT = 10.0
+
+
+@dataclass(frozen=True, eq=False)
+class Controls:
+    """What is asked for, at one frame or many; leading dimensions (...) are frames, characters or both.
+
+    Attributes:
+        type_weights: (..., N) weights of the motion types, which add up to 1.
+        trajectory: (..., 24) where the root is to be, in cm in the heading frame of now.
+        trajectory_mask: (...) 1 where the trajectory counts, else 0.
+        phase: (...) in [0, 1) through a performance, strike or jump, negative for none.
+        reference: (..., 72) pose embeddings of the reference some frames ahead.
+        reference_gain: (...) factor on the reference, 0 where there is none.
+        slip_correction: (...) factor on the root-slip correction of the types.
+    """
+
+    type_weights: Array
+    trajectory: Array
+    trajectory_mask: Array
+    phase: Array
+    reference: Array
+    reference_gain: Array
+    slip_correction: Array
+
+    @staticmethod
+    def of_types(type_weights: Array) -> Controls:
+        """Ask for types (..., N) alone: no trajectory, phase or reference."""
+        shape = type_weights.shape[:-1]
+        zeros, ones = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+        trajectory = np.zeros((*shape, TRAJECTORY_COUNT), np.float32)
+        reference = np.zeros((*shape, REFERENCE_COUNT), np.float32)
+        return Controls(type_weights, trajectory, zeros, -ones, reference, zeros, ones)
+
+    @staticmethod
+    def concatenated(parts: Sequence[Controls], axis: int = 0) -> Controls:
+        """Join along an axis: frames one after another, or characters side by side."""
+        return Controls(*(np.concatenate([getattr(p, name) for p in parts], axis) for name in vars(parts[0])))
+
+    @staticmethod
+    def side_by_side(characters: Sequence[Controls]) -> Controls:
+        """Stack (T, ...) of B characters as (T, B, ...); shorter ones repeat their last frame."""
+        frames = max(len(c.phase) for c in characters)
+        rows = [np.minimum(np.arange(frames), len(c.phase) - 1) for c in characters]
+        pairs = list(zip(characters, rows, strict=True))
+        return Controls(
+            *(np.stack([getattr(c, name)[r] for c, r in pairs], 1) for name in vars(characters[0]))
+        )
+
+    def at(self, rows: int | slice | Array) -> Controls:
+        """Some rows of the first dimension."""
+        return Controls(*(values[rows] for values in vars(self).values()))
+
+    def with_mask(self, mask: float) -> Controls:
+        """The same with a trajectory mask of 1 or 0 everywhere."""
+        return replace(self, trajectory_mask=np.full_like(self.trajectory_mask, mask))
 
 
 @dataclass(frozen=True)
@@ -127,34 +183,26 @@ def phase_signal(phase: Array) -> Array:
 
 def control_vector(
     layout: ControlLayout,
-    skeleton_B69: Array,
-    type_weights: Array,
-    trajectory: Array,
-    trajectory_mask: Array,
-    phase: Array,
-    reference: Array,
-    reference_gain: Array,
+    skeleton: Array,
+    controls: Controls,
+    x: Array,
     trajectory_scaling: Scaling,
+    references: ReferenceMap,
 ) -> Array:
-    """Assemble control vectors (..., C), with C = layout.size.
+    """Control vectors (..., C) of controls (...); trajectory and reference are zero where they are not given.
 
     Args:
-        layout: columns of the control vector.
-        skeleton_B69: (..., 69) from skeleton_signal.
-        type_weights: (..., types); its leading dimensions are those of the result.
-        trajectory: (..., 24) unnormalised.
-        trajectory_mask: (...) 1 with a trajectory, 0 without.
-        phase: (...) in [0, 1), negative for types without a phase.
-        reference: (..., 72) reference poses relative to the current frame, from ReferenceMap.shown.
-        reference_gain: (...) 0 without a reference.
-        trajectory_scaling: normalises the trajectory.
+        skeleton: (69,) of skeleton_signal.
+        x: (..., 276) normalised present frames, which references are relative to.
+        references: maps reference poses to the reference signal.
     """
-    shown = trajectory_scaling.normalize(trajectory) * trajectory_mask[..., None]
-    parts = [skeleton_B69, type_weights, shown, trajectory_mask[..., None], phase_signal(phase)]
-    parts += [reference * reference_gain[..., None], reference_gain[..., None]]
-    out = np.concatenate(
-        [np.broadcast_to(p, (*type_weights.shape[:-1], p.shape[-1])) for p in parts], axis=-1
-    )
+    mask, gain = controls.trajectory_mask[..., None], controls.reference_gain[..., None]
+    trajectory = trajectory_scaling.normalize(controls.trajectory) * mask
+    reference = references.shown(controls.reference, x) * gain
+    parts = [skeleton, controls.type_weights, trajectory, mask, phase_signal(controls.phase)]
+    parts += [reference, (gain > 0.0).astype(np.float32)]
+    shape = controls.type_weights.shape[:-1]
+    out = np.concatenate([np.broadcast_to(p, (*shape, p.shape[-1])) for p in parts], axis=-1)
     assert out.shape[-1] == layout.size
     return out
 

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, row_products
 from motionkit.features.layout import FeatureLayout
 from motionkit.features.normalize import Scaling
 
@@ -109,7 +109,7 @@ class ReferenceMap:
 
     def shown(self, reference: Array, x: Array) -> Array:
         """Reference poses (..., 72) relative to the current normalised frames x (..., 276)."""
-        return self.gains * reference - (x @ self.matrix + self.constant)
+        return self.gains * reference - (row_products(x, self.matrix) + self.constant)
 
 
 def reference_map(embedding: PoseEmbedding, scaling: Scaling) -> ReferenceMap:

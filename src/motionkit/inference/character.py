@@ -9,12 +9,12 @@ import numpy as np
 
 from motionkit.arrays import Array, Floats
 from motionkit.errors import ControlError
-from motionkit.features.control import TRAJECTORY_OFFSETS
+from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.inference.foot_lock import FootLock
 from motionkit.inference.frame_kernel import PoseKernel, frame_library
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
-from motionkit.inference.rollout import FrameControls, Noise, RolloutState
+from motionkit.inference.rollout import Noise, RolloutState
 from motionkit.inference.start import type_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_COUNT, leg_length
@@ -132,7 +132,7 @@ class CharacterStream:
         ground[:, :2] *= self.scale[:, None]
         return ground
 
-    def step(self, controls: FrameControls) -> CharacterFrame:
+    def step(self, controls: Controls) -> CharacterFrame:
         """Move every character on by one frame (1 / model.fps seconds)."""
         if self._scaled:
             trajectory = controls.trajectory.copy()

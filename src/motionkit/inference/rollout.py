@@ -9,7 +9,7 @@ import numpy as np
 
 from motionkit.arrays import Array, Floats, row_products
 from motionkit.errors import ControlError, ModelError
-from motionkit.features.control import TRAJECTORY_COUNT, skeleton_signal
+from motionkit.features.control import Controls, control_vector, skeleton_signal
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.inference import slip_correction
@@ -55,27 +55,8 @@ class Noise:
         return a, (1.0 - a * a) ** 0.5, b, (1.0 - b) / variance**0.5
 
 
-@dataclass(frozen=True, eq=False)
-class FrameControls:
-    """What is asked of B characters at one frame.
-
-    type_weights: (B, N). trajectory: (B, 24) unnormalised, in the heading frame of now. given: (B,) 1 where
-    the trajectory counts. progress: (B,) through a performance of a type with a phase, else negative. reference:
-    (B, 72), and reference_gain: (B,) how many times larger than it is it is shown, 0 where it does not count; None for no reference
-    at all. slip_correction: (B,) the share of the types' slip_correction that counts, None for all of it.
-    """
-
-    type_weights: Array
-    trajectory: Array
-    trajectory_mask: Array
-    phase: Array
-    reference: Array | None = None
-    reference_gain: Array | None = None
-    slip_correction: Array | None = None
-
-
 # Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
-Controller = Callable[[int, Array], FrameControls]
+Controller = Callable[[int, Array], Controls]
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,16 +113,13 @@ class RolloutState:
         blocks = feature_layout(model.config.layout).blocks
         self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
         self._mean, self._std = model.scaling.mean, model.scaling.std
-        scaling = model.trajectory_scaling
-        self._trajectory_mean, self._trajectory_std = scaling.mean, scaling.std
         self._layout = model.controls
         self._presets = np.stack(
             [model.presets(name) for name in ("noise_scale", "velocity_blend", "slip_correction")], axis=1
         )
         self._feet = slip_correction.foot_columns(model.config.layout)
         self._blended = blended_columns(model.config.layout)
-        references = model.reference_map
-        self._reference_scales, self._reference_matrix, self._reference_constant = vars(references).values()
+        self._references = model.reference_map
         self._controls = np.zeros((batch, self._layout.size), np.float32)
         self._x = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._before = np.zeros((batch, FEATURE_COUNT), np.float32)  # the frame before
@@ -185,7 +163,7 @@ class RolloutState:
 
     def set_skeletons(self, skeletons: list[Skeleton]) -> None:
         """The skeleton control signal of each character."""
-        self._controls[:, self._layout.skeleton] = np.stack([skeleton_signal(s) for s in skeletons])
+        self._skeletons = np.stack([skeleton_signal(s) for s in skeletons])
 
     def start(
         self,
@@ -213,10 +191,9 @@ class RolloutState:
         contacts = np.asarray(contacts)
         x = ((np.asarray(features) - self._mean) / self._std).astype(np.float32)
         self.network.reset(x.shape[1] - 1)
-        none = np.zeros((self.batch, TRAJECTORY_COUNT), np.float32)
         for t in range(x.shape[1] - 1):
-            progress = np.array([phase_at(t, length) for length in lengths], np.float32)
-            self._ask(FrameControls(type_weights, none, np.zeros(self.batch, np.float32), progress), x[:, t])
+            phase = np.array([phase_at(t, length) for length in lengths], np.float32)
+            self._ask(replace(Controls.of_types(type_weights), phase=phase), x[:, t])
             self.network.step(x[:, t], contacts[:, t], self._controls)
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1]
         self._before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
@@ -239,7 +216,7 @@ class RolloutState:
             self._prime.network = self.network.alone()
         one = self._prime
         one.random = [self.random[index]]
-        one._controls[:, self._layout.skeleton] = self._controls[index, self._layout.skeleton]
+        one._skeletons = self._skeletons[index : index + 1]
         one.start(features, contacts, type_weights, ground, phase_frames)
         self.network.adopt(index, one.network)
         for mine, its in (
@@ -252,38 +229,17 @@ class RolloutState:
         ):
             mine[index] = its[0]
 
-    def _ask(self, asked: FrameControls, x: Floats) -> None:
-        """Write control vectors, as features.control.control_vector makes them, for normalised frames x."""
-        layout, controls = self._layout, self._controls
-        weights = asked.type_weights
-        controls[:, layout.type] = weights
-        presets = row_products(weights, self._presets)
+    def _ask(self, asked: Controls, x: Floats) -> None:
+        """Take in controls for normalised frames x: control vectors, and the sampling presets of the types."""
+        presets = row_products(asked.type_weights, self._presets)
         self._log_share = np.log(np.maximum(presets[:, :1], 1e-6))
         self._velocity_blend[:], self._slip_correction[:] = presets[:, 1:2], presets[:, 2:]
-        if asked.slip_correction is not None:
-            self._slip_correction[:, 0] *= asked.slip_correction
-        given = asked.trajectory_mask
-        shown = controls[:, layout.trajectory]
-        np.subtract(asked.trajectory, self._trajectory_mean, out=shown)
-        shown /= self._trajectory_std
-        shown *= given[:, None]
-        controls[:, layout.flag] = given
-        progress = asked.phase
-        angle, has_phase = np.float32(2.0 * np.pi) * progress, progress >= 0
-        controls[:, layout.phase.start] = np.sin(angle) * has_phase
-        controls[:, layout.phase.start + 1] = np.cos(angle) * has_phase
-        if asked.reference is None or asked.reference_gain is None:
-            controls[:, layout.reference.start :] = 0.0
-        else:
-            reference_gain = asked.reference_gain
-            shown = controls[:, layout.reference]
-            present = row_products(x, self._reference_matrix)
-            present += self._reference_constant
-            np.subtract(self._reference_scales * asked.reference, present, out=shown)
-            shown *= reference_gain[:, None]
-            controls[:, layout.reference_gain] = reference_gain > 0.0
+        self._slip_correction[:, 0] *= asked.slip_correction
+        self._controls[:] = control_vector(
+            self._layout, self._skeletons, asked, x, self.model.trajectory_scaling, self._references
+        )
 
-    def advance(self, asked: FrameControls) -> tuple[Floats, Floats, Floats]:
+    def advance(self, asked: Controls) -> tuple[Floats, Floats, Floats]:
         """step() without copies: what it answers is overwritten by the next call."""
         self._ask(asked, self._x)
         network = self.network
@@ -357,7 +313,7 @@ class RolloutState:
             features[:, columns] += by
             self._x[:, columns] += by / self._std[columns]
 
-    def step(self, asked: FrameControls) -> tuple[Array, Array, Array]:
+    def step(self, asked: Controls) -> tuple[Array, Array, Array]:
         """The next frame: features (B, 276) unnormalised, contacts (B, 4), ground (B, 3).
 
         Raises ModelError for a frame that no BVH file could hold.

@@ -19,6 +19,7 @@ from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
 from motionkit.features.control import (
     ControlLayout,
+    Controls,
     blend_types,
     control_vector,
     future_trajectory,
@@ -183,21 +184,21 @@ class WindowSampler:
             lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
             types = np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
         weights = blend_types(types, len(self.dataset.types))[:frames]
-        given = np.full(frames, float(u >= options.trajectory_dropout), np.float32)
         reference_gain = self._with_reference(data.types[:frames], generator)
         noise = torch.randn(frames, FEATURE_COUNT, generator=generator).numpy()
         inputs = x[:frames] + noise * options.noise
-        reference = self.reference_map.shown(data.reference[:frames], inputs)
-        controls = control_vector(
-            self.controls,
-            self.skeletons[body],
+        asked = Controls(
             weights,
             trajectory[:frames],
-            given,
+            np.full(frames, float(u >= options.trajectory_dropout), np.float32),
             data.phases[:frames],
-            reference,
+            data.reference[:frames],
             reference_gain,
-            self.dataset.trajectory_scaling,
+            np.ones(frames, np.float32),
+        )
+        scaling = self.dataset.trajectory_scaling
+        controls = control_vector(
+            self.controls, self.skeletons[body], asked, inputs, scaling, self.reference_map
         )
         # A short window has the same weight as a full one.
         mask = np.full(frames, T / frames, np.float32)
