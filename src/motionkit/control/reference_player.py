@@ -156,7 +156,8 @@ class ReferencePlayer:
             left, left_at, entered = self.left
             since = frames - entered
             before = reference_signal(left.poses, left_at + since)
-            reference = lerp(before, reference, np.minimum(since / np.float32(BLEND), 1.0)[:, None])
+            share = np.minimum(since / BLEND, 1.0).astype(np.float32)
+            reference = lerp(before, reference, share[:, None])
         asked = replace(
             free,
             reference=reference,
