@@ -368,7 +368,9 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
         curve = np.concatenate([np.outer(100.0 * steps, forward).ravel(), np.tile(forward, len(steps))])[None]
         changed = {
             "trajectory_mask": np.maximum(now.trajectory_mask, np.float32(frame // 45 % 2)),
-            "trajectory": np.where(now.trajectory_mask[:, None] > 0, now.trajectory, curve.astype(np.float32)),
+            "trajectory": np.where(
+                now.trajectory_mask[:, None] > 0, now.trajectory, curve.astype(np.float32)
+            ),
             "slip_correction": np.full(1, (1.0, 0.5, 0.0)[frame // 30 % 3], np.float32),
             "reference_gain": now.reference_gain * np.float32(frame % 100 < 80),
         }
