@@ -39,7 +39,8 @@ class _Draw(Structure):
         *(
             (n, c_void_p)
             for n in (
-                "mean log_sigma logits scaling_mean scaling_std fresh noise smooth blended velocity_blend slip_correction before"
+                "mean log_sigma logits scaling_mean scaling_std fresh noise smooth blended "
+                "velocity_blend slip_correction before"
             ).split()
         ),
         *((n, c_float) for n in "rho fresh_share smoothing noise_share temperature fps".split()),
@@ -137,7 +138,8 @@ def bind_draw(
     four = c_double * 4
     draw = _Draw(
         FEATURE_COUNT, CONTACT_COUNT, yaw, xz, *strides,
-        (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR, four(*slip_correction.REACHES), four(*slip_correction.SHARES),
+        (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
+        four(*slip_correction.REACHES), four(*slip_correction.SHARES),
         slip_correction.EASE, slip_correction.STIFFNESS, slip_correction.ENOUGH, slip_correction.LIMIT,
         *(_address(v) for v in (a.mean, a.log_sigma, a.logits, a.scaling_mean, a.scaling_std)),
         *(_address(v) for v in (a.fresh, *followed)),

@@ -78,7 +78,7 @@ def phase_at(frame: float, phase_frames: float) -> float:
 
 
 def blended_columns(layout: str) -> Floats:
-    """How much of a type's velocity_blend each feature takes (276,): heights none, for the floor stops a fall at once."""
+    """Share of a type's velocity_blend per feature (276,): 0 for heights, because the floor stops a fall at once."""
     columns = feature_layout(layout).columns
     upright = [c.block in ("joint_positions", "joint_velocities") and c.component == 1 for c in columns]
     return 1.0 - np.array(upright, np.float32)
@@ -260,8 +260,8 @@ class RolloutState:
         fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
         arrays = DrawArrays(
             network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
-            self._noise_state, self._smooth_noise, self._blended, self._velocity_blend, self._slip_correction, self._before,
-            self._x, self._contacts, self._features, self._ground,
+            self._noise_state, self._smooth_noise, self._blended, self._velocity_blend,
+            self._slip_correction, self._before, self._x, self._contacts, self._features, self._ground,
         )  # fmt: skip
         noise = (*self.noise.filters, self.noise.temperature)
         columns = (self._yaw, self._xz.start, self._feet)

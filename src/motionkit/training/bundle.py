@@ -26,9 +26,9 @@ from motionkit.motion.skeleton import canonical_skeleton
 
 START_FRAMES = 30  # the paper's number of initial frames for synthesis
 STARTS_PER_TYPE = 3
-# Outlines of a type: so many seconds in all, in stretches of at most and at least so many.
+# Reference clips of a type: seconds in all, and of the longest and the shortest clip.
 REFERENCE_SECONDS, LONGEST_REFERENCE, SHORTEST_REFERENCE = 80.0, 10.0, 1.0
-# Who comes to rest in a recording is reference_gain to stay there: it ends where less than this share of the usual follows.
+# A reference clip ends where the body comes to rest: where less than this share of the type's usual motion follows.
 REST = 0.35
 
 
