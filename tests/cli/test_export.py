@@ -82,7 +82,7 @@ def test_graph_and_metadata_appear_together(
     graph, beside = tmp_path / "x.onnx", tmp_path / "x.json"
     if before:
         graph.write_bytes(b"old")
-        beside.write_text('{"format": "motionkit-onnx-5"}')
+        beside.write_text('{"format": "motionkit-onnx-6"}')
     calls = []
 
     def full(*words: object, real: Callable) -> object:

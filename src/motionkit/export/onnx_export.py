@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from onnx import ModelProto
 
 FORMAT_NAME = "motionkit-onnx-"
-FORMAT = f"{FORMAT_NAME}5"
+FORMAT = f"{FORMAT_NAME}6"
 WEIGHTS = ("float32", "int8")
 # Largest distance in cm between joints of the graph and of motionkit after ten seconds in closed loop. In 8 bits small
 # differences add up to another path over the ground.

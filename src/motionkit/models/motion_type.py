@@ -153,14 +153,20 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
     velocity = np.concatenate([_facing_velocity(clip, fps) for clip in clips])
     speed = float(np.linalg.norm(velocity, axis=1).mean())
     steadiness = float(np.linalg.norm(velocity.mean(axis=0))) / max(speed, 1e-6)
+    stands = speed < STANDING_SPEED
+    # Most types end here; models are opened often, and poses take longest.
+    if not stands and (speed <= GAIT_SPEED or steadiness <= GAIT_STEADINESS):
+        return False
+    # Lengths in the space of poses need no more columns than the embedding has.
     to_poses = np.linalg.pinv(embedding.matrix.astype(np.float64))
-    poses = [(clip.poses[: len(clip)] @ to_poses) / JOINT_COUNT**0.5 for clip in clips]
+    lengths = np.linalg.qr(to_poses.T)[1].T / JOINT_COUNT**0.5
+    poses = [clip.poses[: len(clip)] @ lengths for clip in clips]
     whole = np.concatenate(poses)
     spread = float(np.sqrt(np.square(whole - whole.mean(axis=0)).sum(axis=1).mean()))
-    if speed < STANDING_SPEED:
+    if stands:
         steps = np.concatenate([np.linalg.norm(np.diff(p, axis=0), axis=1) for p in poses])
         return spread < STANDING_SPREAD and float(steps.mean()) * fps < STANDING_MOVEMENT
-    return speed > GAIT_SPEED and steadiness > GAIT_STEADINESS and spread < GAIT_SPREAD
+    return spread < GAIT_SPREAD
 
 
 def _facing_velocity(clip: ReferenceClip, fps: float) -> Array:

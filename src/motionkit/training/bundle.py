@@ -124,7 +124,7 @@ def start_poses_of(dataset: Dataset, kind: str) -> list[StartPose]:
 
 
 def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
-    """Training stretches of a type in outline: performances the longest first, others from many recordings.
+    """Reference clips of a type: performances the longest first, others from many recordings.
 
     Of types made of strikes or jumps those parts come first that show most of them, of others those that move
     about as much as the type does in the mean: recordings begin and end with standing.
