@@ -220,6 +220,9 @@ def _limit_child() -> None:
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     limit = pages * resource.getpagesize() + CASE_BYTES
     resource.setrlimit(resource.RLIMIT_AS, (limit, limit))
+    # The parent's OpenMP threads do not live in a fork: work that is shared among them would wait for ever.
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
 
 
 def files_below(folder: Path) -> set[str]:
