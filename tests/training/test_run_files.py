@@ -50,7 +50,7 @@ def test_a_name_that_models_cannot_hold_is_an_error_before_training(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:
     folder = renamed(dataset_folder, tmp_path / "ds", ("x" * 201,))
-    with pytest.raises(DatasetError, match="which has 201 letters"):
+    with pytest.raises(DatasetError, match="which has 201 characters"):
         train(folder, tmp_path / "m.safetensors", tiny_options(steps=1), device="cpu")
     assert [p.name for p in tmp_path.iterdir()] == ["ds"]
 
