@@ -197,7 +197,7 @@ def test_a_fault_while_writing_leaves_nothing(tmp_path: Path) -> None:
             "at 480 fps are 3,456,000 frames",
         ),
         (["synthesize", "--types", ",".join(["idle:3600"] * 5)], "18000 s of motion for each of 1 at 60 fps"),
-        (["follow-path", "far.json"], "50000 s of motion for each of 1 at 60 fps are 3,000,000 frames"),
+        (["follow-path", "far.json"], "50000 s of motion for each of 1 at 60 fps are"),
     ],
 )
 def test_more_than_memory_holds_is_refused_before_it_is_asked_for(

@@ -150,7 +150,8 @@ def test_a_film(tmp_path: Path) -> None:
     file = tmp_path / "walk.mp4"
     write_film(file, [Shown("walk", make_walk(31))], 160)
     frames, seconds = ffmpeg.count_frames_and_secs(str(file))
-    assert frames == 16 and seconds == pytest.approx(16 / 30, abs=0.05)
+    # Older ffmpeg tells when the last frame it wrote begins, up to three frames early.
+    assert frames == 16 and seconds == pytest.approx(16 / 30, abs=3.5 / 30)
 
 
 def test_without_imageio_ffmpeg_one_line_tells_what_to_install(
