@@ -15,7 +15,7 @@ from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motion
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
-from motionkit.inference.rollout import Noise, Rollout, RolloutState
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import clip_start, type_start
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
@@ -162,7 +162,7 @@ def follow_path(
     Raises:
         ControlError: for an unknown type or character, or a path that takes too long.
     """
-    options = options or SynthesisOptions(noise=Noise())
+    options = options or SynthesisOptions()
     skeleton = model.character(options.character)
     if options.count != 1:
         raise ControlError("a path is followed by one character at a time")
@@ -171,32 +171,33 @@ def follow_path(
     weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(first)] = 1.0
     start = type_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
-    # StartPose frames are the beginning of a performance; what comes after them goes on from there.
+    # Start poses are the beginning of a performance; what comes after them goes on from there.
     length = model.phase_seconds(first) * model.fps if options.init is None else 0.0
     follower = PathFollower(model, path, options.seed, start.features.shape[1] if length else 0)
     tangent = path.tangents[0]
     heading = math.atan2(*tangent) - follower.facings[0]
     place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
-    made: list[tuple[Array, Array, Array]] = []
     state = RolloutState(model, 1, options.noise, options.seed)
     state.start(start.features, start.contacts, weights, place, length)
-    began = time.perf_counter()
-    for frame in range(limit):
-        made.append(state.step(follower(frame, state.ground)))
+
+    def report(frame: int) -> None:
         if progress:
             progress(min(1.0, follower.arc / path.length))
-        if follower.arc >= path.length - SPACING:
-            break
+
+    def finished() -> bool:
+        return follower.arc >= path.length - SPACING
+
+    began = time.perf_counter()
+    rollout = run(state, limit, follower, report, finished)
     seconds = time.perf_counter() - began
-    rollout = Rollout(*(np.stack(values, 1) for values in zip(*made, strict=True)))
     track = rollout.ground[0, :, :2]
     return FollowResult(
         finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),
         trajectory_distance(track, path.points),
         _part_distances(track, follower.arcs, path),
         tuple(np.bincount(path.part_at(np.array(follower.arcs)), minlength=len(path.parts)).tolist()),
-        follower.arc >= path.length - SPACING,
+        finished(),
         seconds,
         len(track),
     )

@@ -92,7 +92,7 @@ def synthesize(
     plans = _plans(parts)
     check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
     skeletons = [model.character(name.strip()) for name in options.character.split(",")]
-    first = np.stack([plan_weights(model, plan)[0] for plan in plans])
+    weights = [plan_weights(model, plan) for plan in plans]
     kinds = [plan[0].type for plan in plans]
     if options.init is not None:
         starts = [clip_start(model, options.init, 1)] * len(plans)
@@ -104,11 +104,12 @@ def synthesize(
     features, contacts = [starts[t].features[0] for t in turn], [starts[t].contacts[0] for t in turn]
     ground = np.concatenate([starts[t].ground for t in turn])
     state = RolloutState(model, count, options.noise, options.seed)
-    state.start(features, contacts, first[turn], ground, [lengths[t] for t in turn])
+    first = np.stack([weights[t][0] for t in turn])
+    state.start(features, contacts, first, ground, [lengths[t] for t in turn])
     behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
     near = [last_poses(model, start.features[0]) for start in starts]
     controller = crowd_controller(model, plans, [near[t] for t in turn], behind, options.seed)
-    frames = [len(plan_weights(model, plan)) for plan in plans]
+    frames = [len(each) for each in weights]
     started = time.perf_counter()
     rollout = run(state, max(frames), controller, progress)
     seconds = time.perf_counter() - started

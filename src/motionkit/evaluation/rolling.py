@@ -147,18 +147,17 @@ def roll_controlled(
     features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(starts)])
     type_ids = [model.type_id(character.type) for character in characters]
     weights = np.eye(len(model.types), dtype=np.float32)[type_ids]
-    made: list[tuple[Array, Array, Array]] = []
+
+    def controls(frame: int, here: Array) -> Controls:
+        return together([c.controller(frame, here[i : i + 1]) for i, c in enumerate(characters)])
+
+    def report(frame: int) -> None:
+        if progress:
+            progress(frame / frames)
+
     state = RolloutState(model, len(characters), noise, seed)
     state.start(features, contacts, weights, np.stack([character.ground for character in characters]))
-    for frame in range(frames):
-        here = state.ground
-        asked = [c.controller(frame, here[i : i + 1]) for i, c in enumerate(characters)]
-        made.append(state.step(together(asked)))
-        if progress:
-            progress((frame + 1) / frames)
-        if done and done():
-            break
-    return performances(model, Rollout(*(np.stack(values, 1) for values in zip(*made, strict=True))))
+    return performances(model, run(state, frames, controls, report, done))
 
 
 def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:

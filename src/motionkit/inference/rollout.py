@@ -87,7 +87,7 @@ def blended_columns(layout: str) -> Floats:
 class RolloutState:
     """B characters in motion: step() moves all of them on by one frame.
 
-    Between steps all is kept in numpy arrays of fixed size; tensors are for those who call.
+    Between steps all is kept in numpy arrays of fixed size.
     """
 
     def __init__(
@@ -326,11 +326,7 @@ class RolloutState:
                 "the model does not move from here: it predicts numbers that are not finite or far too large "
                 "(damaged weights, or a start unlike any motion)"
             )
-        return (
-            features.copy(),
-            contacts.copy(),
-            ground.copy(),
-        )
+        return features.copy(), contacts.copy(), ground.copy()
 
     def _draw_normals(self, out: Floats) -> None:
         """Fill rows (B, 276) with standard normal numbers, each from its character's generator."""
@@ -353,9 +349,13 @@ class RolloutState:
 
 
 def run(
-    state: RolloutState, frames: int, controller: Controller, progress: Callable[[int], None] | None = None
+    state: RolloutState,
+    frames: int,
+    controller: Controller,
+    progress: Callable[[int], None] | None = None,
+    done: Callable[[], bool] | None = None,
 ) -> Rollout:
-    """Let a started state run on for some frames."""
+    """Let a started state run on for some frames, or until done, which is called after every frame."""
     features, contacts, ground = [], [], []
     for t in range(frames):
         f, c, g = state.step(controller(t, state.ground))
@@ -364,6 +364,8 @@ def run(
         ground.append(g)
         if progress:
             progress(t + 1)
+        if done and done():
+            break
     return Rollout(np.stack(features, 1), np.stack(contacts, 1), np.stack(ground, 1))
 
 
