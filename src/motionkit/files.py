@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import IO, Any, BinaryIO
 
 from motionkit.errors import MotionkitError, OverwriteError
+from motionkit.interrupts import uninterrupted
 
 MAX_TEXT_BYTES = 64 * 2**20  # size of a label table, a path or a JSON file
 MAX_JSON_DEPTH = 50
@@ -39,7 +40,8 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     try:
         target = Path(os.path.realpath(path))  # write through a link, do not replace it
         target.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
+        with uninterrupted():
+            handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
         text = {} if "b" in mode else {"encoding": "utf-8", "newline": "\n"}  # same bytes on every system
         with os.fdopen(handle, mode, **text) as file:  # type: ignore[call-overload]
             yield file

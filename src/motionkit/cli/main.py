@@ -16,6 +16,7 @@ import click
 from motionkit import __version__
 from motionkit.cli.common import STOPPED, remark
 from motionkit.errors import MotionkitError, OverwriteError
+from motionkit.interrupts import postpone
 
 # Command name to the module under motionkit.cli that defines it as `command`.
 COMMANDS = {
@@ -75,10 +76,12 @@ _told = False
 def _stop(number: int, frame: FrameType | None) -> None:
     """Treat SIGTERM as Ctrl-C, so that the command removes half-written files.
 
-    During an import the stop is put off: compiled libraries (torch, PyGLM) crash when their initialization is
-    interrupted. "stopped" is printed at once in either case.
+    The stop is put off in blocks of `uninterrupted` and during an import: compiled libraries (torch, PyGLM) crash
+    when their initialization is interrupted. "stopped" is printed at once in either case.
     """
     global _stopped_at
+    if postpone(number):
+        return
     if _importing(frame) and hasattr(signal, "setitimer"):
         tell_stopped()
         signal.setitimer(signal.ITIMER_REAL, _IMPORT_WAIT)

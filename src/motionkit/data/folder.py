@@ -16,6 +16,7 @@ import numpy as np
 
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import read_json
+from motionkit.interrupts import uninterrupted
 
 MANIFEST = "manifest.json"
 ARRAYS = ("features", "contacts", "ground", "types", "phases")
@@ -52,11 +53,14 @@ def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
     """
     with _locked(target):
         notes = _put_right(target)
-        staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.new-", dir=target.parent))
+        staging = None
         try:
+            with uninterrupted():
+                staging = Path(tempfile.mkdtemp(prefix=f".{target.name}.new-", dir=target.parent))
             yield staging, notes
         finally:
-            _remove_staging(staging)
+            if staging is not None:
+                _remove_staging(staging)
 
 
 def put_in_place(staging: Path, target: Path) -> None:
@@ -128,19 +132,21 @@ def _remove(folder: Path, names: frozenset[str] | set[str]) -> None:
 def _locked(target: Path) -> Iterator[None]:
     """Hold the lock of a target; the system releases it when the process ends, even if it is killed."""
     path = target.parent / f".{target.name}.lock"
-    handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+    handle, ours = None, False
     try:
-        if not _lock(handle):
+        with uninterrupted():
+            handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
+            ours = _lock(handle)
+        if not ours:
             raise DatasetError(
                 f"{target}: another run is making this dataset; wait for it or choose another folder"
             )
-        try:
-            yield
-        finally:
-            if os.name != "nt":  # before releasing the lock, so that no other run locks an unlinked file
-                path.unlink(missing_ok=True)
+        yield
     finally:
-        os.close(handle)
+        if ours and os.name != "nt":  # before releasing the lock, so that no other run locks an unlinked file
+            path.unlink(missing_ok=True)
+        if handle is not None:
+            os.close(handle)
         if os.name == "nt":
             with suppress(OSError):
                 path.unlink(missing_ok=True)
