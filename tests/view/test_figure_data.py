@@ -22,7 +22,6 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import Skeleton
 from motionkit.view.body import make_body
-from motionkit.view.contact_sheet_geometry import motion_figure
 from motionkit.view.figure_data import Shown, figure_data, in_metres, pack
 from motionkit.view.surface import TINTS, Surface
 from synthetic_motions import make_walk
@@ -39,8 +38,7 @@ def unpack(field: dict) -> np.ndarray:
 
 def body_of(motion: Motion) -> tuple[Surface, np.ndarray]:
     """The body of a motion in metres, and its points (T, V, 3) over time."""
-    bones = [j for _, j in motion_figure(motion).bones if j < len(motion.skeleton)]
-    surface, pose = make_body(motion, bones)
+    surface, pose = make_body(motion)
     turns, places = motion_kinematics(motion)
     matrices = quat_to_matrix(turns).astype(np.float64)
     moved = [
@@ -146,10 +144,10 @@ def test_bodies_are_closed_and_of_human_size(source: str) -> None:
 def test_a_standing_body_touches_the_floor_and_has_all_its_parts() -> None:
     metres, _, _ = in_metres(make_walk(60))
     surface, points = body_of(metres)
-    assert set(surface.tints.tolist()) == set(range(len(TINTS)))
+    assert (surface.tints.max(axis=0) > 0.99).all()
     lowest = points[..., 1].min(axis=1)
     assert np.abs(lowest).max() < 0.05, "soles near the floor in every frame of a walk"
-    head = points[:, surface.tints == TINTS.index("head"), 1].max(axis=1)
+    head = points[:, surface.tints[:, TINTS.index("head")] > 0.5, 1].max(axis=1)
     assert (head == points[..., 1].max(axis=1)).all(), "the head is on top"
 
 

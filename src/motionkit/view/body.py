@@ -6,7 +6,6 @@ length of the rig; lengths and widths that the rig gives take precedence.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +16,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import RigMap, map_rig, name_part
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
+from motionkit.view.contact_sheet_geometry import Figure, motion_figure
 from motionkit.view.surface import Array, Ring, Surface, SurfaceBuilder, cross_axes, rounded, unit
 
 LEG = 0.834  # m, leg length of the profiles below
@@ -83,15 +83,25 @@ class BodyPose:
             [turn, (places - np.einsum("jab,jb->ja", turn, self.places))[..., None]], axis=2
         )
 
+    def inverse_matrices(self) -> Array:
+        """Matrices (J, 4, 4) from the world to each joint's own space in this pose: glTF's inverse bind matrices."""
+        back = self.rotations.transpose(0, 2, 1)
+        out = np.broadcast_to(np.eye(4), (len(back), 4, 4)).copy()
+        out[:, :3, :3] = back
+        out[:, :3, 3] = -np.einsum("jab,jb->ja", back, self.places)
+        return out
 
-def make_body(motion: Motion, bones: Iterable[int]) -> tuple[Surface, BodyPose]:
-    """A body mesh for the rig of a motion in metres, and the pose in which it is made.
+
+def make_body(motion: Motion, figure: Figure | None = None) -> tuple[Surface, BodyPose]:
+    """A skinned body mesh for the rig of a motion, and the pose in which it is made.
 
     Args:
-        motion: its rest pose, or else its best frame, shows the body upright.
-        bones: joints with a bone to their parent.
+        motion: in metres with Y up (`figure_data.in_metres`); its rest pose, or else its best frame, shows the body
+            upright.
+        figure: the motion's `motion_figure`, computed if None.
     """
-    drawn = frozenset(bones)
+    bones = (figure or motion_figure(motion)).bones
+    drawn = frozenset(joint for _, joint in bones if joint < len(motion.skeleton))
     try:
         rig = map_rig(motion.skeleton)
     except SkeletonError:

@@ -29,7 +29,7 @@ from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
 from motionkit.motion.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
-from motionkit.view.surface import TINTS
+from motionkit.view.surface import SHADES
 
 CM = 0.01
 QUATERNION_STEPS = 32767  # resolution of rotations: a few thousandths of a degree
@@ -108,7 +108,7 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
     bones = [joint for _, joint in figure.bones if joint < len(skeleton)]
-    surface, pose = make_body(motion, bones)
+    surface, pose = make_body(motion, figure)
     turns = matrix_to_quat(pose.rotations)
     return {
         "joints": list(skeleton.names),
@@ -127,8 +127,8 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
             "triangles": pack(surface.triangles, "u2"),
             "joints": pack(surface.joints, "u2"),
             "weights": pack((surface.weights * 255).round(), "u1"),
-            "tints": pack(surface.tints, "u1"),
-            "names": list(TINTS),
+            "tints": pack((surface.tints * 255).round(), "u1"),
+            "shades": [[*color, share] for color, share in SHADES.values()],
         },
     }
 

@@ -19,7 +19,7 @@ from motionkit.view.figure_data import Shown, in_metres
 from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
 from motionkit.view.picture_labels import Labels
 from motionkit.view.raster import fill_triangles
-from motionkit.view.surface import TINTS, Array
+from motionkit.view.surface import Array, Surface, point_normals
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -44,7 +44,7 @@ class _Actor:
     def _parts(self) -> tuple[Any, ...]:
         motion, _, _ = in_metres(self.shown.motion)
         figure = motion_figure(motion)
-        surface, pose = make_body(motion, [j for _, j in figure.bones if j < len(motion.skeleton)])
+        surface, pose = make_body(motion, figure)
         turns, places = motion_kinematics(motion)
         return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
 
@@ -56,14 +56,8 @@ class _Actor:
     @cached_property
     def shades(self) -> Array:
         """The colour (F, 3) of each triangle in full light."""
-        surface = self._parts[0]
-        mixes = {"head": ((242, 224, 208), 0.85), "leg": ((42, 48, 64), 0.68), "foot": ((20, 23, 28), 0.82)}
-        mixes["hand"] = mixes["head"]
-        table = []
-        for name in TINTS:
-            other, share = mixes.get(name, (self.color, 0.0))
-            table.append((1 - share) * np.array(self.color) + share * np.array(other))
-        return np.array(table)[surface.tints[surface.triangles[:, 0]]]
+        surface: Surface = self._parts[0]
+        return surface.colors(np.array(self.color, np.float64))[surface.triangles].mean(axis=1)
 
     def triangles(self, time: float) -> tuple[Array, Array]:
         """World corners (F, 3, 3) at a time, with the floor at zero, and smoothed normals (F, 3)."""
@@ -72,12 +66,8 @@ class _Actor:
         points = surface.posed(pose.matrices_from(turns[frame], places[frame]))
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
         corners = points[surface.triangles]
-        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-        # Average twice over neighbours: from triangles to points and back.
-        spread = [np.bincount(surface.triangles.ravel(), np.repeat(n, 3), len(points)) for n in normals.T]
-        skin: Array = np.stack(spread, axis=-1).astype(np.float64)
-        skin = skin / np.maximum(np.linalg.norm(skin, axis=-1, keepdims=True), 1e-12)
-        return corners, skin[surface.triangles].mean(axis=1)
+        # Averaged over neighbours twice: from triangles to points and back.
+        return corners, point_normals(points, surface.triangles)[surface.triangles].mean(axis=1)
 
 
 class Scenery:

@@ -15,31 +15,54 @@ _CAP = 4  # rings per rounded end
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """V points and F triangles in one pose of a skeleton.
+    """A skinned mesh: V points and F triangles in one pose of a skeleton.
 
     Attributes:
         points: (V, 3) in the pose in which the surface was made.
         triangles: (F, 3) indices, counterclockwise seen from outside.
-        joints: (V, 2) the two joints that move a point.
-        weights: (V,) weight of the second joint.
-        tints: (V,) index into TINTS.
+        joints: (V, 4) the joints that move a point; a joint of weight 0 may be any.
+        weights: (V, 4) their weights, which add up to 1.
+        tints: (V, 5) the share of each of TINTS in a point's colour; they add up to 1.
     """
 
     points: Array
     triangles: NDArray[np.int64]
     joints: NDArray[np.int64]
     weights: Array
-    tints: NDArray[np.int64]
+    tints: Array
 
     def posed(self, matrices: Array) -> Array:
         """The points (V, 3) after joint j has moved by matrices[j], affine (J, 3, 4), from the original pose."""
         whole = np.concatenate([self.points, np.ones((len(self.points), 1))], axis=1)
-        first = np.einsum("vij,vj->vi", matrices[self.joints[:, 0]], whole)
-        second = np.einsum("vij,vj->vi", matrices[self.joints[:, 1]], whole)
-        return first + self.weights[:, None] * (second - first)
+        blended = np.einsum("vk,vkij->vij", self.weights, matrices[self.joints])
+        moved: Array = np.einsum("vij,vj->vi", blended, whole)
+        return moved
+
+    def colors(self, color: Array) -> Array:
+        """Colours (V, 3) of the points for a figure's own colour (3,), in the same scale (0 to 255)."""
+        table = np.array([(1 - share) * color + share * np.array(other) for other, share in SHADES.values()])
+        shades: Array = self.tints @ table
+        return shades
 
 
-TINTS = ("body", "leg", "head", "hand", "foot")
+def point_normals(points: Array, triangles: NDArray[np.int64]) -> Array:
+    """Unit normals (V, 3) of points (V, 3): the mean of their triangles' normals, weighted by area."""
+    corners = points[triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    spread = [np.bincount(triangles.ravel(), np.repeat(n, 3), len(points)) for n in normals.T]
+    skin: Array = np.stack(spread, axis=-1)
+    return skin / np.maximum(np.linalg.norm(skin, axis=-1, keepdims=True), 1e-12)
+
+
+# Parts of a body by colour: another colour, and its share beside the figure's own.
+SHADES = {
+    "body": ((0, 0, 0), 0.0),
+    "leg": ((42, 48, 64), 0.68),
+    "head": ((242, 224, 208), 0.85),
+    "hand": ((242, 224, 208), 0.85),
+    "foot": ((20, 23, 28), 0.82),
+}
+TINTS = tuple(SHADES)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,12 +115,14 @@ class SurfaceBuilder:
 
     def surface(self) -> Surface:
         """The surface of all pieces."""
+        pairs, second = np.array(self._joints, dtype=np.int64), np.array(self._weights)
+        spare = np.zeros_like(second)
         return Surface(
             np.concatenate(self._points),
             np.concatenate(self._triangles),
-            np.array(self._joints, dtype=np.int64),
-            np.array(self._weights),
-            np.array(self._tints, dtype=np.int64),
+            np.concatenate([pairs, np.zeros_like(pairs)], axis=1),
+            np.stack([1.0 - second, second, spare, spare], axis=1),
+            np.eye(len(TINTS))[self._tints],
         )
 
     def limb(

@@ -2,7 +2,7 @@
 
 import {
   BufferAttribute, BufferGeometry, Bone, Color, Group, InstancedMesh, Matrix4, MeshBasicMaterial,
-  MeshLambertMaterial, MeshStandardMaterial, OctahedronGeometry, Quaternion, Skeleton, SkinnedMesh, SphereGeometry, Vector3,
+  MeshLambertMaterial, MeshStandardMaterial, OctahedronGeometry, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, SphereGeometry, Vector3,
 } from "three";
 
 const POINT_STEP = 1e-4; // metres
@@ -14,6 +14,7 @@ const place = new Vector3();
 const tip = new Vector3();
 const turn = new Quaternion();
 const size = new Vector3();
+const spare = new Color();
 const UP = new Vector3(0, 1, 0);
 
 export class Figure extends Group {
@@ -33,10 +34,19 @@ export class Figure extends Group {
 
   set color(color) {
     this.base = new Color(color);
-    const { tints, names } = this.rig.body;
-    const shades = names.map((name) => shade(this.base, name));
+    const { tints, shades } = this.rig.body;
+    const mixed = shades.map(([r, g, b, share]) => this.base.clone().lerp(spare.setRGB(r / 255, g / 255, b / 255, SRGBColorSpace), share));
     const colors = this.mesh.geometry.getAttribute("color");
-    tints.forEach((tint, i) => shades[tint].toArray(colors.array, i * 3));
+    for (let i = 0; i < colors.count; i++) {
+      spare.setRGB(0, 0, 0);
+      mixed.forEach((one, n) => {
+        const share = tints[i * mixed.length + n] / 255;
+        spare.r += share * one.r;
+        spare.g += share * one.g;
+        spare.b += share * one.b;
+      });
+      spare.toArray(colors.array, i * 3);
+    }
     colors.needsUpdate = true;
   }
 
@@ -75,17 +85,10 @@ export class Figure extends Group {
   #body() {
     const { body, count } = this.rig;
     const points = Float32Array.from(body.points, (step) => step * POINT_STEP);
-    const joints = new Uint16Array(body.tints.length * 4);
-    const weights = new Float32Array(body.tints.length * 4);
-    for (let i = 0; i < body.tints.length; i++) {
-      joints[i * 4] = body.joints[i * 2];
-      joints[i * 4 + 1] = body.joints[i * 2 + 1];
-      weights[i * 4] = 1 - body.weights[i] / 255;
-      weights[i * 4 + 1] = body.weights[i] / 255;
-    }
+    const weights = Float32Array.from(body.weights, (step) => step / 255);
     const geometry = new BufferGeometry();
     geometry.setAttribute("position", new BufferAttribute(points, 3));
-    geometry.setAttribute("skinIndex", new BufferAttribute(joints, 4));
+    geometry.setAttribute("skinIndex", new BufferAttribute(body.joints, 4));
     geometry.setAttribute("skinWeight", new BufferAttribute(weights, 4));
     geometry.setAttribute("color", new BufferAttribute(new Float32Array(points.length), 3));
     geometry.setIndex(new BufferAttribute(body.triangles, 1));
@@ -99,6 +102,7 @@ export class Figure extends Group {
     });
     this.skeleton = new Skeleton(bones, inverses);
     const mesh = new SkinnedMesh(geometry, this.material);
+    mesh.normalizeSkinWeights(); // they were rounded
     mesh.bindMode = "detached"; // the bones' places are in the figure's own space
     mesh.bind(this.skeleton, new Matrix4());
     mesh.castShadow = true;
@@ -161,13 +165,4 @@ export class Figure extends Group {
     this.joints.dispose();
     this.sticks.dispose();
   }
-}
-
-// A shirt in the figure's colour, trousers and shoes darker, head and hands paler.
-function shade(color, name) {
-  const out = color.clone();
-  if (name === "head" || name === "hand") return out.lerp(new Color(0xf2e0d0), 0.85);
-  if (name === "leg") return out.lerp(new Color(0x2a3040), 0.68);
-  if (name === "foot") return out.lerp(new Color(0x14171c), 0.82);
-  return out;
 }

@@ -21,7 +21,7 @@ export class Rig {
       joints: await unpack(body.joints),
       weights: await unpack(body.weights),
       tints: await unpack(body.tints),
-      names: body.names,
+      shades: body.shades,
       rotations: await unpack(body.rotations),
       places: await unpack(body.places),
     };
