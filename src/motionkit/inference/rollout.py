@@ -106,10 +106,10 @@ class RolloutState:
         """
         self.model, self.batch, self.compiled = model, batch, compiled
         self._noise = noise
-        self.network = stepper(model.network, batch)
         # One generator for each, so that a character's motion does not depend on those beside it.
         seeds = seed if isinstance(seed, Sequence) else range(seed, seed + batch)
         self.random = [np.random.default_rng(each) for _, each in zip(range(batch), seeds, strict=True)]
+        self.network = stepper(model.network, batch, self.random)
         blocks = feature_layout(model.config.layout).blocks
         self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
         self._mean, self._std = model.scaling.mean, model.scaling.std

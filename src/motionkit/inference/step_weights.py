@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from motionkit.arrays import Array, Doubles, Floats
 from motionkit.errors import ModelError
 from motionkit.features.layout import FEATURE_COUNT
+from motionkit.models.architectures import PredictorConfig
 from motionkit.models.config import ModelConfig
 from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts, part_columns
 
@@ -87,8 +88,10 @@ class StepWeights:
     momentum: Floats | None
 
 
-def why_not_packable(config: ModelConfig) -> str | None:
+def why_not_packable(config: PredictorConfig) -> str | None:
     """What in a config keeps it from being run frame by frame on packed weights, None if nothing does."""
+    if not isinstance(config, ModelConfig):
+        return f"{config.architecture} is not a part transformer"
     if config.position != "bias":
         return "position='sinusoidal' changes with every frame, so the window has to be computed anew"
     if config.norm != "pre":
@@ -106,6 +109,7 @@ def pack(network: NetworkWeights) -> StepWeights:
     reason = why_not_packable(config)
     if reason:
         raise ModelError(f"the network cannot be packed: {reason}")
+    assert isinstance(config, ModelConfig)
     columns, _ = part_columns(config)
     P, D = len(columns), config.width
     root = math.sqrt(D)
@@ -147,6 +151,7 @@ def pack(network: NetworkWeights) -> StepWeights:
 
 def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Doubles) -> ModuleWeights:
     config = network.config
+    assert isinstance(config, ModelConfig)
     D, Dc, E = config.width, config.control_embedding, config.width // config.heads
     beside_count = config.control_width
     P, root = embed.shape[0], math.sqrt(D)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -12,27 +14,32 @@ from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel, kernel_library
 from motionkit.inference.step_weights import StepWeights, pack, why_not_packable
+from motionkit.models.architectures import network_class
 from motionkit.models.weights import NetworkWeights
+
+if TYPE_CHECKING:
+    from motionkit.models.predictor import Predictor
 
 
 class TorchStep:
-    """NetworkStep for networks that cannot be packed: a NetworkStream for each character.
+    """NetworkStep for networks that cannot be packed: a stream of the network for each character.
 
     Raises ModelError where torch is not installed.
     """
 
-    def __init__(self, network: NetworkWeights, batch: int) -> None:
+    def __init__(
+        self, network: NetworkWeights, batch: int, random: Sequence[np.random.Generator] = ()
+    ) -> None:
+        """random: a generator for each character, from which networks with a latent_size draw."""
         try:
-            from motionkit.models.network import PartTransformer
-            from motionkit.models.stream import NetworkStream
-        except ModuleNotFoundError:
+            self.network: Predictor = network_class(network.config.architecture).from_weights(network)
+        except ModelError:
             reason = why_not_packable(network.config)
             raise ModelError(
                 f"this model runs in torch only ({reason}): pip install 'motionkit[train]'"
             ) from None
-        self.weights = network
-        self.network = PartTransformer.from_weights(network)
-        self.streams = [NetworkStream(self.network, 1) for _ in range(batch)]
+        self.weights, self.random = network, random
+        self.streams = [self.network.stream(1) for _ in range(batch)]
         self.mean, self.log_sigma = (np.zeros((batch, FEATURE_COUNT), np.float32) for _ in range(2))
         self.contact_logits = np.zeros((batch, CONTACT_COUNT), np.float32)
 
@@ -41,30 +48,42 @@ class TorchStep:
         return TorchStep(self.weights, 1)
 
     def reset(self, coming: int = 0) -> None:
-        """Forget all frames of all characters; coming is for NetworkStep alone."""
+        """Forget all frames of all characters; the next `coming` frames are recorded ones."""
         for stream in self.streams:
-            stream.reset()
+            stream.reset(coming)
 
     def adopt(self, row: int, other: object) -> None:
         """Put the only character of another step in place of one of these."""
         assert isinstance(other, TorchStep)
-        fresh = type(self.streams[row])(self.network, 1)
-        self.streams[row], other.streams = other.streams[0], [fresh]
+        self.streams[row], other.streams = other.streams[0], [self.network.stream(1)]
 
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
         """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
         import torch
 
         for i, stream in enumerate(self.streams):
-            made = stream.step(*(torch.tensor(values[i : i + 1]) for values in (x, contacts, controls)))
+            row = [torch.tensor(values[i : i + 1]) for values in (x, contacts, controls)]
+            if self.network.latent_size:
+                row.append(torch.from_numpy(self._latent(i)))
+            with torch.inference_mode():
+                made = stream.step(*row)
             self.mean[i], self.log_sigma[i] = made.mean[0].numpy(), made.log_sigma[0].numpy()
             self.contact_logits[i] = made.contact_logits[0].numpy()
 
+    def _latent(self, row: int) -> Floats:
+        """Normal numbers (1, Z) for one character; zeros, the mean, without a generator."""
+        size = (1, self.network.latent_size)
+        if row >= len(self.random):
+            return np.zeros(size, np.float32)
+        return self.random[row].standard_normal(size, dtype=np.float32)
 
-def stepper(network: NetworkWeights, batch: int) -> NetworkStep | TorchStep:
-    """The fastest way to run a network frame by frame on this machine."""
+
+def stepper(
+    network: NetworkWeights, batch: int, random: Sequence[np.random.Generator] = ()
+) -> NetworkStep | TorchStep:
+    """The fastest way to run a network frame by frame on this machine; random as in TorchStep."""
     if why_not_packable(network.config) is not None:
-        return TorchStep(network, batch)
+        return TorchStep(network, batch, random)
     return NetworkStep(*_packed(network, batch))
 
 

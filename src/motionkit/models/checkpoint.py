@@ -25,7 +25,7 @@ from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding
 from motionkit.files import atomic_write
-from motionkit.models.config import ModelConfig
+from motionkit.models.architectures import config_from_dict
 from motionkit.models.file_check import check_header, check_tensors, check_values
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import (
@@ -131,7 +131,7 @@ def _open_model(path: str | Path) -> Iterator[TensorFile]:
             )
         try:
             check_header(header)
-            check_tensors(header, ModelConfig.from_dict(header.get("config")), file.found)
+            check_tensors(header, config_from_dict(header.get("config")), file.found)
             yield file
         except ModelError as error:
             raise ModelError(f"{path}: {error}") from None
@@ -150,7 +150,7 @@ def load_model(path: str | Path) -> MotionModel:
     size = ControlLayout(tuple(header["types"])).size
     fps, embedding = float(header["fps"]), PoseEmbedding(arrays["outline.matrix"], arrays["outline.offset"])
     return MotionModel(
-        NetworkWeights(ModelConfig.from_dict(header["config"]), size, weights),
+        NetworkWeights(config_from_dict(header["config"]), size, weights),
         {name: _read_type(header, arrays, name, embedding, fps) for name in header["types"]},
         fps,
         Scaling(arrays["scaling.mean"], arrays["scaling.std"]),

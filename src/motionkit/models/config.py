@@ -83,6 +83,11 @@ class ModelConfig:
             raise ModelError("sinusoidal positions need an even number of channels beside the controls")
 
     @property
+    def architecture(self) -> str:
+        """The name of the network these sizes belong to (models/architectures.py)."""
+        return "part-transformer"
+
+    @property
     def receptive_field(self) -> int:
         """Number of frames that influence a prediction: the paper's TRL, 87 by default."""
         return (self.kernel - 1) + self.window + (2 * self.layers - 1) * (self.window - 1)

@@ -17,6 +17,7 @@ from motionkit.errors import ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
+from motionkit.models.architectures import PredictorConfig, built_shapes
 from motionkit.models.config import ModelConfig
 from motionkit.models.parts import partition
 from motionkit.models.weights import part_columns
@@ -160,7 +161,7 @@ def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
     return shapes
 
 
-def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[str, TensorFacts]) -> None:
+def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mapping[str, TensorFacts]) -> None:
     """Raise ModelError unless a file has exactly the tensors of its header, with their shapes and types.
 
     Args:
@@ -177,7 +178,11 @@ def check_tensors(header: dict[str, Any], config: ModelConfig, found: Mapping[st
     }
     expected |= {f"character.{name}": (JOINT_COUNT, 3) for name in header["characters"]}
     size = ControlLayout(tuple(header["types"])).size
-    expected |= {f"network.{name}": shape for name, shape in weight_shapes(config, size).items()}
+    if isinstance(config, ModelConfig):
+        shapes = weight_shapes(config, size)
+    else:
+        shapes = built_shapes(config, size)
+    expected |= {f"network.{name}": shape for name, shape in shapes.items()}
     for kind, count in header["seeds"].items():
         for i in range(count):
             frames = _frames(found, f"seed.{i}.{kind}:features")

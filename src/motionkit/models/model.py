@@ -13,7 +13,7 @@ from motionkit.errors import ControlError
 from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
-from motionkit.models.config import ModelConfig
+from motionkit.models.architectures import PredictorConfig
 from motionkit.models.motion_type import MotionType
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
@@ -51,7 +51,7 @@ class MotionModel:
         return tuple(self.types)
 
     @property
-    def config(self) -> ModelConfig:
+    def config(self) -> PredictorConfig:
         """The network's configuration."""
         return self.network.config
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
@@ -18,7 +19,11 @@ from motionkit.models.attention import LocalAttention
 from motionkit.models.config import ModelConfig
 from motionkit.models.layers import FeedForward, PartLinear, PartNorm, sinusoidal_positions, spatial_dropout
 from motionkit.models.parts import Partition, partition
-from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts, part_columns
+from motionkit.models.predictor import Predictor
+from motionkit.models.weights import embedding_mask, foot_parts, part_columns
+
+if TYPE_CHECKING:
+    from motionkit.models.stream import NetworkStream
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,12 +124,14 @@ class AutoRegressiveModule(nn.Module):
         return x if self.final_norm is None else self.final_norm(x)
 
 
-class PartTransformer(nn.Module):
+class PartTransformer(Predictor):
     """P parts with a shallow and a deep module each; they are fused in between and aggregated at the end."""
 
+    config: ModelConfig
+    config_class = ModelConfig
+
     def __init__(self, config: ModelConfig, control_size: int) -> None:
-        super().__init__()
-        self.config, self.control_size = config, control_size
+        super().__init__(config, control_size)
         self.body: Partition = partition(config.partition)
         P, D = len(self.body.parts), config.width
         gather, _ = part_columns(config)
@@ -147,17 +154,11 @@ class PartTransformer(nn.Module):
             self.aggregate.weight.mul_(0.1)
             self.aggregate.bias.zero_()
 
-    @classmethod
-    def from_weights(cls, weights: NetworkWeights) -> PartTransformer:
-        """Return the network of a model file, in evaluation mode."""
-        network = cls(weights.config, weights.control_size)
-        network.load_state_dict({name: torch.from_numpy(array) for name, array in weights.arrays.items()})
-        return network.eval()
+    def stream(self, batch: int) -> NetworkStream:
+        """Return the network's state for a batch of characters, before their first frame."""
+        from motionkit.models.stream import NetworkStream
 
-    def weights(self) -> NetworkWeights:
-        """Return a copy of all parameters as arrays."""
-        arrays = {name: t.detach().cpu().float().numpy().copy() for name, t in self.state_dict().items()}
-        return NetworkWeights(self.config, self.control_size, arrays)
+        return NetworkStream(self, batch)
 
     def split_parts(self, x: Tensor, contacts: Tensor) -> Tensor:
         """Return the parts' inputs (P, ..., N) from features (..., 276) and contacts (..., 4), padded with zeros."""
@@ -211,7 +212,11 @@ class PartTransformer(nn.Module):
         )
 
 
-def parameter_count(network: PartTransformer) -> int:
+def parameter_count(network: Predictor) -> int:
     """Return the number of parameters, without those of padded or masked inputs."""
     total = sum(p.numel() for p in network.parameters())
-    return total - int((network.shallow.embed_mask == 0).sum())
+    return (
+        total - int((network.shallow.embed_mask == 0).sum())
+        if isinstance(network, PartTransformer)
+        else total
+    )

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 from motionkit.errors import ModelError
+from motionkit.models.architectures import ARCHITECTURES, network_class
 from motionkit.models.config import ModelConfig
 
 
@@ -87,8 +89,10 @@ PRESETS = {
 }
 
 
-def preset(name: str) -> ModelConfig:
-    """Return a preset by name. Raises ModelError if it is unknown."""
-    if name not in PRESETS:
-        raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")
-    return PRESETS[name]()
+def preset(name: str) -> Any:
+    """Return the config of a preset, or of an architecture by its name. Raises ModelError if it is unknown."""
+    if name in PRESETS:
+        return PRESETS[name]()
+    if name in ARCHITECTURES:
+        return network_class(name).config_class()
+    raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")

@@ -33,7 +33,7 @@ class NetworkStream:
         self.recomputes = network.config.position == "sinusoidal"
         self.reset()
 
-    def reset(self) -> None:
+    def reset(self, given: int = 0) -> None:
         """Forget all frames."""
         network, config = self.network, self.network.config
         P, B, device = len(network.body.parts), self.batch, network.aggregate.weight.device
@@ -48,7 +48,9 @@ class NetworkStream:
         self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
 
     @torch.inference_mode()
-    def step(self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor) -> Prediction:
+    def step(
+        self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
+    ) -> Prediction:
         """Predict the next frame from one new frame; shapes as in PartTransformer.forward, without T."""
         if self.recomputes:
             return self._recompute(x_BF, contacts_B4, controls_BC)

@@ -11,21 +11,22 @@ import numpy as np
 
 from motionkit.arrays import Array, Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
+from motionkit.models.architectures import PredictorConfig
 from motionkit.models.config import ModelConfig
 from motionkit.models.parts import partition
 
 
 @dataclass(frozen=True, eq=False)
 class NetworkWeights:
-    """The parameters of a part transformer.
+    """The parameters of a network.
 
     Attributes:
         config: sizes and choices of the network.
         control_size: length of its control vector.
-        arrays: float32 parameters by their names in PartTransformer.
+        arrays: float32 parameters by their names in the network.
     """
 
-    config: ModelConfig
+    config: PredictorConfig
     control_size: int
     arrays: dict[str, Floats]
 

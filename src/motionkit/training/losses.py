@@ -14,8 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from motionkit.data.dataset import Dataset
 from motionkit.features.layout import feature_layout
+from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.consistency import ConsistencyModules, feature_difference, safe_norm, shared_data
 from motionkit.models.network import PartTransformer, Prediction
 from motionkit.models.torch_rotations import decode_rotations, quat_from_yaw, quat_multiply, quat_rotate
@@ -37,79 +37,6 @@ class LossOptions:
     step_weight: float = 0.0  # weight in fk_loss of the movement of low feet; docs/results-log.md tries 50
     step_except: tuple[str, ...] = ()  # types without step_weight
     weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))  # of the six losses in their sum
-
-
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """A batch of windows of normalised features; targets are one frame ahead of inputs.
-
-    Attributes:
-        inputs, targets: (B, T, 276).
-        contacts, next_contacts: (B, T, 4).
-        controls: (B, T, C).
-        trajectory: (B, T, 24) trajectory of the target frame.
-        offsets: (B, 23, 3) bone offsets in cm.
-        mask: (B, T) weight of each frame.
-    """
-
-    inputs: Tensor
-    targets: Tensor
-    contacts: Tensor
-    next_contacts: Tensor
-    controls: Tensor
-    trajectory: Tensor
-    offsets: Tensor
-    mask: Tensor
-
-    def to(self, device: torch.device | str) -> Batch:
-        """Return the batch on another device."""
-        return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
-
-    def part(self, index: int, count: int) -> Batch:
-        """Return the index-th of count equal parts."""
-        return Batch(**{name: value.chunk(count)[index] for name, value in vars(self).items()})
-
-
-@dataclass(frozen=True, eq=False)
-class FeatureSpace:
-    """The meaning of normalised features.
-
-    Attributes:
-        mean, std: (276,) scaling of the features.
-        reference_rotations: (23, 4) reference rotations of the joints.
-        layout: version of the columns.
-        fps: frames per second.
-    """
-
-    mean: Tensor
-    std: Tensor
-    reference_rotations: Tensor
-    layout: str
-    fps: float
-
-    @classmethod
-    def of(cls, dataset: Dataset) -> FeatureSpace:
-        """Return the feature space of a dataset, on the CPU."""
-        mean, std, reference_rotations = (
-            torch.from_numpy(array)
-            for array in (dataset.scaling.mean, dataset.scaling.std, dataset.reference_rotations)
-        )
-        return cls(mean, std, reference_rotations, dataset.layout.version, dataset.fps)
-
-    def to(self, device: torch.device) -> FeatureSpace:
-        """Return the feature space on another device."""
-        mean, std, reference_rotations = (
-            t.to(device) for t in (self.mean, self.std, self.reference_rotations)
-        )
-        return FeatureSpace(mean, std, reference_rotations, self.layout, self.fps)
-
-    def denormalize(self, values: Tensor) -> Tensor:
-        """Return features (..., 276) in cm, radians and their rates."""
-        return values * self.std + self.mean
-
-    def root_height(self, features: Tensor) -> Tensor:
-        """Return the height (...) of the root in cm from unnormalised features."""
-        return features[..., feature_layout(self.layout).root_height]
 
 
 def _mean(values: Tensor, mask: Tensor) -> Tensor:
@@ -293,6 +220,6 @@ def training_losses(
 
 
 def total_loss(terms: dict[str, Tensor], weights: dict[str, float] | None = None) -> Tensor:
-    """Return the weighted sum of the losses (paper eq. 4)."""
+    """Return the weighted sum of the losses (paper eq. 4); terms that have no weight by name count once."""
     weights = WEIGHTS if weights is None else weights
-    return torch.stack([weights[name] * value for name, value in terms.items()]).sum()
+    return torch.stack([weights.get(name, 1.0) * value for name, value in terms.items()]).sum()

@@ -15,9 +15,8 @@ import torch
 from torch import Tensor
 
 from motionkit.features.reference import REFERENCE_COUNT
-from motionkit.models.network import PartTransformer
-from motionkit.models.stream import NetworkStream
-from motionkit.training.losses import Batch
+from motionkit.models.batch import Batch
+from motionkit.models.predictor import Predictor
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ class ScheduledSamplingOptions:
 
 @torch.no_grad()
 def run_on_predictions(
-    network: PartTransformer,
+    network: Predictor,
     batch: Batch,
     options: ScheduledSamplingOptions,
     generators: list[torch.Generator],
@@ -56,7 +55,7 @@ def run_on_predictions(
     network.eval()
     B, T, F = batch.inputs.shape
     device = batch.inputs.device
-    stream = NetworkStream(network, B)
+    stream = network.stream(B)
     inputs, contacts, mask = batch.inputs.clone(), batch.contacts.clone(), batch.mask.clone()
     controls = batch.controls.clone()
     shown = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)

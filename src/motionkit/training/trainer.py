@@ -22,12 +22,14 @@ from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.features.layout import FEATURE_COUNT
+from motionkit.models.architectures import build
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import save_model
 from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.file_check import check_names
 from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer, parameter_count
+from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
@@ -47,6 +49,25 @@ from motionkit.training.warm_start import warm_start
 LOSS_SCALE = 1.0 / FEATURE_COUNT
 # Options that a resumed run may change: its length and its outputs.
 FREE_ON_RESUME = ("steps", "minutes", "output.")
+
+
+class OwnLosses(nn.Module):
+    """A network that brings its losses along (Predictor.losses), as one module for DistributedDataParallel."""
+
+    def __init__(self, network: Predictor, dataset: Dataset) -> None:
+        super().__init__()
+        self.network = network
+        self.space = FeatureSpace.of(dataset)
+
+    def to_device(self, device: torch.device) -> OwnLosses:
+        """Move the weights and the feature space to a device."""
+        self.to(device)
+        self.space = self.space.to(device)
+        return self
+
+    def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
+        with torch.autocast(batch.inputs.device.type, torch.bfloat16) if autocast else nullcontext():
+            return self.network.losses(batch, self.space, progress)
 
 
 class TrainingModule(nn.Module):
@@ -72,7 +93,7 @@ class TrainingModule(nn.Module):
         self.step_share = None if self.step_share is None else self.step_share.to(device)
         return self
 
-    def forward(self, batch: Batch, autocast: bool) -> dict[str, Tensor]:
+    def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
         kind = batch.inputs.device.type
         with torch.autocast(kind, torch.bfloat16) if autocast else nullcontext():
             prediction = self.network(batch.inputs, batch.contacts, batch.controls)
@@ -206,10 +227,15 @@ class _Run:
                 f"{dataset.folder}: layout {dataset.layout.version}, but preset {options.preset} needs "
                 f"{config.layout}: run preprocess with --layout {config.layout}"
             )
-        network = PartTransformer(config, ControlLayout(dataset.types).size)
+        network = build(config, ControlLayout(dataset.types).size)
         if options.init is not None:
             warm_start(network, dataset, open_model(options.init))
-        self.module = TrainingModule(network, dataset, options.losses).to_device(self.device)
+        # The losses of part transformers have options, and so are not the network's own.
+        self.module: OwnLosses | TrainingModule = (
+            TrainingModule(network, dataset, options.losses)
+            if isinstance(network, PartTransformer)
+            else OwnLosses(network, dataset)
+        ).to_device(self.device)
         self.trainable: nn.Module = self.module
         if self.world > 1:
             ids = [self.device.index] if self.device.type == "cuda" else None
@@ -344,7 +370,7 @@ class _Run:
         batch = self._next_batch()
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
-        terms = self.trainable(batch, self.autocast)
+        terms = self.trainable(batch, self.autocast, self.progress())
         loss = total_loss(terms, options.losses.weights) * LOSS_SCALE
         self.optimizer.zero_grad(set_to_none=True)
         loss.backward()
@@ -439,7 +465,7 @@ class _Run:
     def model(self) -> MotionModel:
         """Return the current model: averaged weights, on the CPU."""
         with torch.random.fork_rng(devices=[]):  # leaves the random state of the run alone
-            network = PartTransformer(self.module.network.config, self.module.network.control_size)
+            network = build(self.module.network.config, self.module.network.control_size)
         network.load_state_dict({n: t.cpu() for n, t in self.average.items()})
         card = {
             "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},

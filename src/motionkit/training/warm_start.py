@@ -10,12 +10,12 @@ from motionkit.data.dataset import Dataset
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.model import MotionModel
-from motionkit.models.network import PartTransformer
+from motionkit.models.predictor import Predictor
 
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
 
 
-def warm_start(network: PartTransformer, dataset: Dataset, model: MotionModel) -> None:
+def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None:
     """Copy a model's weights into a network. Types are matched by name; weights of new types stay as they are.
 
     The dataset takes over the model's scaling and pose embedding, because the weights depend on them.

@@ -1,0 +1,77 @@
+"""The one table of network architectures: how a model file's config becomes a network.
+
+A new architecture is one file with a config and a Predictor (models/predictor.py), and one line here. The part
+transformer has no "architecture" in its config, because it was the only one.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any, Protocol
+
+from motionkit.errors import ModelError
+from motionkit.models.config import ModelConfig
+
+if TYPE_CHECKING:
+    from motionkit.models.predictor import Predictor
+
+PART_TRANSFORMER = "part-transformer"
+# Architecture to the module and the class of its Predictor.
+ARCHITECTURES: dict[str, tuple[str, str]] = {
+    PART_TRANSFORMER: ("motionkit.models.network", "PartTransformer"),
+}
+
+
+class PredictorConfig(Protocol):
+    """Sizes and choices of a network, as plain values in a model file."""
+
+    @property
+    def architecture(self) -> str:
+        """A name in ARCHITECTURES."""
+        ...
+
+    @property
+    def layout(self) -> str:
+        """The version of the 276 columns."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; "architecture" is among them, but for the part transformer."""
+        ...
+
+
+def network_class(architecture: str) -> type[Predictor]:
+    """Return the class of an architecture. Raises ModelError if it is unknown, or torch is not installed."""
+    if architecture not in ARCHITECTURES:
+        known = ", ".join(ARCHITECTURES)
+        raise ModelError(f"architecture {architecture!r:.60} is unknown, expected one of {known}")
+    module, name = ARCHITECTURES[architecture]
+    try:
+        found: type[Predictor] = getattr(importlib.import_module(module), name)
+    except ModuleNotFoundError as error:
+        if error.name != "torch":
+            raise
+        raise ModelError(f"{architecture} models run in torch only: pip install 'motionkit[train]'") from None
+    return found
+
+
+def config_from_dict(values: Any) -> PredictorConfig:
+    """Return the config of a model file. Raises ModelError for unknown fields or bad values."""
+    if not isinstance(values, dict) or "architecture" not in values:
+        return ModelConfig.from_dict(values)
+    rest = {name: value for name, value in values.items() if name != "architecture"}
+    return network_class(str(values["architecture"])).config_class.from_dict(rest)
+
+
+def build(config: PredictorConfig, control_size: int) -> Predictor:
+    """Return a network with random weights."""
+    return network_class(config.architecture)(config, control_size)
+
+
+def built_shapes(config: PredictorConfig, control_size: int) -> dict[str, tuple[int, ...]]:
+    """Return the shapes of a network's weights by name; builds it without memory for them."""
+    import torch
+
+    with torch.device("meta"):
+        network = build(config, control_size)
+    return {name: tuple(value.shape) for name, value in network.state_dict().items()}

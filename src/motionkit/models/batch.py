@@ -1,0 +1,84 @@
+"""What a training step works on: a batch of windows, and the meaning of their normalised features."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.data.dataset import Dataset
+from motionkit.features.layout import feature_layout
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """A batch of windows of normalised features; targets are one frame ahead of inputs.
+
+    Attributes:
+        inputs, targets: (B, T, 276).
+        contacts, next_contacts: (B, T, 4).
+        controls: (B, T, C).
+        trajectory: (B, T, 24) trajectory of the target frame.
+        offsets: (B, 23, 3) bone offsets in cm.
+        mask: (B, T) weight of each frame.
+    """
+
+    inputs: Tensor
+    targets: Tensor
+    contacts: Tensor
+    next_contacts: Tensor
+    controls: Tensor
+    trajectory: Tensor
+    offsets: Tensor
+    mask: Tensor
+
+    def to(self, device: torch.device | str) -> Batch:
+        """Return the batch on another device."""
+        return Batch(**{name: value.to(device, non_blocking=True) for name, value in vars(self).items()})
+
+    def part(self, index: int, count: int) -> Batch:
+        """Return the index-th of count equal parts."""
+        return Batch(**{name: value.chunk(count)[index] for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True, eq=False)
+class FeatureSpace:
+    """The meaning of normalised features.
+
+    Attributes:
+        mean, std: (276,) scaling of the features.
+        reference_rotations: (23, 4) reference rotations of the joints.
+        layout: version of the columns.
+        fps: frames per second.
+    """
+
+    mean: Tensor
+    std: Tensor
+    reference_rotations: Tensor
+    layout: str
+    fps: float
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> FeatureSpace:
+        """Return the feature space of a dataset, on the CPU."""
+        mean, std, reference_rotations = (
+            torch.from_numpy(array)
+            for array in (dataset.scaling.mean, dataset.scaling.std, dataset.reference_rotations)
+        )
+        return cls(mean, std, reference_rotations, dataset.layout.version, dataset.fps)
+
+    def to(self, device: torch.device) -> FeatureSpace:
+        """Return the feature space on another device."""
+        mean, std, reference_rotations = (
+            t.to(device) for t in (self.mean, self.std, self.reference_rotations)
+        )
+        return FeatureSpace(mean, std, reference_rotations, self.layout, self.fps)
+
+    def denormalize(self, values: Tensor) -> Tensor:
+        """Return features (..., 276) in cm, radians and their rates."""
+        return values * self.std + self.mean
+
+    def root_height(self, features: Tensor) -> Tensor:
+        """Return the height (...) of the root in cm from unnormalised features."""
+        return features[..., feature_layout(self.layout).root_height]
