@@ -1,4 +1,5 @@
-"""The one thing pyproject.toml cannot say: the optional C kernels of the network's step and of a frame around it.
+"""The one thing pyproject.toml cannot say: the optional C kernels of the network's step, of a frame around it and of
+attention in training.
 
 They use no Python API, so one wheel per system serves every Python 3. Without a C compiler, or with one that does
 not know vector extensions, motionkit installs all the same and numpy does the work.
@@ -54,7 +55,8 @@ class AnyPythonWheel(bdist_wheel):
 setup(
     cmdclass={"build_ext": BuildLibraries, "bdist_wheel": AnyPythonWheel},
     ext_modules=[
-        kernel("inference._step_kernel", ["inference/step_kernel.c"], FLAGS, []),
+        kernel("inference._step_kernel", ["inference/step_kernel.c"], FLAGS, ["models/vectors.h"]),
+        kernel("models._attention_kernel", ["models/attention_kernel.c"], FLAGS, ["models/vectors.h"]),
         kernel(
             "inference._frame_kernel",
             ["inference/frame_kernel.c", "inference/foot_kernel.c"],

@@ -17,6 +17,7 @@ from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.inference.frame_kernel import frame_library
 from motionkit.inference.step_kernel import kernel_library
+from motionkit.models.attention_kernel import attention_library
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -32,17 +33,16 @@ SECONDS_PER_TEST = 180
 SECONDS_PER_SLOW_TEST = 900
 
 
-MISSING_KERNELS = [
-    name for name, library in (("step", kernel_library), ("frame", frame_library)) if library() is None
-]
+KERNELS = {"step": kernel_library, "frame": frame_library, "attention": attention_library}
+MISSING_KERNELS = [name for name, library in KERNELS.items() if library() is None]
 
 
 def pytest_report_header() -> str:
-    """Whether the tests of the C kernels run, or numpy does all of the work."""
+    """Whether the tests of the C kernels run, or numpy and torch do all of the work."""
     if not MISSING_KERNELS:
         return "C kernels: loaded"
     names = ", ".join(MISSING_KERNELS)
-    return f"C kernels: NOT LOADED ({names}); numpy does their work, and their tests are skipped"
+    return f"C kernels: NOT LOADED ({names}); numpy and torch do their work, and their tests are skipped"
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

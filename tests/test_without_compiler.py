@@ -60,6 +60,6 @@ def test_a_test_run_says_so(installed: Path, tmp_path: Path, asked: str) -> None
         ROOT / "tests" / "motion" / "test_units.py",
     ]
     done = run(tmp_path, *words, PYTHONPATH=path, MOTIONKIT_KERNELS=asked)
-    assert "C kernels: NOT LOADED (step, frame)" in done.stdout or asked
+    assert "C kernels: NOT LOADED (step, frame, attention)" in done.stdout or asked
     assert done.returncode == (1 if asked else 0), done.stdout + done.stderr
     assert not asked or "MOTIONKIT_KERNELS=required" in done.stdout + done.stderr

@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import torch
 
 from motionkit.features.control import ControlLayout, Controls
 from motionkit.features.layout import LAYOUTS
@@ -23,6 +24,7 @@ from motionkit.inference.rollout import Noise
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack
+from motionkit.models import attention_kernel
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import ModelConfig
 from motionkit.models.file_check import weight_shapes
@@ -127,13 +129,25 @@ def try_characters(rng: np.random.Generator) -> None:
         stream.step(asked.with_mask(1.0))
 
 
+def try_attention(rng: np.random.Generator) -> None:
+    """Attention of random sizes and its gradients, in both formats, on usual and odd numbers."""
+    P, B, T, E, W = (int(rng.integers(1, most)) for most in (4, 4, 40, 30, 18))
+    for kind in (torch.float32, torch.bfloat16):
+        for make in (usual, odd):
+            shapes = ((P, B, T, 3, E, 8), (P, 3, E, 8), (P, W, 8))
+            qkv, bias, position = (torch.from_numpy(make(rng, shape)).requires_grad_() for shape in shapes)
+            attention_kernel.attend(qkv.to(kind), bias, position).float().square().sum().backward()
+
+
 def main() -> None:
     folder, rng = Path(sys.argv[1]), np.random.default_rng(7)
-    for module in (step_kernel, frame_kernel):
+    for module in (step_kernel, frame_kernel, attention_kernel):
         module.load_library = lambda path, name, version: load_library(folder / path.name, name, version)
     assert step_kernel.kernel_library() is not None and frame_kernel.frame_library() is not None
+    assert attention_kernel.attention_library() is not None
     np.seterr(all="ignore")
-    for work, times in ((try_steps, 40), (try_poses, 40), (try_characters, 3)):
+    works = ((try_steps, 40), (try_poses, 40), (try_characters, 3), (try_attention, 20))
+    for work, times in works:
         for _ in range(times):
             work(rng)
     print("clean")

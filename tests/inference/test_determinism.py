@@ -132,8 +132,7 @@ def fingerprints() -> str:
     for workers in (1, 2, 0):
         bundled = load_bundled_model()
         model = replace(bundled, network=replace(bundled.network))
-        step_kernel._cores = lambda workers=workers: workers  # type: ignore[assignment]
-        step_kernel._workers.cache_clear()
+        step_kernel.cores = lambda workers=workers: workers  # type: ignore[assignment]
         if not workers:
             forget_kernels(setattr)
         with tempfile.TemporaryDirectory() as folder:

@@ -16,9 +16,9 @@ from motionkit.inference.frame_kernel import PoseKernel, frame_library
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import Noise
-from motionkit.inference.step_kernel import load_library
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
+from motionkit.native import load_library
 
 pytestmark = pytest.mark.skipif(
     frame_library() is None, reason="motionkit was installed without its C kernels"

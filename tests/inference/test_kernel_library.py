@@ -15,7 +15,8 @@ import pytest
 
 import motionkit
 from motionkit.inference import step_kernel
-from motionkit.inference.step_kernel import LIBRARY_ENDING, kernel_library
+from motionkit.inference.step_kernel import kernel_library
+from motionkit.native import LIBRARY_ENDING
 
 pytestmark = pytest.mark.skipif(
     kernel_library() is None, reason="motionkit was installed without its C kernel"
@@ -37,7 +38,8 @@ def run(script: str, *words: object, optimized: bool = False) -> dict:
 LOAD = """
 import json, sys
 from pathlib import Path
-from motionkit.inference.step_kernel import VERSION, load_library
+from motionkit.inference.step_kernel import VERSION
+from motionkit.native import load_library
 found = {p.name: load_library(p / "lib", "step_kernel_version", VERSION + (p.name == "version")) is not None
          for p in sorted(Path(sys.argv[1]).iterdir())}
 print(json.dumps(found))

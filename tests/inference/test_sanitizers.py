@@ -10,11 +10,12 @@ from pathlib import Path
 import pytest
 
 import motionkit
-from motionkit.inference.step_kernel import LIBRARY_ENDING
+from motionkit.native import LIBRARY_ENDING
 
 PACKAGE = Path(motionkit.__file__).parent
 SOURCES = {
     "_step_kernel": ["inference/step_kernel.c"],
+    "_attention_kernel": ["models/attention_kernel.c"],
     "_frame_kernel": ["inference/frame_kernel.c", "inference/foot_kernel.c"],
 }
 FLAGS = ["-O1", "-g", "-fopenmp-simd", "-Wno-psabi", "-shared", "-fPIC"]
@@ -48,7 +49,7 @@ def sanitized_python(script: list[str]) -> subprocess.CompletedProcess[str]:
 
 @pytest.fixture(scope="module")
 def libraries(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of both kernels, built with sanitizers."""
+    """A folder of all kernels, built with sanitizers."""
     folder = tmp_path_factory.mktemp("sanitized")
     probe = folder / "probe.c"
     probe.write_text("int probe(int *a, int i) { return a[i]; }\n")

@@ -6,7 +6,9 @@ import pytest
 import torch
 from torch import Tensor
 
+from motionkit.models import attention
 from motionkit.models.attention import BLOCK, LocalAttention
+from motionkit.models.attention_kernel import attention_library
 
 
 def naive_attention(layer: LocalAttention, x: Tensor, residual: Tensor) -> Tensor:
@@ -77,3 +79,66 @@ def test_steps_with_a_ring_equal_the_batch(bias: bool) -> None:
             ring_bias = layer.ring_bias(t, x.device)
             out = layer.step(x[:, :, t], x[:, :, t], keys, values, t % 8, ring_bias)
             assert torch.allclose(out, whole[:, :, t], atol=1e-12), t
+
+
+# ---- the C kernel ----
+
+needs_kernel = pytest.mark.skipif(
+    attention_library() is None, reason="motionkit was installed without its C kernel"
+)
+
+
+def values_and_gradients(layer: LocalAttention, x: Tensor, autocast: bool = False) -> list[Tensor]:
+    """The output for x, also as residual, and the gradients of x and of the layer's parameters."""
+    x = x.clone().requires_grad_()
+    weights = torch.randn(x.shape, generator=torch.Generator().manual_seed(1))
+    with torch.autocast("cpu", torch.bfloat16, enabled=autocast):
+        out = layer(x, x)
+    gradients = torch.autograd.grad((out.float() * weights).sum(), [x, *layer.parameters()])
+    return [out.detach().float(), *gradients]
+
+
+def by_blocks(monkeypatch: pytest.MonkeyPatch, layer: LocalAttention, x: Tensor) -> list[Tensor]:
+    with monkeypatch.context() as patched:
+        patched.setattr(attention, "can_attend", lambda *_: False)
+        return values_and_gradients(layer, x)
+
+
+@needs_kernel
+@pytest.mark.parametrize(
+    ("frames", "width", "window"), [(1, 8, 8), (5, 40, 8), (40, 88, 17), (30, 128, 1), (96, 128, 8)]
+)
+def test_kernel_equals_blocks(monkeypatch: pytest.MonkeyPatch, frames: int, width: int, window: int) -> None:
+    layer = make_layer(3, width, 8, window, True).float()
+    x = torch.randn(3, 2, frames, width)
+    for one, other in zip(values_and_gradients(layer, x), by_blocks(monkeypatch, layer, x), strict=True):
+        assert torch.allclose(one, other, atol=2e-6 * float(other.abs().max() + 1))
+
+
+@needs_kernel
+def test_kernel_in_bfloat16_is_close(monkeypatch: pytest.MonkeyPatch) -> None:
+    layer = make_layer(2, 128, 8, 8, True).float()
+    x = torch.randn(2, 4, 40, 128)
+    for one, other in zip(
+        values_and_gradients(layer, x, True), by_blocks(monkeypatch, layer, x), strict=True
+    ):
+        assert float((one - other).norm()) < 0.02 * float(other.norm()) + 1e-6
+
+
+@needs_kernel
+def test_threads_change_no_number_of_the_kernel() -> None:
+    layer, x = make_layer(2, 64, 8, 8, True).float(), torch.randn(2, 5, 20, 64)
+    threads, found = torch.get_num_threads(), []
+    for count in (1, 3):
+        torch.set_num_threads(count)
+        with torch.no_grad():
+            found.append(layer(x, x))
+    torch.set_num_threads(threads)
+    assert torch.equal(*found)
+
+
+def test_without_the_kernel_blocks_do_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motionkit.models.attention_kernel.attention_library", lambda: None)
+    layer, x = make_layer(2, 16, 8, 8, True).float(), torch.randn(2, 1, 9, 16)
+    with torch.no_grad():
+        assert torch.allclose(layer(x, x), naive_attention(layer, x, x), atol=1e-5)

@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference import foot_lock, height_correction, slip_correction
-from motionkit.inference.step_kernel import load_library
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
+from motionkit.native import load_library
 
 if TYPE_CHECKING:
     from motionkit.inference.pose import PoseDecoder

@@ -9,9 +9,10 @@
 #include <stdint.h>
 #include <string.h>
 
+#include "../models/vectors.h"
+
 #define LANES 16
 #define TILE (2 * LANES)
-#define HEADS 8
 #define MOST_PLACES 32 /* in a ring */
 #define MOST (1 << 20) /* of any size in a program */
 #define AHEAD 2048 /* bytes of weights that are asked for before they are needed */
@@ -19,17 +20,7 @@
 #define TILES_OF_ROW 2 /* that one character passes over at once */
 #define PADDED(n) (((n) + TILE - 1) / TILE * TILE)
 
-/* Compiled once more for wide vectors; the fitting one is chosen when the library is loaded. */
-#if defined(__x86_64__) && defined(__linux__) && defined(__GNUC__) && !defined(__clang__)
-#define FASTEST __attribute__((target_clones("arch=x86-64-v4", "arch=x86-64-v3", "default")))
-#else
-#define FASTEST
-#endif
-#define INLINE static inline __attribute__((always_inline))
-
 typedef float vec __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
-typedef float heads_vec __attribute__((vector_size(4 * HEADS), aligned(4), may_alias));
-typedef int32_t heads_ints __attribute__((vector_size(4 * HEADS)));
 typedef int32_t ints __attribute__((vector_size(4 * LANES), aligned(4), may_alias));
 
 /* Raised with every change of a struct, of the order of the weights or of a sum; step_kernel.py refuses other libraries. */
@@ -153,21 +144,6 @@ static void norm(const float *restrict x, float *restrict y, int64_t width, floa
     for (int64_t d = 0; d < width; d++) sum += x[d] * x[d];
     const float scale = 1.0f / sqrtf(sum + width * eps);
     for (int64_t d = 0; d < width; d++) y[d] = scale * x[d];
-}
-
-INLINE heads_vec larger(heads_vec a, heads_vec b) {
-    const heads_ints first = a > b;
-    return (heads_vec)(((heads_ints)a & first) | ((heads_ints)b & ~first));
-}
-
-/* exp of x <= 0 in every lane, within a few units of the last place; nothing to speak of below -80. */
-INLINE heads_vec exp_negative(heads_vec x) {
-    const heads_vec y = larger(x, (heads_vec){0} - 80.0f) * 1.44269504f;
-    const heads_ints whole = __builtin_convertvector(y - 0.5f, heads_ints);
-    const heads_vec f = (y - __builtin_convertvector(whole, heads_vec)) * 0.693147181f;
-    const heads_vec series = 1.0f + f * (1.0f + f * (0.5f + f * (0.166666667f + f * (0.0416666667f +
-                             f * (0.00833333333f + f * 0.00138888889f)))));
-    return series * (heads_vec)((whole + 127) << 23);
 }
 
 /* The numbers of up to HEADS heads side by side. */

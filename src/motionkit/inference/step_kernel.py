@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import ctypes
-import os
-import struct
-import sys
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
@@ -20,12 +16,12 @@ from motionkit.arrays import Floats
 from motionkit.errors import ModelError
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step_weights import NORM_EPS, ModuleWeights, StepWeights
+from motionkit.native import cores, load_library, workers
 
 if TYPE_CHECKING:
     from motionkit.inference.step import NetworkStep
 
 VERSION = 4  # of step_kernel.c
-LIBRARY_ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # as setup.py names them
 TILE = 32
 LINE = 64  # bytes of a line of the cache
 ROWS = 16  # characters that go through the network together, so that their activations stay near
@@ -74,50 +70,6 @@ def kernel_library() -> ctypes.CDLL | None:
         library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
         library.step.restype = c_int64
     return library
-
-
-def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | None:
-    """A library built by setup.py, None where there is none of this version, or one that is damaged.
-
-    There is none without a C compiler or an installer, and another one where the source has changed since.
-    """
-    built = path.with_name(path.name + LIBRARY_ENDING)
-    if not built.is_file():
-        return None
-    try:
-        library = ctypes.CDLL(str(built)) if _is_whole(built) else None
-    except OSError:  # for another machine, or no library at all
-        return None
-    found = getattr(library, version_name, None)
-    return library if found is not None and found() == version else None
-
-
-def _is_whole(path: Path) -> bool:
-    """Whether an ELF file goes on to its end: the loader maps one that was cut short, and dies of SIGBUS.
-
-    Its table of sections comes last, and the names of the sections are in one of the type 3. Other formats
-    are left to their loaders.
-    """
-    data = path.read_bytes()
-    if data[:6] != b"\x7fELF\x02\x01":  # 64 bits, little-endian
-        return bool(data)
-    try:
-        (table,) = struct.unpack_from("<Q", data, 40)
-        size, count, names = struct.unpack_from("<3H", data, 58)
-        (kind,) = struct.unpack_from("<I", data, table + names * size + 4)
-    except struct.error:
-        return False
-    return kind == 3 and table + count * size <= len(data)
-
-
-def _cores() -> int:
-    """The cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-@cache
-def _workers(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count, thread_name_prefix="motionkit-step")
 
 
 class StepKernel:
@@ -188,7 +140,7 @@ class StepKernel:
             if len(calls) == 1:
                 refused = call(*calls[0])
             else:  # the library does not hold Python's lock
-                refused = any(list(_workers(_cores()).map(lambda words: call(*words), calls)))
+                refused = any(list(workers(cores()).map(lambda words: call(*words), calls)))
             if refused:
                 raise ModelError("the compiled step does not fit this network")
 

@@ -13,6 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from motionkit.models.attention_kernel import attend, can_attend
 from motionkit.models.layers import PartLinear
 
 BLOCK = 16
@@ -31,6 +32,8 @@ class LocalAttention(nn.Module):
         self.offset_bias = nn.Parameter(torch.zeros(parts, heads, window)) if bias else None
 
     def forward(self, x_PBTD: Tensor, residual: Tensor) -> Tensor:
+        if self.offset_bias is not None and can_attend(x_PBTD, self.heads, self.window):
+            return self._by_kernel(x_PBTD, residual, self.offset_bias)
         P, B, T, D = x_PBTD.shape
         H, E = self.heads, D // self.heads
         blocks = -(-T // BLOCK)
@@ -43,6 +46,18 @@ class LocalAttention(nn.Module):
         weights = torch.softmax(torch.add(mask, scores, alpha=1.0 / math.sqrt(E)), dim=-1).to(v.dtype)
         mixed = torch.matmul(weights, v).reshape(P, B, H, blocks * BLOCK, E)[:, :, :, :T]
         return self.out(mixed.transpose(2, 3).reshape(P, B, T, D), residual)
+
+    def _by_kernel(self, x_PBTD: Tensor, residual: Tensor, offset_bias: Tensor) -> Tensor:
+        """The same by the C kernel, which wants the heads of a channel side by side."""
+        P, B, T, D = x_PBTD.shape
+        H, E = self.heads, D // self.heads
+        assert self.qkv.bias is not None
+        heads_last = self.qkv.weight.reshape(P, D, 3, H, E).transpose(-1, -2).reshape(P, D, 3 * D)
+        qkv = torch.bmm(x_PBTD.reshape(P, B * T, D), heads_last).reshape(P, B, T, 3, E, H)
+        bias = self.qkv.bias.reshape(P, 3, H, E).transpose(-1, -2)
+        mixed = attend(qkv, bias, offset_bias.transpose(-1, -2)).reshape(P, B * T, D)
+        out = self.out.weight.reshape(P, H, E, D).transpose(1, 2).reshape(P, D, D)
+        return torch.baddbmm(residual.reshape(P, B * T, D), mixed, out).reshape(P, B, T, D)
 
     def _with_reach(self, x: Tensor) -> Tensor:
         """Prepend to each block (..., blocks, BLOCK, E) the last W - 1 rows of the block before."""
