@@ -6,7 +6,9 @@ length of the rig; lengths and widths that the rig gives take precedence.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,8 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import RigMap, map_rig, name_part
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
-from motionkit.view.surface import Array, Ring, Surface, SurfaceBuilder, cross_axes, rounded, unit
+from motionkit.view.flesh import Chain, Piece, skin
+from motionkit.view.surface import TINTS, Array, Surface, SurfaceBuilder, cross_axes, joined, unit
 
 LEG = 0.834  # m, leg length of the profiles below
 ANKLE, BALL = 0.095, 0.022  # heights of a standing foot's joints, m
@@ -25,37 +28,36 @@ SIDES = ("Left", "Right")
 Profile = tuple[tuple[float, ...], ...]
 
 # Share of the length, half width, half depth, shift to the front, m.
-_THIGH = ((0.0, 0.086, 0.094, 0.0), (0.2, 0.084, 0.092, 0.004), (0.55, 0.069, 0.075, 0.006),
-          (0.85, 0.055, 0.058, 0.004), (1.0, 0.053, 0.056, 0.004))  # fmt: skip
-_SHIN = ((0.0, 0.051, 0.053, 0.002), (0.15, 0.052, 0.056, -0.008), (0.32, 0.054, 0.058, -0.014),
-         (0.6, 0.043, 0.045, -0.008), (0.9, 0.033, 0.036, -0.003), (1.0, 0.034, 0.037, -0.003))  # fmt: skip
-_UPPER_ARM = ((0.0, 0.056, 0.058, 0.0), (0.25, 0.052, 0.055, 0.0), (0.6, 0.044, 0.047, 0.0),
-              (1.0, 0.038, 0.039, 0.0))  # fmt: skip
-_FOREARM = ((0.0, 0.037, 0.038, 0.0), (0.2, 0.040, 0.042, 0.0), (0.5, 0.034, 0.036, 0.0),
-            (1.0, 0.022, 0.028, 0.0))  # fmt: skip
-_MITTEN = ((0.0, 0.020, 0.026, 0.0), (0.22, 0.017, 0.038, 0.0), (0.48, 0.015, 0.041, 0.0),
-           (0.72, 0.012, 0.036, 0.0), (1.0, 0.009, 0.022, 0.0))  # fmt: skip
-_THUMB = ((0.0, 0.013, 0.014, 0.0), (1.0, 0.009, 0.010, 0.0))
-_COLLAR = ((0.0, 0.046, 0.052, 0.0), (0.6, 0.047, 0.053, 0.0), (1.0, 0.052, 0.055, 0.0))
+_THIGH = ((0.0, 0.082, 0.088, 0.0), (0.2, 0.080, 0.087, 0.004), (0.55, 0.064, 0.069, 0.006),
+          (0.85, 0.050, 0.053, 0.004), (1.0, 0.047, 0.050, 0.004))  # fmt: skip
+_SHIN = ((0.0, 0.046, 0.049, 0.002), (0.15, 0.048, 0.052, -0.008), (0.32, 0.050, 0.055, -0.014),
+         (0.6, 0.040, 0.042, -0.008), (0.9, 0.031, 0.034, -0.003), (1.0, 0.032, 0.036, -0.003))  # fmt: skip
+_UPPER_ARM = ((0.0, 0.050, 0.053, 0.0), (0.25, 0.046, 0.050, 0.0), (0.6, 0.039, 0.042, 0.0),
+              (1.0, 0.034, 0.035, 0.0))  # fmt: skip
+_FOREARM = ((0.0, 0.033, 0.034, 0.0), (0.2, 0.037, 0.039, 0.0), (0.5, 0.032, 0.034, 0.0),
+            (1.0, 0.021, 0.027, 0.0))  # fmt: skip
+_MITTEN = ((0.0, 0.020, 0.026, 0.0), (0.22, 0.019, 0.036, 0.0), (0.48, 0.018, 0.038, 0.0),
+           (0.72, 0.016, 0.034, 0.0), (1.0, 0.014, 0.022, 0.0))  # fmt: skip
+_THUMB = ((0.0, 0.013, 0.014, 0.0), (1.0, 0.010, 0.011, 0.0))
+_COLLAR = ((0.0, 0.042, 0.050, 0.0), (0.6, 0.041, 0.050, 0.0), (1.0, 0.041, 0.047, 0.0))
+_TRAPEZIUS = ((0.0, 0.030, 0.034, 0.0), (0.5, 0.028, 0.032, 0.0), (1.0, 0.026, 0.032, 0.0))
 _BELT = 0.18  # share of the torso where the trousers end
-_NECK = ((0.0, 0.060, 0.062, 0.0), (0.5, 0.052, 0.056, 0.0), (1.0, 0.050, 0.054, 0.0))
+_NECK = ((0.0, 0.070, 0.066, -0.012), (0.25, 0.052, 0.055, -0.008), (0.55, 0.047, 0.051, -0.004),
+         (1.0, 0.046, 0.050, 0.0))  # fmt: skip
 # Height from the middle in half heads, then as above.
-_HEAD = ((-1.0, 0.012, 0.016, 0.036), (-0.95, 0.032, 0.034, 0.034), (-0.82, 0.047, 0.054, 0.026),
-         (-0.55, 0.060, 0.077, 0.014), (-0.15, 0.071, 0.089, 0.006), (0.2, 0.077, 0.096, 0.0),
-         (0.5, 0.074, 0.094, -0.003), (0.75, 0.060, 0.077, -0.004), (0.91, 0.039, 0.050, -0.004),
-         (0.98, 0.018, 0.024, -0.003))  # fmt: skip
+_HEAD = ((-0.6, 0.054, 0.068, 0.018), (-0.3, 0.065, 0.083, 0.010), (0.0, 0.072, 0.092, 0.003),
+         (0.25, 0.075, 0.095, -0.001), (0.45, 0.074, 0.093, -0.003))  # fmt: skip
+_HEAD_CAPS = 0.80, 0.80
 _HEAD_HALF = 0.118
 # Share of the distance from the middle of the hips to the middle of the shoulders, then as above.
-_TORSO = ((-0.17, 0.040, 0.050, -0.004), (-0.13, 0.095, 0.086, -0.006), (-0.05, 0.150, 0.108, -0.010),
-          (0.06, 0.163, 0.112, -0.010), (0.17, 0.156, 0.107, -0.005),
-          (0.19, 0.157, 0.108, -0.005), (0.42, 0.132, 0.096, 0.004),
-          (0.62, 0.148, 0.110, 0.006), (0.8, 0.164, 0.119, 0.006), (0.93, 0.163, 0.107, 0.0),
-          (1.03, 0.132, 0.080, -0.008), (1.11, 0.078, 0.064, -0.010), (1.16, 0.058, 0.056, -0.008))  # fmt: skip
+_TORSO = ((-0.08, 0.110, 0.078, -0.012), (-0.03, 0.138, 0.096, -0.012),
+          (0.06, 0.154, 0.104, -0.010), (0.18, 0.146, 0.098, -0.005),
+          (0.42, 0.120, 0.086, 0.004), (0.62, 0.136, 0.100, 0.006), (0.8, 0.150, 0.108, 0.006),
+          (0.93, 0.144, 0.096, 0.0), (1.03, 0.112, 0.070, -0.008), (1.1, 0.064, 0.054, -0.010))  # fmt: skip
 # Distance ahead of the ankle in m (the ball of the foot is at 0.1), half width, heights of sole and instep.
-_FOOT = ((-0.062, 0.014, 0.016, 0.042), (-0.054, 0.027, 0.004, 0.066), (-0.03, 0.034, 0.0, 0.094),
-         (0.0, 0.036, 0.0, 0.106), (0.035, 0.038, 0.0, 0.090), (0.07, 0.042, 0.0, 0.066),
-         (0.1, 0.046, 0.0, 0.049), (0.13, 0.044, 0.001, 0.039), (0.155, 0.035, 0.004, 0.031),
-         (0.17, 0.018, 0.009, 0.023))  # fmt: skip
+_FOOT = ((-0.042, 0.030, 0.002, 0.076), (-0.03, 0.033, 0.0, 0.090),
+         (0.0, 0.035, 0.0, 0.102), (0.035, 0.037, 0.0, 0.088), (0.07, 0.041, 0.0, 0.066),
+         (0.1, 0.044, 0.0, 0.049), (0.13, 0.041, 0.001, 0.040), (0.152, 0.032, 0.004, 0.033))  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +84,24 @@ class BodyPose:
         return np.concatenate(
             [turn, (places - np.einsum("jab,jb->ja", turn, self.places))[..., None]], axis=2
         )
+
+    def copy(self) -> BodyPose:
+        """The same pose with arrays of its own."""
+        ends = {joint: end.copy() for joint, end in self.ends.items()}
+        return replace(self, rotations=self.rotations.copy(), places=self.places.copy(), ends=ends)
+
+    def turn(self, joint: int, by: Array) -> None:
+        """Turn a joint and all that hangs on it by a rotation (3, 3) about its place."""
+        moved = {joint}
+        for child, parent in enumerate(self.parents):
+            if parent in moved:
+                moved.add(child)
+        middle = self.places[joint].copy()
+        for one in moved:
+            self.places[one] = middle + by @ (self.places[one] - middle)
+            self.rotations[one] = by @ self.rotations[one]
+            if one in self.ends:
+                self.ends[one] = middle + by @ (self.ends[one] - middle)
 
     def inverse_matrices(self) -> Array:
         """Matrices (J, 4, 4) from the world to each joint's own space in this pose: glTF's inverse bind matrices."""
@@ -110,7 +130,7 @@ def make_body(motion: Motion, figure: Figure | None = None) -> tuple[Surface, Bo
     if _stoop(poses[0], rig) > 0.5:  # the rest pose is not a standing human
         poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
     pose = min(poses, key=lambda p: _stoop(p, rig))
-    return _Human(motion, rig, pose).surface(), pose
+    return _Human(motion, rig, pose).surface()
 
 
 def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
@@ -149,12 +169,26 @@ def _stoop(pose: BodyPose, rig: RigMap) -> float:
     return float(sum(1 + up @ thigh for thigh in thighs) + abs(up @ across) + (1 - across @ arms))
 
 
+def _between(start: Array, end: Array) -> Array:
+    """The smallest rotation (3, 3) from one unit vector (3,) to another."""
+    axis = np.cross(start, end)
+    cosine = float(start @ end)
+    if cosine < -0.999:  # half a turn, about any axis across
+        across, _ = cross_axes(start, np.array([0.0, 0.0, 1.0]))
+        return 2.0 * np.outer(across, across) - np.eye(3)
+    cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
+    turn: Array = np.eye(3) + cross + cross @ cross / (1.0 + cosine)
+    return turn
+
+
 class _Human:
     """Makes the parts of a human body from the places of the canonical joints in a rig."""
 
     def __init__(self, motion: Motion, rig: RigMap, pose: BodyPose) -> None:
-        self.names, self.pose, self.rig = motion.skeleton.names, pose, rig.places
-        self.builder = SurfaceBuilder()
+        self.names, self.rig = motion.skeleton.names, rig.places
+        self.pose = pose
+        self.pieces: list[Piece] = []
+        self.builder = SurfaceBuilder()  # of fingers and other thin parts, which the skin would swallow
         hips = (self.at("LeftUpLeg") + self.at("RightUpLeg")) / 2
         chest = (self.at("LeftArm") + self.at("RightArm")) / 2
         self.hips, self.torso = hips, float(np.linalg.norm(chest - hips))
@@ -166,6 +200,10 @@ class _Human:
         shin = np.linalg.norm(self.limb_end("Left", "Leg", "Foot") - self.at("LeftLeg"))
         self.size = float(thigh + shin) / LEG
         self.used = {j for name in self.rig for j in self.path(0, self.rig[name])}
+        spine = [self.rig[n] for n in ("Hips", "LowerBack", "Spine", "Spine1") if n in self.rig]
+        self.spine = list(dict.fromkeys(spine))
+        self.chest = self.spine[-1]
+        self._spread()
 
     def at(self, name: str) -> Array:
         return self.pose.places[self.rig[name]]
@@ -186,109 +224,202 @@ class _Human:
         bone = self.at(side + part) - self.at(side + before)
         return self.pose.ends.get(joint, self.pose.places[joint] + 0.9 * bone)
 
-    def scaled(self, profile: Profile) -> list[tuple[float, ...]]:
-        return [(share, *(self.size * value for value in rest)) for share, *rest in profile]
+    def _spread(self) -> None:
+        """Turn the limbs to where the skin of one cannot touch another's, and where joints bend least from."""
+        self.pose = self.pose.copy()
+        for side, out in zip(SIDES, (self.left, -self.left), strict=True):
+            for part, below, way in (
+                ("UpLeg", "Leg", (-0.985, 0.17, 0.0)),
+                ("Leg", "Foot", (-0.99, 0.14, -0.02)),
+                ("Arm", "ForeArm", (-0.66, 0.75, 0.0)),
+                ("ForeArm", "Hand", (-0.66, 0.74, 0.12)),
+            ):
+                target = way[0] * self.up + way[1] * out + way[2] * self.front
+                joint = self.rig[side + part]
+                bone = self.limb_end(side, part, below) - self.pose.places[joint]
+                self.pose.turn(joint, _between(unit(bone, target), target / np.linalg.norm(target)))
+            self._flatten_foot(side, out)
 
-    def surface(self) -> Surface:
+    def _flatten_foot(self, side: str, out: Array) -> None:
+        ankle, toe = self.rig.get(f"{side}Foot"), self.rig.get(f"{side}ToeBase")
+        if ankle is None or toe is None:
+            return
+        bone = self.pose.places[toe] - self.pose.places[ankle]
+        length = float(np.linalg.norm(bone))
+        if length < 0.05 * self.size:
+            return
+        drop = float(np.clip(self.size * (ANKLE - BALL) / length, 0.0, 0.85))
+        ahead = unit(self.front + 0.1 * out, self.front)
+        target = np.sqrt(1.0 - drop**2) * ahead - drop * self.up
+        self.pose.turn(ankle, _between(bone / length, target))
+
+    def surface(self) -> tuple[Surface, BodyPose]:
         self._torso()
         self._neck_and_head()
         for side in SIDES:
-            self._limb(side, "UpLeg", "Leg", _THIGH, "leg")
-            self._limb(side, "Leg", "Foot", _SHIN, "leg")
-            self._collar(side)
-            self._limb(side, "Arm", "ForeArm", _UPPER_ARM)
-            self._limb(side, "ForeArm", "Hand", _FOREARM)
+            self._leg(side)
+            self._arm(side)
             self._foot(side)
             self._hand(side)
         self._others()
-        return self.builder.surface()
+        axes = np.stack([self.left, self.up, self.front])
+        body = skin(self.pieces, axes, self.size, len(self.names))
+        return (joined(body, self.builder.surface()) if self.builder.parts else body), self.pose
 
-    def _limb(self, side: str, part: str, below: str, profile: Profile, tint: str = "body") -> None:
+    def _piece(
+        self,
+        path: Sequence[Array],
+        profile: Profile,
+        joints: tuple[int, Chain],
+        tint: str | tuple[int, Chain] = "body",
+        front: Array | None = None,
+        **form: Any,
+    ) -> None:
+        """Add a piece; `form` has the section's `power` and the `caps`."""
+        scaled = np.array([(share, *(self.size * value for value in rest)) for share, *rest in profile])
+        tints = (TINTS.index(tint), ()) if isinstance(tint, str) else tint
+        ahead = self.front if front is None else front
+        self.pieces.append(Piece(np.stack(path), scaled, ahead, joints, tints, **form))
+
+    def _ball(
+        self, place: Array, radii: tuple[float, float, float], joints: tuple[int, Chain], tint: str = "body"
+    ) -> None:
+        """An ellipsoid: half width, half depth and about half height."""
+        wide, deep, high = radii
+        rest = max(high - float(np.sqrt(wide * deep)), 1e-3) * self.size
+        path = [place - rest * self.up, place + rest * self.up]
+        self._piece(
+            path, ((0.0, wide, deep, 0.0), (0.5, wide, deep, 0.0), (1.0, wide, deep, 0.0)), joints, tint
+        )
+
+    def _bone(
+        self, side: str, part: str, below: str, before: int, bends: tuple[float, float]
+    ) -> tuple[list[Array], tuple[int, Chain]]:
+        """The path of a limb's bone and its joints: the one before, those along it, and the one after.
+
+        bends: half widths, as shares of the length, of the change at its near and far end.
+        """
         top = self.rig[side + part]
-        joints = self.path(top, self.rig[side + below]) if side + below in self.rig else [top]
-        path = [(self.pose.places[j], j) for j in joints]
-        if len(path) == 1:
-            path.append((self.limb_end(side, part, below), top))
-        self.builder.limb(path, self.scaled(profile), self.front, tint)
+        end = self.rig.get(side + below)
+        joints = [top] if end is None else self.path(top, end)[:-1]
+        start, stop = self.pose.places[top], self.limb_end(side, part, below)
+        along = stop - start
+        shares = [float((self.pose.places[j] - start) @ along / (along @ along)) for j in joints]
+        chain = [(0.0, bends[0], top)]
+        chain += [(share, 0.1, joint) for share, joint in zip(shares[1:], joints[1:], strict=True)]
+        if end is not None:
+            chain.append((1.0, bends[1], end))
+        return [start, stop], (before, chain)
 
-    def _collar(self, side: str) -> None:
-        """The shoulder between upper arm and chest, which rises with the collar bone."""
-        chest = next(self.rig[n] for n in ("Spine1", "Spine", "LowerBack", "Hips") if n in self.rig)
-        arm = self.at(f"{side}Arm")
-        base = self.hips + 0.95 * self.torso * self.up
-        start = base + 0.35 * (arm - base)
-        joint = self.rig.get(f"{side}Shoulder", chest)
-        self.builder.limb([(start, joint), (arm, joint)], self.scaled(_COLLAR), self.front)
+    def _leg(self, side: str) -> None:
+        path, (hips, chain) = self._bone(side, "UpLeg", "Leg", self.rig["Hips"], (0.22, 0.09))
+        chain = [(chain[0][0] + 0.06, *chain[0][1:]), *chain[1:]]
+        self._piece(path, _THIGH, (hips, chain), "leg")
+        last = self.path(self.rig[f"{side}UpLeg"], self.rig[f"{side}Leg"])[-2]
+        path, joints = self._bone(side, "Leg", "Foot", last, (0.09, 0.06))
+        shoe = (TINTS.index("leg"), ((0.93, 0.02, TINTS.index("foot")),))
+        self._piece(path, _SHIN, joints, shoe)
+        seat = self.at(f"{side}UpLeg") - self.size * (0.025 * self.up + 0.035 * self.front)
+        self._ball(
+            seat, (0.078, 0.082, 0.088), (self.rig[f"{side}UpLeg"], [(0.1, 1.6, self.rig["Hips"])]), "leg"
+        )
+
+    def _arm(self, side: str) -> None:
+        """The shoulder between upper arm and chest, which rises with the collar bone, and the arm."""
+        arm = self.at(f"{side}Arm") - 0.018 * self.size * self.up
+        base = self.hips + 0.93 * self.torso * self.up
+        start = base + 0.3 * (arm - base)
+        collar, upper = self.rig.get(f"{side}Shoulder", self.chest), self.rig[f"{side}Arm"]
+        self._piece([start, arm], _COLLAR, (self.chest, [(0.25, 0.35, collar), (1.0, 0.3, upper)]))
+        neck = self.hips + 1.1 * self.torso * self.up - 0.015 * self.size * self.front
+        slope = [neck + 0.1 * (arm - neck), neck + 0.85 * (arm - neck)]
+        self._piece(slope, _TRAPEZIUS, (self.chest, [(0.45, 0.4, collar)]))
+        (top, end), (_, chain) = self._bone(side, "Arm", "ForeArm", collar, (0.25, 0.12))
+        chain = [(0.12, *chain[0][1:]), *chain[1:]]
+        self._piece([arm + 0.05 * (end - top), end], _UPPER_ARM, (collar, chain))
+        last = self.path(self.rig[f"{side}Arm"], self.rig[f"{side}ForeArm"])[-2]
+        path, joints = self._bone(side, "ForeArm", "Hand", last, (0.12, 0.12))
+        glove = (TINTS.index("body"), ((0.93, 0.02, TINTS.index("hand")),))
+        self._piece(path, _FOREARM, joints, glove if f"{side}Hand" in self.rig else "body")
 
     def _torso(self) -> None:
-        middle = float(np.linalg.norm(self.at("LeftUpLeg") - self.at("RightUpLeg"))) / 2 / 0.0914
-        top = float(np.linalg.norm(self.at("LeftArm") - self.at("RightArm"))) / 2 / 0.181
-        height = self.torso / 0.507
-        spine = [self.rig[n] for n in ("Hips", "LowerBack", "Spine", "Spine1") if n in self.rig]
-        shares = [float((self.pose.places[j] - self.hips) @ self.up) / self.torso for j in spine]
-        # The weight of each spine joint is largest halfway to the next.
-        middles = [0.08] + [(a + b) / 2 for a, b in zip(shares[1:], [*shares[2:], 1.0], strict=True)]
-        rings = []
+        hips_wide = (
+            float(np.linalg.norm(self.at("LeftUpLeg") - self.at("RightUpLeg"))) / 2 / 0.0914 / self.size
+        )
+        chest_wide = float(np.linalg.norm(self.at("LeftArm") - self.at("RightArm"))) / 2 / 0.181 / self.size
+        height = self.torso / 0.507 / self.size
+        deep = 0.5 * (height + 1.0)
+        shares = [float((self.pose.places[j] - self.hips) @ self.up) / self.torso for j in self.spine]
+        low, high = _TORSO[0][0], _TORSO[-1][0]
+        profile = []
         for share, width, depth, shift in _TORSO:
             upper = float(np.clip((share - 0.1) / 0.7, 0.0, 1.0))
-            wide = (1 - upper) * np.clip(middle, 0.8 * height, 1.25 * height) + upper * np.clip(
-                top, 0.8 * height, 1.3 * height
+            wide = (1 - upper) * np.clip(hips_wide, 0.8 * height, 1.25 * height) + upper * np.clip(
+                chest_wide, 0.8 * height, 1.3 * height
             )
-            deep = 0.5 * (height + self.size)
-            place = self.hips + share * self.torso * self.up + shift * deep * self.front
-            above = int(np.clip(np.searchsorted(middles, share), 1, max(len(middles) - 1, 1)))
-            if len(spine) == 1:
-                joints, weight = (spine[0], spine[0]), 0.0
-            else:
-                joints = (spine[above - 1], spine[above])
-                gap = max(middles[above] - middles[above - 1], 1e-6)
-                weight = float(np.clip((share - middles[above - 1]) / gap, 0.0, 1.0))
-            tint = "leg" if share < _BELT else "body"
-            rings.append(
-                Ring(place, depth * deep * self.front, width * wide * self.left, joints, weight, tint)
-            )
-        self.builder.loft(rounded(rings, self.up))
+            profile.append(((share - low) / (high - low), width * float(wide), depth * deep, shift * deep))
+        # Each joint of the spine passes to the next around the middle of its bone, softly over all of it.
+        ends = [*shares[1:], 1.0]
+        chain = []
+        for n in range(1, len(self.spine)):
+            start = max(shares[n], 0.06) if n == 1 else shares[n]
+            reach = max(0.45 * (ends[n] - (shares[n - 1])), 0.08)
+            chain.append(((start - low) / (high - low), reach / (high - low), self.spine[n]))
+        belt = (TINTS.index("leg"), (((_BELT - low) / (high - low), 0.02, TINTS.index("body")),))
+        path = [self.hips + share * self.torso * self.up for share in (low, high)]
+        self._piece(path, tuple(profile), (self.spine[0], chain), belt, power=2.3, caps=(0.5, 0.6))
 
     def _neck_and_head(self) -> None:
-        chest = next(self.rig[n] for n in ("Spine1", "Spine", "LowerBack", "Hips") if n in self.rig)
-        base = self.hips + 1.06 * self.torso * self.up
-        neck = self.rig.get("Neck", chest)
+        base = self.hips + 1.0 * self.torso * self.up
+        neck = self.rig.get("Neck", self.chest)
         head = self.rig.get("Head")
         if head is None:
-            tip = self.pose.ends.get(neck, base + 0.1 * self.size * self.up)
-            self._head(neck, tip, unit(tip - base, self.up))
+            tip = self.pose.ends.get(neck, base)
+            along = unit(tip - base, self.up)
+            along = along if along @ self.up > 0.5 else self.up
+            tip = base + float(np.clip((tip - base) @ along, 0.2 * self.size, 0.3 * self.size)) * along
+            self._head(neck, tip, along)
+            self._neck(base, tip, neck, [])
             return
-        path = [(self.pose.places[j], j) for j in self.path(neck, head)] if "Neck" in self.rig else []
-        lowest = path[0][0] if path else base
-        if not path or (lowest - self.hips) @ self.up > 1.0 * self.torso:
-            path.insert(0, (base, neck))
-            path = [p for n, p in enumerate(path) if n == 0 or (p[0] - base) @ self.up > 0.0]
-        elif (lowest - self.hips) @ self.up < 0.9 * self.torso:
-            path[0] = (path[0][0] + 0.5 * (base - path[0][0]), path[0][1])
-        if path[-1][1] != head or len(path) == 1:
-            path.append((self.pose.places[head], head))
-        self.builder.limb(path, self.scaled(_NECK), self.front, "head")
         end = self.pose.ends.get(head)
-        along = unit(self.pose.places[head] - path[0][0], self.up)
-        if end is not None and np.linalg.norm(end - self.pose.places[head]) > 0.03 * self.size:
-            towards = unit(end - self.pose.places[head], along)
+        place = self.pose.places[head]
+        along = unit(place - base, self.up)
+        if end is not None and np.linalg.norm(end - place) > 0.03 * self.size:
+            towards = unit(end - place, along)
             along = towards if towards @ along > 0.5 else along
-        reach = 0.1 * self.size if end is None else float(np.linalg.norm(end - self.pose.places[head]))
-        lift = float(np.clip(reach - 0.085 * self.size, 0.025 * self.size, 0.1 * self.size))
-        self._head(head, self.pose.places[head] + lift * along, along)
+        reach = 0.1 * self.size if end is None else float(np.linalg.norm(end - place))
+        lift = float(np.clip(reach - 0.055 * self.size, 0.03 * self.size, 0.1 * self.size))
+        middle = place + lift * along
+        self._head(head, middle, along)
+        self._neck(base, middle, neck, self.path(neck, head)[1:])
+
+    def _neck(self, base: Array, top: Array, neck: int, above: list[int]) -> None:
+        """The neck from the chest to inside the head; `above` are the joints from the neck to the head."""
+        way = top - base
+        chain = [(0.12, 0.2, neck)]
+        for joint in above:
+            share = float((self.pose.places[joint] - base) @ way / (way @ way))
+            chain.append((float(np.clip(share, 0.25, 0.9)), 0.16, joint))
+        throat = (TINTS.index("body"), ((0.2, 0.05, TINTS.index("head")),))
+        self._piece([base, top], _NECK, (self.chest, chain), throat)
 
     def _head(self, joint: int, middle: Array, along: Array) -> None:
-        across, depth = cross_axes(along, self.front)
-        s, pair = self.size, (joint, joint)
-        rings = [
-            Ring(middle + s * (h * _HEAD_HALF * along + shift * depth), s * w * across, s * d * depth, pair)
-            for h, w, d, shift in _HEAD
-        ]
-        self.builder.loft(rings, "head")
-        bridge = middle + s * (0.088 * depth + 0.008 * along)
-        tip = middle + s * (0.098 * depth - 0.026 * along)
-        profile = [(0.0, 0.007 * s, 0.006 * s, 0.0), (1.0, 0.014 * s, 0.012 * s, 0.0)]
-        self.builder.limb([(bridge, joint), (tip, joint)], profile, depth, "head")
+        _, depth = cross_axes(along, self.front)
+        half = self.size * _HEAD_HALF
+        low, high = _HEAD[0][0], _HEAD[-1][0]
+        profile = tuple(((h - low) / (high - low), *rest) for h, *rest in _HEAD)
+        path = [middle + low * half * along, middle + high * half * along]
+        self._piece(path, profile, (joint, ()), "head", caps=_HEAD_CAPS)
+        s = self.size
+        bridge, tip = (
+            middle + s * (0.088 * depth + 0.004 * along),
+            middle + s * (0.100 * depth - 0.026 * along),
+        )
+        self._piece(
+            [bridge, tip], ((0.0, 0.007, 0.006, 0.0), (1.0, 0.013, 0.012, 0.0)), (joint, ()), "head", depth
+        )
+        chin = middle + s * (0.056 * depth - 0.072 * along)
+        self._ball(chin, (0.030, 0.026, 0.028), (joint, ()), "head")
 
     def _foot(self, side: str) -> None:
         ankle_at = self.limb_end(side, "Leg", "Foot")
@@ -310,16 +441,17 @@ class _Human:
         normal = np.cross(ahead, left)
         ground = ankle_at - s * ANKLE * normal
         stretch = length * float(np.cos(drop)) / (0.1 * s)
-        rings = []
+        rows = []
         for x, width, sole, top in _FOOT:
-            forward = s * x * (stretch if 0.0 < x < 0.1 else 1.0)
-            forward += 0.1 * s * (stretch - 1.0) if x >= 0.1 else 0.0
-            joints, weight = (ankle, ankle), 0.0
-            if toe is not None and x > 0.08:
-                joints, weight = (ankle, toe), 0.5 if x == 0.1 else 1.0
-            middle = ground + forward * ahead + 0.5 * s * (sole + top) * normal
-            rings.append(Ring(middle, s * width * left, 0.5 * s * (top - sole) * normal, joints, weight))
-        self.builder.loft(rings, "foot")
+            forward = x * (stretch if 0.0 < x < 0.1 else 1.0) + (0.1 * (stretch - 1.0) if x >= 0.1 else 0.0)
+            rows.append((forward, width, 0.5 * (top - sole), 0.5 * (sole + top)))
+        start, stop = rows[0][0], rows[-1][0]
+        profile = tuple(((x - start) / (stop - start), *rest) for x, *rest in rows)
+        chain = []
+        if toe is not None:
+            chain.append(((0.1 * stretch - start) / (stop - start), 0.13, toe))
+        path = [ground + s * start * ahead, ground + s * stop * ahead]
+        self._piece(path, profile, (ankle, chain), "foot", normal, power=2.6)
 
     def _hand(self, side: str) -> None:
         if f"{side}Hand" not in self.rig:
@@ -332,23 +464,22 @@ class _Human:
             reach = float(np.median([np.linalg.norm(k - place) for k in knuckles]))
             along = unit(np.mean(knuckles, axis=0) - place, along)
             spread = max((np.linalg.norm(a - b) for a in knuckles for b in knuckles), default=0.0)
-            wide = float(np.clip(0.5 * spread, 0.025 * s, 0.05 * s))
+            wide = float(np.clip(0.5 * spread / s, 0.025, 0.05))
             widest = max(
                 ((a - b) for a in knuckles for b in knuckles), key=lambda v: float(np.linalg.norm(v))
             )
-            profile = [(0.0, 0.018 * s, 0.026 * s, 0.0), (1.0, 0.012 * s, wide, 0.0)]
+            profile = ((0.0, 0.018, 0.026, 0.0), (1.0, 0.012, wide, 0.0))
             tip = place + max(reach, 0.05 * s) * along
-            self.builder.limb([(place, hand), (tip, hand)], profile, widest, "hand")
+            self._piece([place, tip], profile, (hand, ()), "hand", widest)
             return
         end = self.pose.ends.get(hand)
         if end is not None and np.linalg.norm(end - place) > 0.03 * s:
             towards = unit(end - place, along)
             along = towards if towards @ along > 0.5 else along
-        path = [(place + 0.012 * s * along, hand), (place + 0.165 * s * along, hand)]
-        self.builder.limb(path, self.scaled(_MITTEN), self.front, "hand")
+        self._piece([place + 0.012 * s * along, place + 0.165 * s * along], _MITTEN, (hand, ()), "hand")
         _, depth = cross_axes(along, self.front)
-        root, tip = place + s * (0.03 * along + 0.026 * depth), place + s * (0.085 * along + 0.052 * depth)
-        self.builder.limb([(root, hand), (tip, hand)], self.scaled(_THUMB), self.front, "hand")
+        root, tip = place + s * (0.03 * along + 0.026 * depth), place + s * (0.085 * along + 0.056 * depth)
+        self._piece([root, tip], _THUMB, (hand, ()), "hand")
 
     def _knuckles(self, hand: int) -> list[int]:
         """The first joints of a hand's fingers; none if the rig has only a thumb and a tip."""

@@ -45,6 +45,17 @@ class Surface:
         return shades
 
 
+def joined(first: Surface, second: Surface) -> Surface:
+    """Two surfaces of one pose as one."""
+    return Surface(
+        np.concatenate([first.points, second.points]),
+        np.concatenate([first.triangles, second.triangles + len(first.points)]),
+        np.concatenate([first.joints, second.joints]),
+        np.concatenate([first.weights, second.weights]),
+        np.concatenate([first.tints, second.tints]),
+    )
+
+
 def point_normals(points: Array, triangles: NDArray[np.int64]) -> Array:
     """Unit normals (V, 3) of points (V, 3): the mean of their triangles' normals, weighted by area."""
     corners = points[triangles]
@@ -86,6 +97,11 @@ class SurfaceBuilder:
         self._joints: list[tuple[int, int]] = []
         self._weights: list[float] = []
         self._tints: list[int] = []
+
+    @property
+    def parts(self) -> bool:
+        """Whether anything was added."""
+        return bool(self._points)
 
     def loft(self, rings: Sequence[Ring], tint: str = "body") -> None:
         """Add a closed skin over rings, in order from one end to the other; a x b points to the next ring."""
