@@ -157,6 +157,7 @@ def measure(
     *,
     skip: int = 0,
     align_start: bool = False,
+    given: int = 0,
     settings: MetricSettings | None = None,
 ) -> MetricReport:
     """The metrics of a motion, alone or beside its ground truth (docs/metrics.md defines each).
@@ -164,8 +165,9 @@ def measure(
     Args:
         motion: on the 23 canonical joints in cm, or a BVH file of any rig.
         reference: the ground truth, likewise.
-        skip: frames at 60 fps to leave out at the start.
+        skip: frames at 60 fps to leave out at the start of both.
         align_start: turn and move the motion to start as the reference does.
+        given: frames at 60 fps that begin the reference alone, because the motion goes on from them.
         settings: thresholds; the documented definitions by default.
 
     Raises:
@@ -174,7 +176,7 @@ def measure(
     from motionkit.metrics.report import evaluate_motion
 
     ground_truth = None if reference is None else _canonical(reference)
-    return evaluate_motion(_canonical(motion), ground_truth, settings, skip, align_start)
+    return evaluate_motion(_canonical(motion), ground_truth, settings, skip, align_start, given)
 
 
 def _canonical(motion: Motion | str | Path) -> Motion:

@@ -59,3 +59,10 @@ def row_products(x: Floats, weights: Floats) -> Floats:
     One product of all rows would add up in another order for another number of rows or threads.
     """
     return np.matmul(x[..., None, :], weights[..., None, :, :])[..., 0, :]
+
+
+def spans(flags: Array) -> list[tuple[int, int]]:
+    """Stretches (start, end) of a sequence in which flags (T,) are true; ends are exclusive."""
+    edges = np.diff(np.pad(flags.astype(np.int8), 1))
+    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    return list(zip(starts.tolist(), ends.tolist(), strict=True))

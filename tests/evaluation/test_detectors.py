@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from motionkit.arrays import Array
-from motionkit.evaluation.body import Body, body_of, spans
+from motionkit.arrays import Array, spans
+from motionkit.evaluation.body import Body, body_of
 from motionkit.evaluation.detectors import DETECTORS, detection_windows, take_offs, turns
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, quat_multiply

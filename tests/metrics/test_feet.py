@@ -44,6 +44,15 @@ def test_floor_of_a_clip_that_never_stands_still_is_near_its_lowest_level() -> N
     assert floor_height(feet[:1]) == 0.0
 
 
+def test_the_floor_of_a_short_run_is_not_the_height_of_its_feet_in_the_air() -> None:
+    feet = still_feet(40)
+    feet[..., 2] = 6.0 * np.arange(40)[:, None]  # 360 cm/s
+    feet[..., 1] += 20.0 * np.abs(np.sin(0.3 * np.arange(40)))[:, None]
+    assert floor_height(feet) < 2.0
+    feet[20:26, 1, 2], feet[20:26, 1, 1] = 120.0, 0.5  # a toe stands, slow in four frames
+    assert floor_height(feet) == 0.5
+
+
 def test_afs_of_a_toe_sliding_on_the_floor() -> None:
     result = average_foot_sliding(sliding(2.0), floor=0.0)
     assert result.value == pytest.approx(2.0 / 4)  # one of four joints, weight 2 - 2^0

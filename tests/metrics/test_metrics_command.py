@@ -75,6 +75,7 @@ def test_rate_and_scale_can_be_overridden(files: tuple[str, str]) -> None:
         ["--skate-speed", "nan"],
         ["--floor", "inf"],
         ["--skip", "-1"],
+        ["--given", "87"],
     ],
 )
 def test_wrong_usage_exits_with_2(files: tuple[str, str], arguments: list[str]) -> None:

@@ -17,10 +17,20 @@ ALONE = [
     "bm-euler",
     "bm-geodesic",
     "afs",
+    "afs-ground",
     "skate-ratio",
     "jerk",
     "penetration-mean",
     "penetration-max",
+    "leaps",
+    "turn-max",
+    "planted-share",
+    "hover-share",
+    "lowest-feet",
+    "lowest-hands",
+    "lowest-head",
+    "lowest-body",
+    "flight-acceleration",
     "floor-height",
 ]
 
@@ -44,7 +54,7 @@ def test_a_motion_beside_itself_is_perfect(motion: Motion) -> None:
     assert report.notes == ()
     ratios = {row.id: row.ratio for row in report.rows}
     assert ratios["bm-euler"] == ratios["jerk"] == 1.0
-    assert ratios["mpjpe"] is None and ratios["floor-height"] is None
+    assert ratios["mpjpe"] is None and ratios["floor-height"] is None and ratios["lowest-feet"] is None
 
 
 def test_place_and_heading_do_not_matter(motion: Motion) -> None:
@@ -53,8 +63,8 @@ def test_place_and_heading_do_not_matter(motion: Motion) -> None:
     lifted = values(evaluate_motion(placed(motion, move=(0.0, 30.0, 0.0))))
     for name in ALONE:
         if name != "bm-euler":
-            assert there[name] == pytest.approx(here[name], abs=2e-3), name
-        if name != "floor-height":
+            assert there[name] == pytest.approx(here[name], abs=2e-3, rel=1e-4), name
+        if name not in ("floor-height", "afs-ground"):
             assert lifted[name] == pytest.approx(here[name], abs=2e-3), name
     assert lifted["floor-height"] == pytest.approx(here["floor-height"] + 30.0, abs=1e-3)
 
@@ -127,6 +137,40 @@ def test_a_given_floor_is_used(motion: Motion) -> None:
     assert report.value("floor-height") == 200.0
     assert report.value("penetration-max") > 100.0
     assert report.rows[-1].motion.parameters == {"floor": "given"}
+
+
+def test_the_floor_of_the_ground_truth_holds_for_both(motion: Motion) -> None:
+    lower = placed(motion, move=(0.0, -2.0, 0.0))
+    pair = {row.id: row for row in evaluate_motion(lower, motion).rows}
+    assert pair["floor-height"].motion.value == pytest.approx(pair["floor-height"].ground_truth.value - 2.0)
+    floor = pair["floor-height"].ground_truth.value
+    known = {row.id: row for row in evaluate_motion(lower, motion, MetricSettings(floor=floor)).rows}
+    for name in ("afs", "penetration-mean", "planted-share", "lowest-feet"):
+        assert pair[name].motion.value == known[name].motion.value, name
+    assert pair["afs"].motion.value > pair["afs"].ground_truth.value
+    assert pair["lowest-feet"].motion.value == pytest.approx(pair["lowest-feet"].ground_truth.value - 2.0)
+    assert not any("standing toes" in note for note in evaluate_motion(lower, motion).notes)
+    far = evaluate_motion(placed(motion, move=(0.0, 30.0, 0.0)), motion)
+    assert any("measured from the latter" in note for note in far.notes)
+
+
+def test_sliding_over_the_ground_takes_heights_above_zero(motion: Motion) -> None:
+    low = evaluate_motion(motion, settings=MetricSettings(floor=0.0))
+    assert low.value("afs") == low.value("afs-ground")
+    lifted = evaluate_motion(placed(motion, move=(0.0, 30.0, 0.0)))
+    assert lifted.value("afs-ground") == 0.0 and lifted.value("afs") > 0.0
+
+
+def test_given_frames_begin_the_ground_truth_alone(motion: Motion) -> None:
+    going_on = motion.cut(87, 120)
+    assert evaluate_motion(going_on, motion).value("mpjpe") > 1.0
+    report = evaluate_motion(going_on, motion, given=87)
+    assert report.frames == 33 and report.value("mpjpe") == 0.0 and report.value("path-mean") == 0.0
+    assert report.notes == ("the first 87 frames of the ground truth were given to the model",)
+    later = evaluate_motion(going_on, motion, skip=10, given=87)
+    assert later.frames == 23 and later.value("mpjpe") == 0.0
+    with pytest.raises(MotionkitError, match="less the 0 skipped and the 119 given"):
+        evaluate_motion(going_on, motion, given=119)
 
 
 def test_short_motions_keep_what_they_can_give_and_say_why_not(motion: Motion) -> None:

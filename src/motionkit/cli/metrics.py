@@ -64,10 +64,11 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     "metrics",
     help="""Measure GROUND_TRUTH, alone or with GENERATED.
 
-    Each file is measured by body movement (bm), average foot sliding (afs), foot skate, jerk and penetration;
-    a pair also by SSIM, MPJPE and trajectory distance (path). docs/metrics.md defines every id. Other rigs are
-    mapped onto the 23 canonical joints, other rates are resampled to 60 fps, and clips of different length
-    are compared over their common frames; notes under the table say what was changed.
+    Each file is measured by body movement (bm), average foot sliding (afs), foot skate, jerk, penetration, leaps of
+    knees and elbows, planted and hovering feet, and flights; a pair also by SSIM, MPJPE and trajectory distance
+    (path). docs/metrics.md defines every id. Other rigs are mapped onto the 23 joints, other rates are resampled to
+    60 fps, and clips of different length are compared over their common frames; notes under the table say what was
+    changed.
 
     Both may be folders: files of the same name are pairs, and files without a partner are listed. One folder
     alone is measured file by file. --pair pairs files of different names. For many pairs the table shows each
@@ -89,7 +90,15 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Leave out this many frames at the start (60 fps), such as those that primed the model.",
+    help="Leave out this many frames at the start of both (60 fps), such as a T-pose.",
+)
+@click.option(
+    "--given",
+    type=click.IntRange(min=0),
+    default=0,
+    show_default=True,
+    help="Leave out this many frames at the start of GROUND_TRUTH alone (60 fps): those that synthesize --init went "
+    "on from, 87.",
 )
 @click.option(
     "--align-start",
@@ -97,7 +106,10 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     help="Move and turn GENERATED to the place and heading where GROUND_TRUTH starts.",
 )
 @click.option(
-    "--floor", type=float, callback=_finite, help="Floor height in cm; estimated for each clip by default."
+    "--floor",
+    type=float,
+    callback=_finite,
+    help="Height of standing toes in cm; that of GROUND_TRUTH for both by default.",
 )
 @_positive("--foot-height", "Height threshold H of the feet for afs, cm.", MetricSettings.foot_height)
 @_positive("--toe-height", "Height threshold H of the toes for afs, cm.", MetricSettings.toe_height)
@@ -118,6 +130,7 @@ def command(
     generated: Path | None,
     given_pairs: tuple[tuple[Path, Path], ...],
     skip: int,
+    given: int,
     align_start: bool,
     scale: float | None,
     generated_scale: float | None,
@@ -139,12 +152,13 @@ def command(
     if view and many:
         raise click.UsageError("--view shows one file or one pair")
     paired = bool(given_pairs) or generated is not None
-    for name, given in (
+    for name, set_to in (
+        ("--given", given),
         ("--align-start", align_start),
         ("--generated-scale", generated_scale),
         ("--generated-fps", generated_fps),
     ):
-        if given and not paired:
+        if set_to and not paired:
             raise click.UsageError(f"{name} needs a second file, GENERATED")
 
     from motionkit.metrics.pairs import PairResult, find_pairs
@@ -154,7 +168,7 @@ def command(
     scales, rates = (scale, generated_scale), (fps, generated_fps)
 
     def evaluate(truth: Path, made: Path | None) -> MetricReport:
-        return evaluate_files(truth, made, settings, skip, align_start, scales, rates)
+        return evaluate_files(truth, made, settings, skip, align_start, scales, rates, given)
 
     if ground_truth is None or many:
         pairs, lonely = (

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, spans
 from motionkit.features.heading import heading_angles
 from motionkit.metrics.body_movement import euler_movement, geodesic_movement
 from motionkit.motion.kinematics import forward_kinematics
@@ -206,10 +206,3 @@ def bodies(rotations: Array, root_positions: Array, skeleton: Skeleton, fps: flo
     """Return bodies of B motions of equal length: local rotations (B, T, 23, 4), root positions (B, T, 3) in cm."""
     _, positions = forward_kinematics(rotations, root_positions, skeleton.offsets, skeleton.parents)
     return [Body(r, p, heading_angles(p, fps), fps) for r, p in zip(rotations, positions, strict=True)]
-
-
-def spans(flags: Array) -> list[tuple[int, int]]:
-    """Return the stretches (start, end) of frames in which flags (T,) are true."""
-    edges = np.diff(np.pad(flags.astype(np.int8), 1))
-    starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
-    return list(zip(starts.tolist(), ends.tolist(), strict=True))

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from motionkit.arrays import lower_median
-from motionkit.evaluation.body import Body, spans
+from motionkit.arrays import lower_median, spans
+from motionkit.evaluation.body import Body
 
 HOLD = 0.8  # share of the windows in which a lasting type must be detected
 STRIDE = 0.25  # of a window, between the starts of two windows

@@ -14,9 +14,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, spans
 from motionkit.control.drive import Driver, Wish
-from motionkit.evaluation.body import SPEED_SPAN, Body, spans
+from motionkit.evaluation.body import SPEED_SPAN, Body
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
 from motionkit.evaluation.settings import EvaluationSettings

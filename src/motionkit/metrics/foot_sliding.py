@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -33,3 +35,16 @@ def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | N
         "floor_cm": floor,
     }
     return MetricValue("afs", float(sliding.mean()), "cm/frame", parameters)
+
+
+def sliding_over_ground(feet: Array, settings: MetricSettings | None = None) -> MetricValue:
+    """AFS in cm per frame exactly as the paper has it: heights are those above y = 0, whatever the clip's floor is.
+
+    Args:
+        feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
+        settings: foot_height and toe_height are the heights H.
+
+    Raises:
+        MotionkitError: there are fewer than two frames.
+    """
+    return replace(average_foot_sliding(feet, 0.0, settings), id="afs-ground")

@@ -15,7 +15,11 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 TOES = (1, 3)  # indices in the four foot joints
 STANCE_SPEED = 30.0  # cm/s; the lowest foot joint stands below this speed
 STANCE_QUANTILE = 0.25  # of the standing heights: low, but robust to a body that sinks now and then
-STANCE_FRAMES = 10  # with fewer standing frames, all frames are used
+STANCE_FRAMES = 3  # with fewer standing frames, as in a short run, the lowest frames of all are used
+LOWEST_QUANTILE = 0.05  # of all heights, where no foot stands
+STANDING_TOE = (
+    3.5  # cm of standing toe joints above the ground under the soles: median over the CMU recordings
+)
 SINK_MARGIN = 0.5  # cm below the floor, within measurement noise
 
 
@@ -46,8 +50,9 @@ def floor_height(feet: Array, fps: float = FRAME_RATE) -> float:
     moves = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
     speed = 0.5 * (np.concatenate([moves[:1], moves]) + np.concatenate([moves, moves[-1:]]))
     still = speed[np.arange(len(feet)), foot] < STANCE_SPEED
-    heights = lowest[still] if int(still.sum()) >= STANCE_FRAMES else lowest
-    return float(np.sort(heights)[int(STANCE_QUANTILE * (len(heights) - 1))])
+    stands = int(still.sum()) >= STANCE_FRAMES
+    heights, quantile = (lowest[still], STANCE_QUANTILE) if stands else (lowest, LOWEST_QUANTILE)
+    return float(np.sort(heights)[int(quantile * (len(heights) - 1))])
 
 
 def ground_speed(feet: Array) -> Array:

@@ -13,12 +13,26 @@ import numpy as np
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.features.heading import heading_angles
 from motionkit.metrics.body_movement import body_movement
-from motionkit.metrics.foot_sliding import average_foot_sliding
-from motionkit.metrics.ground import floor_height, foot_positions, foot_skate_ratio, penetration
+from motionkit.metrics.foot_sliding import average_foot_sliding, sliding_over_ground
+from motionkit.metrics.ground import (
+    STANDING_TOE,
+    floor_height,
+    foot_positions,
+    foot_skate_ratio,
+    penetration,
+)
+from motionkit.metrics.leaps import fastest_turn, leaps
 from motionkit.metrics.loading import load_canonical
 from motionkit.metrics.position_error import mean_position_error
 from motionkit.metrics.similarity import joint_expmaps, structural_similarity
 from motionkit.metrics.smoothness import mean_jerk
+from motionkit.metrics.touch import (
+    GROUPS,
+    flight_acceleration,
+    hover_share,
+    lowest_points,
+    planted_share,
+)
 from motionkit.metrics.trajectory import ground_track, trajectory_distance
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
 from motionkit.motion.kinematics import motion_kinematics
@@ -35,7 +49,11 @@ PAIR_METRICS: dict[str, tuple[str, float]] = {
     "path-max": ("cm", 0.0),
     "path-coverage": ("", 1.0),
 }
-_WITHOUT_RATIO = ("floor-height",)
+# Heights, and what is wanted at one value: a ratio says nothing of them.
+_WITHOUT_RATIO = frozenset(
+    {"floor-height", "lowest-feet", "lowest-hands", "lowest-head", "lowest-body", "flight-acceleration"}
+)
+APART = 3.0  # cm between the floors of a pair, from which on the report says so
 
 
 @dataclass(frozen=True)
@@ -114,18 +132,20 @@ def evaluate_motion(
     settings: MetricSettings | None = None,
     skip: int = 0,
     align_start: bool = False,
+    given: int = 0,
 ) -> MetricReport:
     """All metrics of a motion, alone or against its ground truth.
 
     Both motions are resampled to 60 fps and compared over their common frames, counted from the first; the
-    report's notes say what this changed.
+    report's notes say what this changed. Feet of both are measured from the floor of the ground truth.
 
     Args:
         motion: on the 23 canonical joints, in cm, at any rate.
         reference: ground truth, likewise.
         settings: thresholds; the documented definitions by default.
-        skip: frames at 60 fps to leave out at the start of both, such as those that primed the model.
+        skip: frames at 60 fps to leave out at the start of both.
         align_start: turn and move the motion along the ground so that the first compared frames agree.
+        given: frames at 60 fps that begin the ground truth alone: those that the model was given to go on from.
 
     Raises:
         MotionkitError: fewer than two frames are left to compare, or a value is not finite.
@@ -137,14 +157,17 @@ def evaluate_motion(
         _check(each, name)
     notes = _rate_notes(motions)
     whole = [resample(each, FRAME_RATE) for each in motions]
-    frames = min(len(each) for each in whole)
-    if frames - skip < 2:
+    # Frames to leave out at the start of each.
+    starts = [skip, skip + given][: len(whole)]
+    frames = min(len(each) - start for each, start in zip(whole, starts, strict=True))
+    if frames < 2:
         lengths = " and ".join(str(len(each)) for each in reversed(whole))
+        left_out = f"the {skip} skipped" + (f" and the {given} given" if given else "")
         raise MotionkitError(
-            f"nothing to compare: {lengths} frames at 60 fps, less the {skip} skipped, leave fewer than 2"
+            f"nothing to compare: {lengths} frames at 60 fps, less {left_out}, leave fewer than 2"
         )
-    notes += _length_notes(whole, frames, skip)
-    cut = [each.cut(skip, frames) for each in whole]
+    notes += _length_notes(whole, frames, skip, given)
+    cut = [each.cut(start, start + frames) for each, start in zip(whole, starts, strict=True)]
     if reference is not None and align_start:
         cut[0] = placed_like(cut[0], cut[1])
         notes.append("generated motion turned and moved along the ground to start like the ground truth")
@@ -154,15 +177,20 @@ def evaluate_motion(
             f"jerk is measured at {rate:g} fps, the lowest rate of the files; body movement of such a file is "
             "interpolated between frames and reads low"
         )
-    spans = [_same_time(each, skip, frames) for each in motions]
-    columns = [_own_metrics(c, s, rate, settings) for c, s in zip(cut, spans, strict=True)]
+    spans = [_same_time(each, start, start + frames) for each, start in zip(motions, starts, strict=True)]
+    floors = [_floor(each, settings) for each in cut]
+    # One floor for both: a motion that lies lower would else count other frames as high above it.
+    columns = [_own_metrics(c, s, rate, floors[-1], settings) for c, s in zip(cut, spans, strict=True)]
+    columns = [
+        [*column, _floor_value(floor, settings)] for column, floor in zip(columns, floors, strict=True)
+    ]
     if reference is None:
         rows = [MetricRow(value) for value in columns[0]]
     else:
-        notes += _body_notes(motion, reference)
+        notes += _body_notes(motion, reference) + _floor_notes(floors)
         rows = [MetricRow(mine, theirs) for mine, theirs in zip(*columns, strict=True)]
         rows += _pair_metrics(cut[0], cut[1], settings)
-    return MetricReport(tuple(rows), frames - skip, FRAME_RATE, tuple(notes))
+    return MetricReport(tuple(rows), frames, FRAME_RATE, tuple(notes))
 
 
 def evaluate_files(
@@ -173,13 +201,14 @@ def evaluate_files(
     align_start: bool = False,
     scales: tuple[float | None, float | None] = (None, None),
     rates: tuple[float | None, float | None] = (None, None),
+    given: int = 0,
 ) -> MetricReport:
     """All metrics of BVH files of any rig: loads them on the 23 canonical joints and calls evaluate_motion.
 
     Args:
         ground_truth: file to measure, or to measure against.
         generated: file to measure against the ground truth.
-        settings, skip, align_start: as in evaluate_motion.
+        settings, skip, align_start, given: as in evaluate_motion.
         scales: cm per file unit of each file; detected by default.
         rates: frame rate of each file, if its header is wrong.
 
@@ -196,7 +225,7 @@ def evaluate_files(
         notes += more
         report = _named(
             f"{ground_truth} and {generated}",
-            lambda: evaluate_motion(second, first, settings, skip, align_start),
+            lambda: evaluate_motion(second, first, settings, skip, align_start, given),
         )
     return replace(report, notes=(*notes, *report.notes))
 
@@ -233,26 +262,43 @@ def _check(motion: Motion, name: str) -> None:
             raise MotionkitError(f"the {name} has a value that is not finite in frame {frame}")
 
 
+def _floor(motion: Motion, settings: MetricSettings) -> float:
+    """The given floor, else that of a motion, in cm."""
+    if settings.floor is not None:
+        return settings.floor
+    return floor_height(foot_positions(motion_kinematics(motion)[1].astype(np.float64)))
+
+
+def _floor_value(floor: float, settings: MetricSettings) -> MetricValue:
+    return MetricValue("floor-height", floor, "cm", {"floor": "own" if settings.floor is None else "given"})
+
+
 def _own_metrics(
-    motion: Motion, native: Motion, jerk_rate: float, settings: MetricSettings
+    motion: Motion, native: Motion, jerk_rate: float, floor: float, settings: MetricSettings
 ) -> list[MetricValue]:
-    """The metrics of one motion: at 60 fps, and the same span at its native rate for jerk."""
+    """The metrics of one motion above a floor: at 60 fps, and the same span at its native rate for jerk."""
     positions = motion_kinematics(motion)[1].astype(np.float64)
-    feet = foot_positions(positions)
-    floor = floor_height(feet) if settings.floor is None else settings.floor
+    feet, ground = foot_positions(positions), floor - STANDING_TOE
     native_positions = (
         positions if native.fps == FRAME_RATE else motion_kinematics(native)[1].astype(np.float64)
     )
-    source = "own" if settings.floor is None else "given"
-    return [
-        *_measured(lambda: body_movement(motion.local_rotations, "euler"), {"bm-euler": "deg/frame"}),
-        *_measured(lambda: body_movement(motion.local_rotations, "geodesic"), {"bm-geodesic": "deg/frame"}),
-        *_measured(lambda: average_foot_sliding(feet, floor, settings), {"afs": "cm/frame"}),
-        *_measured(lambda: foot_skate_ratio(feet, floor, settings), {"skate-ratio": ""}),
-        *_measured(lambda: mean_jerk(native_positions, native.fps, jerk_rate), {"jerk": "m/s^3"}),
-        *_measured(lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
-        MetricValue("floor-height", floor, "cm", {"floor": source}),
+    rotations = motion.local_rotations
+    measures: list[tuple[Callable[[], MetricValue | tuple[MetricValue, ...]], dict[str, str]]] = [
+        (lambda: body_movement(rotations, "euler"), {"bm-euler": "deg/frame"}),
+        (lambda: body_movement(rotations, "geodesic"), {"bm-geodesic": "deg/frame"}),
+        (lambda: average_foot_sliding(feet, floor, settings), {"afs": "cm/frame"}),
+        (lambda: sliding_over_ground(feet, settings), {"afs-ground": "cm/frame"}),
+        (lambda: foot_skate_ratio(feet, floor, settings), {"skate-ratio": ""}),
+        (lambda: mean_jerk(native_positions, native.fps, jerk_rate), {"jerk": "m/s^3"}),
+        (lambda: penetration(feet, floor), {"penetration-mean": "cm", "penetration-max": "cm"}),
+        (lambda: leaps(positions), {"leaps": "1/min"}),
+        (lambda: fastest_turn(rotations), {"turn-max": "deg/s"}),
+        (lambda: planted_share(positions, ground), {"planted-share": ""}),
+        (lambda: hover_share(positions, ground), {"hover-share": ""}),
+        (lambda: lowest_points(positions, ground), {f"lowest-{group}": "cm" for group in GROUPS}),
+        (lambda: flight_acceleration(positions, ground), {"flight-acceleration": "m/s^2"}),
     ]
+    return [value for measure, units in measures for value in _measured(measure, units)]
 
 
 def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -> list[MetricRow]:
@@ -288,11 +334,10 @@ def _measured(
     return result if isinstance(result, tuple) else (result,)
 
 
-def _same_time(motion: Motion, skip: int, frames: int) -> Motion:
-    """The native frames within the time of frames `skip` to `frames` (exclusive) at 60 fps."""
+def _same_time(motion: Motion, start: int, end: int) -> Motion:
+    """The native frames within the time of frames start to end (exclusive) at 60 fps."""
     per_frame = motion.fps / FRAME_RATE
-    start = math.ceil(skip * per_frame - 1e-6)
-    return motion.cut(start, math.floor((frames - 1) * per_frame + 1e-6) + 1)
+    return motion.cut(math.ceil(start * per_frame - 1e-6), math.floor((end - 1) * per_frame + 1e-6) + 1)
 
 
 def _names(motions: list[Motion]) -> list[str]:
@@ -307,12 +352,26 @@ def _rate_notes(motions: list[Motion]) -> list[str]:
     ]
 
 
-def _length_notes(motions: list[Motion], frames: int, skip: int) -> list[str]:
+def _length_notes(motions: list[Motion], frames: int, skip: int, given: int) -> list[str]:
     notes = [f"the first {skip} frames are skipped"] if skip else []
-    if len({len(motion) for motion in motions}) > 1:
-        mine, theirs = (len(motion) for motion in motions)
-        notes.append(f"ground truth has {theirs} frames, generated {mine}; compared over the first {frames}")
+    if given:
+        notes.append(f"the first {given} frames of the ground truth were given to the model")
+    mine, theirs = len(motions[0]), len(motions[-1]) - given
+    if mine != theirs and len(motions) > 1:
+        notes.append(
+            f"ground truth has {theirs} frames, generated {mine}; compared over the first {frames + skip}"
+        )
     return notes
+
+
+def _floor_notes(floors: list[float]) -> list[str]:
+    mine, theirs = floors
+    if abs(mine - theirs) <= APART:
+        return []
+    return [
+        f"standing toes of the generated motion are at {mine:.1f} cm, those of the ground truth at {theirs:.1f} cm; "
+        "feet of both are measured from the latter"
+    ]
 
 
 def _body_notes(motion: Motion, reference: Motion) -> list[str]:

@@ -1,0 +1,64 @@
+"""Leaps: single frames in which a joint jumps, and the fastest turn of any joint."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Array, length
+from motionkit.errors import MotionkitError
+from motionkit.metrics.body_movement import geodesic_movement
+from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.motion.skeleton import JOINT_NAMES
+
+KNEES = tuple(JOINT_NAMES.index(name) for name in ("LeftLeg", "RightLeg"))
+ELBOWS = tuple(JOINT_NAMES.index(name) for name in ("LeftForeArm", "RightForeArm"))
+# No recording of 25 minutes has a leap; a knee that flips to the other side goes 10 to 30 cm.
+LEAP = 6.0  # cm a frame
+SAME_LEAP = 3  # frames; later steps within them belong to the leap before
+
+
+def leap_frames(positions: Array) -> Array:
+    """Frames (N,) after a step that differs by more than LEAP from the steps before and after it.
+
+    Steps are compared as vectors, so a joint that jumps away and back in one frame leaps too.
+
+    Args:
+        positions: (T, 3) of one joint in cm, at 60 fps.
+    """
+    steps = np.diff(positions.astype(np.float64), axis=0)
+    changes = length(np.diff(steps, axis=0))
+    found = np.flatnonzero(np.minimum(changes[:-1], changes[1:]) > LEAP) + 2
+    return found[np.diff(found, prepend=-SAME_LEAP - 1) > SAME_LEAP]
+
+
+def leaps(positions: Array) -> MetricValue:
+    """Leaps of knees and elbows a minute, all four joints together.
+
+    Args:
+        positions: (T, 23, 3) global positions in cm, at 60 fps.
+
+    Raises:
+        MotionkitError: there are fewer than four frames.
+    """
+    if len(positions) < 4:
+        raise MotionkitError(f"leaps need at least 4 frames, found {len(positions)}")
+    count = sum(len(leap_frames(positions[:, joint])) for joint in (*KNEES, *ELBOWS))
+    return MetricValue("leaps", count * 60.0 * FRAME_RATE / len(positions), "1/min", {"leap_cm": LEAP})
+
+
+def fastest_turn(local_rotations: Array, fps: float = FRAME_RATE) -> MetricValue:
+    """Largest angular speed of any joint between two frames, in degrees per second.
+
+    Args:
+        local_rotations: (T, 23, 4) quaternions w, x, y, z; the root's in the world.
+        fps: frames per second.
+
+    Raises:
+        MotionkitError: there are fewer than two frames.
+    """
+    if len(local_rotations) < 2:
+        raise MotionkitError(f"angular speed needs at least 2 frames, found {len(local_rotations)}")
+    speeds = geodesic_movement(local_rotations) * fps
+    frame, joint = np.unravel_index(int(speeds.argmax()), speeds.shape)
+    parameters: dict[str, float | str] = {"joint": JOINT_NAMES[int(joint)], "frame": float(frame + 1)}
+    return MetricValue("turn-max", float(speeds.max()), "deg/s", parameters)
