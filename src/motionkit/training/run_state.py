@@ -72,8 +72,10 @@ def load_run(
     for name, p in module.named_parameters():
         if f"optimizer.step.{name}" in tensors:
             moments = {key: tensors[f"optimizer.{key}.{name}"] for key in MOMENTS}
+            # A fused optimizer has its steps where its parameters are, any other on the CPU.
+            at = p.device if optimizer.defaults.get("fused") else torch.device("cpu")
             optimizer.state[p] = {
-                key: value.reshape(()) if key == "step" else value.to(p.device)
+                key: value.reshape(()).to(at) if key == "step" else value.to(p.device)
                 for key, value in moments.items()
             }
     return facts

@@ -9,14 +9,18 @@ must be short: once the rhythm of the motion is lost, the best guess of the reco
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from motionkit.features.reference import REFERENCE_COUNT
+from motionkit.inference.step_kernel import kernel_library
+from motionkit.inference.step_weights import why_not_packable
+from motionkit.inference.stepping import NetworkStep, stepper
 from motionkit.models.batch import Batch
-from motionkit.models.predictor import Predictor
+from motionkit.models.predictor import Drawn, NextFrame, Predictor
 
 
 @dataclass(frozen=True)
@@ -55,7 +59,7 @@ def run_on_predictions(
     network.eval()
     B, T, F = batch.inputs.shape
     device = batch.inputs.device
-    stream = network.stream(B)
+    step = _frame_step(network, B, device)
     inputs, contacts, mask = batch.inputs.clone(), batch.contacts.clone(), batch.mask.clone()
     controls = batch.controls.clone()
     shown = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
@@ -67,7 +71,7 @@ def run_on_predictions(
     stays = torch.stack([torch.rand(T, generator=g) for g in generators]).to(device) >= back
     noise, rho = fresh[:, 0], options.rho
     for t in range(T - 1):
-        made = stream.step(inputs[:, t], contacts[:, t], controls[:, t])
+        made = step(inputs[:, t], contacts[:, t], controls[:, t])
         noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t]
         frame = made.mean + options.temperature * noise * torch.exp(made.log_sigma)
         error = (frame - batch.targets[:, t]).square().mean(dim=-1).sqrt()
@@ -81,6 +85,24 @@ def run_on_predictions(
         own = now
     network.train(was_training)
     return replace(batch, inputs=inputs, contacts=contacts, controls=controls, mask=mask)
+
+
+def _frame_step(
+    network: Predictor, batch: int, device: torch.device
+) -> Callable[[Tensor, Tensor, Tensor], Drawn]:
+    """Return what predicts the next frame from a frame: the step of synthesis in C where it can, else in torch."""
+    packable = why_not_packable(network.config) is None and kernel_library() is not None
+    if device.type != "cpu" or not packable:
+        return network.stream(batch).step
+    state = stepper(network.weights(), batch)
+    assert isinstance(state, NetworkStep)
+    made = NextFrame(*(torch.from_numpy(a) for a in (state.mean, state.log_sigma, state.contact_logits)))
+
+    def step(x: Tensor, contacts: Tensor, controls: Tensor) -> Drawn:
+        state.step(x.numpy(), contacts.numpy(), controls.numpy())
+        return made
+
+    return step
 
 
 def join_batches(batches: list[Batch]) -> Batch:
