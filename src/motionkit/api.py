@@ -72,6 +72,7 @@ def synthesize(
     count: int = 1,
     seed: int = 0,
     noise: Noise | None = None,
+    reference: str = "auto",
     character: str = "default",
     init: str | Path | None = None,
     ik: bool = True,
@@ -86,6 +87,7 @@ def synthesize(
         seconds: length of the whole; by default 4 s for each type, one performance of a flip.
         count: how many motions, made in one batch; motion i is that of seed + i.
         noise: how frames are drawn; correlated noise of temperature 0.05 by default.
+        reference: "auto", or "none" for the network without its reference recordings.
         character: the body to move; several names with commas are taken in turn.
         init: a BVH file to start from.
         ik: hold feet still while they touch the floor.
@@ -102,7 +104,7 @@ def synthesize(
     from motionkit.control.synthesize import synthesize as run
     from motionkit.inference.rollout import Noise
 
-    model = model or load_model()
+    model = (model or load_model()).with_reference(reference)
     texts = [types] if isinstance(types, str) else list(types)
     plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
     options = SynthesisOptions(max(count, len(plans)), seed, noise or Noise(), character, init, ik, fps)
@@ -118,6 +120,7 @@ def follow_path(
     speed: float | None = None,
     seed: int = 0,
     noise: Noise | None = None,
+    reference: str = "auto",
     character: str = "default",
     init: str | Path | None = None,
     ik: bool = True,
@@ -131,7 +134,7 @@ def follow_path(
         types: for a named shape: types that share its length, such as "running,cartwheel,running".
         size: for a named shape: metres (length, radius or side).
         speed: for a named shape: metres per second; each type's own by default.
-        seed, noise, character, init, ik, fps: as in synthesize.
+        seed, noise, reference, character, init, ik, fps: as in synthesize.
 
     Raises:
         ControlError: for an unknown type, shape or character, or a path that cannot be read.
@@ -148,7 +151,7 @@ def follow_path(
     else:
         target = shape_path(str(path), size, [word.strip() for word in types.split(",")], speed)
     options = SynthesisOptions(1, seed, noise or Noise(), character, init, ik, fps)
-    return follow.follow_path(model or load_model(), target, options)
+    return follow.follow_path((model or load_model()).with_reference(reference), target, options)
 
 
 def measure(

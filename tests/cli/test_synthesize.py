@@ -42,6 +42,13 @@ def test_the_same_seed_writes_the_same_bytes(synthesize, tmp_path: Path) -> None
     assert a == b != c
 
 
+def test_without_reference_recordings_the_network_is_alone(synthesize, tmp_path: Path) -> None:
+    for name in ("auto", "none"):
+        assert synthesize("--types", "cartwheel:0.5", "--reference", name, "-o", f"{name}.bvh").code == 0
+    assert (tmp_path / "auto.bvh").read_bytes() != (tmp_path / "none.bvh").read_bytes()
+    assert synthesize("--types", "cartwheel:0.5", "--reference", "some").code == 2
+
+
 def test_several_files_are_numbered(synthesize, tmp_path: Path) -> None:
     said = synthesize("--types", "idle:0.2", "--count", 3, "-o", "take.bvh", "--json")
     names = ["take-1.bvh", "take-2.bvh", "take-3.bvh"]

@@ -19,6 +19,7 @@ from motionkit.control.reference_player import (
     last_poses,
 )
 from motionkit.control.script import TypePart, plan_controls
+from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
 from motionkit.models.model import MotionModel
@@ -188,3 +189,29 @@ def test_a_performance_goes_the_way_asked_for(flips: MotionModel) -> None:
     assert float(shown.trajectory_mask.min()) == 1.0
     between = slice(length, length + PAUSE)
     assert np.array_equal(shown.trajectory[between], asked[between])
+
+
+def test_without_recordings_a_clock_counts_the_phase(flips: MotionModel) -> None:
+    alone = flips.with_reference("none")
+    assert alone.phase_seconds("cartwheel") == flips.phase_seconds("cartwheel")
+    length = round(alone.phase_seconds("cartwheel") * alone.fps)
+    parts = [TypePart("walking", 0.5), TypePart("cartwheel", (length + PAUSE + 10) / alone.fps)]
+    asked = plan_controls(alone, parts, NEAR)
+    assert not asked.reference.any() and not asked.trajectory_mask.any()
+    assert (asked.phase[:30] == -1.0).all()
+    wheel = asked.phase[30:]
+    assert wheel[:length] == pytest.approx(np.arange(length) / length)
+    assert (wheel[length : length + PAUSE] == -1.0).all() and wheel[length + PAUSE] == 0.0
+    begun = plan_controls(alone, parts[1:], NEAR, behind=7)
+    assert begun.phase[0] == pytest.approx(7 / length)
+    player = ReferencePlayer(alone)
+    player.begin("cartwheel")
+    assert player.event_frames() == length
+    player.begin("walking")
+    assert player.event_frames() == 0
+
+
+def test_references_are_auto_or_none(flips: MotionModel) -> None:
+    assert flips.with_reference("auto") is flips
+    with pytest.raises(ControlError, match="unknown reference 'on'"):
+        flips.with_reference("on")

@@ -47,6 +47,7 @@ def command(
     init: Path | None,
     noise: str,
     temperature: float | None,
+    reference: str,
     ik: bool,
     fps: float | None,
     view: bool,
@@ -76,7 +77,7 @@ def command(
     page_file = file.with_suffix(".html")
     inputs = (path if is_file else None, model_path, init)
     check_outputs([file, page_file] if view else [] if file == STDOUT else [file], inputs)
-    model = open_model(model_path)
+    model = open_model(model_path, reference)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature), character, init, ik, fps)
     announce(expected_seconds(model, target), model.fps, options)
     with progress_bar() as bar:

@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import remark, say, visible
+from motionkit.cli.synthesis_options import reference_option
 
 
 def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -47,6 +48,7 @@ def _visible_log() -> Iterator[None]:
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     help="Model file; the bundled model by default.",
 )
+@reference_option
 @click.option("--character", default="default", show_default=True, help="Body of new characters.")
 @click.option(
     "--port",
@@ -75,6 +77,7 @@ def _visible_log() -> Iterator[None]:
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
 def command(
     model_path: Path | None,
+    reference: str,
     character: str,
     port: int,
     host: str,
@@ -125,7 +128,7 @@ def command(
         if not headless and not no_open:
             open_in_browser(addresses.url)
 
-    session = Session(open_model(model_path), character)
+    session = Session(open_model(model_path, reference), character)
     options = ServerOptions(host, port, tcp, vmc, page=not headless)
     with _visible_log():
         try:

@@ -45,6 +45,17 @@ def noise_options(function: Callable) -> Callable:
     return kind(temperature(function))
 
 
+def reference_option(function: Callable) -> Callable:
+    """The option --reference."""
+    return click.option(
+        "--reference",
+        default="auto",
+        show_default=True,
+        type=click.Choice(["auto", "none"]),
+        help="auto shows the network reference recordings of types that have them; none leaves it to itself.",
+    )(function)
+
+
 def synthesis_options(function: Callable) -> Callable:
     """Model, noise, body and output options."""
     options: list[Callable] = [
@@ -67,6 +78,7 @@ def synthesis_options(function: Callable) -> Callable:
             help="Start from the first frames of this BVH file; from a pose in the model by default.",
         ),
         noise_options,
+        reference_option,
         click.option(
             "--ik/--no-ik",
             default=True,

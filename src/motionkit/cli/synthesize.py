@@ -61,6 +61,7 @@ def command(
     init: Path | None,
     noise: str,
     temperature: float | None,
+    reference: str,
     ik: bool,
     fps: float | None,
     view: bool,
@@ -91,7 +92,7 @@ def command(
 
     count = max(count, len(types))
     check_stdout(output, {"--view": view, "--json": as_json, f"--count {count}": count > 1})
-    model = open_model(model_path)
+    model = open_model(model_path, reference)
     plans = [parse_types(text, seconds, model.phase_seconds) for text in types]
     for part in (part for plan in plans for part in plan):
         model.type_id(part.type)

@@ -12,7 +12,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
-from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motion
+from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
 from motionkit.inference.rollout import RolloutState, run
@@ -42,6 +42,7 @@ class FollowResult:
         finished: whether the end was reached.
         seconds: how long the roll-out took.
         frames: frames at the model's rate.
+        raw: the network's output, with feet not locked, if options.raw asks for it.
     """
 
     motion: Motion
@@ -51,6 +52,7 @@ class FollowResult:
     finished: bool
     seconds: float
     frames: int
+    raw: Motion | None = None
 
 
 class PathFollower:
@@ -192,14 +194,16 @@ def follow_path(
     rollout = run(state, limit, follower, report, finished)
     seconds = time.perf_counter() - began
     track = rollout.ground[0, :, :2]
+    motion, raw = finish_motions(model, rollout, 0, skeleton, options)
     return FollowResult(
-        finish_motion(model, rollout, 0, skeleton, options.ik, options.fps),
+        motion,
         trajectory_distance(track, path.points),
         _part_distances(track, follower.arcs, path),
         tuple(np.bincount(path.part_at(np.array(follower.arcs)), minlength=len(path.parts)).tolist()),
         finished(),
         seconds,
         len(track),
+        raw,
     )
 
 

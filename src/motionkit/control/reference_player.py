@@ -69,6 +69,7 @@ class ReferencePlayer:
         self.kind, self.clip, self.at, self.left, self._since = kind, None, 0, None, 0
         clips = self._type.reference_clips
         if not clips:
+            self.at = behind
             return
         if self._type.performed:
             self.clip = clips[self.choice % len(clips)]
@@ -85,7 +86,7 @@ class ReferencePlayer:
     def event_frames(self) -> int:
         """Frames from here to the end of the next strike or jump, zero if none comes."""
         if self.clip is None:
-            return 0
+            return self._cycle_frames
         ahead = (self.clip.phases[self.at :] >= 0.0).tolist()
         if True not in ahead:
             return 0
@@ -148,6 +149,7 @@ class ReferencePlayer:
         clip = self.clip
         free = Controls.of_types(self._weights(count))
         if clip is None:
+            free = replace(free, phase=self._clock(count))
             return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
         frames = np.arange(self.at, self.at + count)
         reference = reference_signal(clip.poses, frames)
@@ -166,6 +168,19 @@ class ReferencePlayer:
         )
         trajectory = self._trajectory(clip, frames, trajectories)
         return asked if trajectory is None else replace(asked, trajectory=trajectory).with_mask(1.0)
+
+    @property
+    def _cycle_frames(self) -> int:
+        """Frames of a performance, strike or jump of the type; 0 without."""
+        return round(self.model.phase_seconds(self.kind) * self.model.fps)
+
+    def _clock(self, count: int) -> Array:
+        """Phases (count,) of a type without recordings: one performance after another, with pauses between them."""
+        length = self._cycle_frames
+        if not length:
+            return np.full(count, -1.0, np.float32)
+        frame = np.arange(self.at, self.at + count) % (length + PAUSE)
+        return np.where(frame < length, frame / length, -1.0).astype(np.float32)
 
     def _trajectory(self, clip: ReferenceClip, frames: Array, trajectories: Array | None) -> Array | None:
         """The trajectories (T, 24) to show at frames of a clip, None for none."""

@@ -32,16 +32,21 @@ class Synthesis:
         motion: what to write: on the character, at the asked rate, feet locked if asked for.
         contacts: (T, 4) predicted contacts at the model's rate.
         types: the parts that were asked for.
+        raw: the network's output, with feet not locked, if options.raw asks for it.
     """
 
     motion: Motion
     contacts: Array
     types: tuple[TypePart, ...]
+    raw: Motion | None = None
 
 
 @dataclass(frozen=True)
 class SynthesisOptions:
-    """How to synthesize: the defaults are those of the command; fps None keeps the model's rate."""
+    """How to synthesize: the defaults are those of the command; fps None keeps the model's rate.
+
+    raw also keeps the motion without foot locks.
+    """
 
     count: int = 1
     seed: int = 0
@@ -50,6 +55,7 @@ class SynthesisOptions:
     init: str | Path | None = None
     ik: bool = True
     fps: float | None = None
+    raw: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,8 +123,8 @@ def synthesize(
     for i in range(count):
         mine = rollout.first(frames[turn[i]])
         skeleton = skeletons[i % len(skeletons)]
-        motion = finish_motion(model, mine, i, skeleton, options.ik, options.fps)
-        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]])))
+        motion, raw = finish_motions(model, mine, i, skeleton, options)
+        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
     return SynthesisResult(tuple(motions), seconds)
 
 
@@ -155,6 +161,15 @@ def finish_motion(
         motion = lock_feet(motion, rollout.contacts[index])
     motion = on_character(motion, skeleton)
     return motion if fps is None else resample(motion, fps)
+
+
+def finish_motions(
+    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, options: SynthesisOptions
+) -> tuple[Motion, Motion | None]:
+    """One character's motion to write, and the same with feet not locked if the options ask for it."""
+    motion = finish_motion(model, rollout, index, skeleton, options.ik, options.fps)
+    raw = finish_motion(model, rollout, index, skeleton, False, options.fps) if options.raw else None
+    return motion, raw
 
 
 def on_character(motion: Motion, skeleton: Skeleton) -> Motion:

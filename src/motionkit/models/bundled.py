@@ -21,6 +21,10 @@ def load_bundled_model() -> MotionModel:
     return load_model(BUNDLED_MODEL)
 
 
-def open_model(path: str | Path | None) -> MotionModel:
-    """Return the model of a file, or the bundled model for None and for the word "bundled"."""
-    return load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)
+def open_model(path: str | Path | None, reference: str = "auto") -> MotionModel:
+    """Return the model of a file, or the bundled model for None and for the word "bundled".
+
+    reference is "auto", or "none" to leave out its reference recordings.
+    """
+    model = load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)
+    return model.with_reference(reference)

@@ -18,6 +18,8 @@ from motionkit.models.motion_type import MotionType
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
+REFERENCE_CHOICES = ("auto", "none")
+
 
 @dataclass(frozen=True, eq=False)
 class MotionModel:
@@ -83,6 +85,27 @@ class MotionModel:
         """The model with some fields of some types changed: with_types({"walking": {"gait": None}})."""
         types = {name: replace(kind, **changes.get(name, {})) for name, kind in self.types.items()}
         return replace(self, types=types)
+
+    def with_reference(self, choice: str) -> MotionModel:
+        """The model as it is ("auto"), or without its reference recordings ("none").
+
+        Without them no poses, phases or ground paths of a recording are played. Types made of performances, strikes
+        or jumps keep their length, by which a clock counts their phase.
+
+        Raises:
+            ControlError: for another choice.
+        """
+        if choice not in REFERENCE_CHOICES:
+            raise ControlError(unknown_name("reference", choice, REFERENCE_CHOICES))
+        if choice == "auto":
+            return self
+        changes: dict[str, dict[str, Any]] = {}
+        for name, kind in self.types.items():
+            changes[name] = {"reference_clips": ()}
+            if kind.gait is not None:
+                cycle = replace(kind.gait, cycle_seconds=self.phase_seconds(name))
+                changes[name]["gait"] = cycle
+        return replace(self.with_types(changes), uses_references=False)
 
     def character(self, name: str) -> Skeleton:
         """A character's skeleton; raises ControlError for an unknown name."""
