@@ -6,12 +6,15 @@ denominators, so that gradients stay finite.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
 from motionkit.features.layout import feature_layout
 from motionkit.motion.rotations import SMALL_ANGLE
+from motionkit.motion.skeleton import JOINT_COUNT
 
 
 def quat_multiply(a: Tensor, b: Tensor) -> Tensor:
@@ -80,12 +83,21 @@ def sixd_to_quat(sixd: Tensor) -> Tensor:
     return matrix_to_quat(torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1))
 
 
-def decode_rotations(features: Tensor, reference_rotations: Tensor, layout: str) -> Tensor:
-    """Return local rotations (..., 23, 4) of unnormalised features (..., 276); the root is relative to its heading."""
+def decode_rotations(
+    features: Tensor,
+    reference_rotations: Tensor,
+    layout: str,
+    joints: Sequence[int] = range(1, JOINT_COUNT),
+) -> Tensor:
+    """Return local rotations (..., 1 + N, 4) of the root and of N joints, the other 22 by default.
+
+    Args:
+        features: (..., 276) unnormalised. The root's rotation is relative to its heading.
+    """
     columns = feature_layout(layout)
     root = features[..., columns.blocks["root_rotation"]]
     root = (sixd_to_quat if columns.root_is_sixd else expmap_to_quat)(root)
     expmaps = features[..., columns.blocks["joint_rotations"]]
-    joints = expmap_to_quat(expmaps.reshape(*expmaps.shape[:-1], -1, 3))
-    joints = quat_multiply(reference_rotations[1:].to(joints), joints)
-    return torch.cat([root[..., None, :], joints], dim=-2)
+    expmaps = expmaps.reshape(*expmaps.shape[:-1], -1, 3)[..., [joint - 1 for joint in joints], :]
+    references = reference_rotations[list(joints)].to(expmaps)
+    return torch.cat([root[..., None, :], quat_multiply(references, expmap_to_quat(expmaps))], dim=-2)

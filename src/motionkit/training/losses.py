@@ -82,22 +82,29 @@ def contact_loss(logits: Tensor, target: Tensor, mask: Tensor) -> Tensor:
     return _mean(F.binary_cross_entropy_with_logits(logits, target, reduction="none").sum(-1), mask)
 
 
+def _leg(ankle: int) -> tuple[int, ...]:
+    """Return the joints from below the root to an ankle."""
+    chain = [ankle]
+    while PARENTS[chain[0]] > 0:
+        chain.insert(0, PARENTS[chain[0]])
+    return tuple(chain)
+
+
+# Left and right leg from the hip to the ankle, and the toes.
+LEGS, TOES = tuple(_leg(ankle) for ankle in FOOT_JOINTS[::2]), FOOT_JOINTS[1::2]
+
+
 def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
     """Return foot positions (B, T, 4, 3) in cm relative to the root, in the facing frame; features are unnormalised."""
-    rotations = decode_rotations(features, space.reference_rotations, space.layout)
-    feet = []
-    for ankle, toe in (FOOT_JOINTS[:2], FOOT_JOINTS[2:]):
-        chain = [ankle]
-        while PARENTS[chain[0]] > 0:
-            chain.insert(0, PARENTS[chain[0]])
-        turn = rotations[..., 0, :]
-        place = torch.zeros_like(features[..., :3])
-        for joint in (*chain, toe):
-            place = place + quat_rotate(turn, offsets[:, None, joint])
-            turn = quat_multiply(turn, rotations[..., joint, :])
-            if joint in (ankle, toe):
-                feet.append(place)
-    return torch.stack(feet, dim=-2)
+    joints = [joint for leg in LEGS for joint in leg]
+    rotations = decode_rotations(features, space.reference_rotations, space.layout, joints)
+    bends = rotations[..., 1:, :].unflatten(-2, (len(LEGS), -1)).unbind(-2)
+    turn = rotations[..., :1, :]  # of both legs, side by side
+    places = [torch.zeros_like(features[..., None, :3])]
+    for pair, bend in zip((*zip(*LEGS, strict=True), TOES), (*bends, None), strict=True):
+        places.append(places[-1] + quat_rotate(turn, offsets[:, None, list(pair)]))
+        turn = turn if bend is None else quat_multiply(turn, bend)
+    return torch.stack(places[-2:], dim=-2).flatten(-3, -2)
 
 
 def fk_loss(

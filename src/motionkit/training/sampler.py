@@ -226,4 +226,6 @@ class WindowSampler:
 
 def _pad(values: Array, frames: int) -> Array:
     """Return values (T, ...) padded with zeros to the given number of frames."""
+    if len(values) == frames:
+        return values
     return np.pad(values, [(0, frames - len(values)), *[(0, 0)] * (values.ndim - 1)])
