@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
@@ -160,3 +161,24 @@ def test_a_dataset_without_training_clips(dataset: Dataset, monkeypatch: pytest.
     monkeypatch.setattr(dataset, "clips", ())
     with pytest.raises(DatasetError, match="no training clips"):
         WindowSampler(dataset, SamplerOptions())
+
+
+def test_gaps_in_reference_poses_last_half_a_second_to_a_second(dataset: Dataset) -> None:
+    options = SamplerOptions(window=96, splices=0, reference_dropout=0.0, reference_gaps=1.0, lead_share=0.0)
+    batch = WindowSampler(dataset, options).batch(0, 16)
+    gain = batch.controls[..., -1] * (batch.mask > 0)
+    recorded = (batch.mask > 0).sum(dim=1)
+    missing = recorded - gain.sum(dim=1)
+    assert float(missing.max()) > 30 and 0 < float(missing.min()) and float(missing.max()) < 60
+    for row, frames in zip(gain, recorded.tolist(), strict=True):
+        assert int((row[:frames].diff() < 0).sum()) <= 1, "one gap a window"
+
+
+def test_a_sampler_changes_its_options_but_not_its_splices(dataset: Dataset) -> None:
+    sampler = WindowSampler(dataset, SamplerOptions(window=24, splices=3, balance=0.0))
+    sampler.make_splices()
+    splices, before = list(sampler.splices), sampler.probabilities
+    sampler.use(SamplerOptions(window=24, splices=3, balance=1.0, phase_weight=1.0))
+    assert sampler.splices == splices and not torch.equal(sampler.probabilities, before)
+    seen = sampler.probabilities[sampler.probabilities > 0]
+    assert torch.allclose(seen, seen[:1])

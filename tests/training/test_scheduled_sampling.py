@@ -118,14 +118,20 @@ def test_reference_poses_are_relative_to_the_predictions(
     )
 
 
-def test_reference_poses_allow_longer_runs(
+def test_reference_poses_and_a_phase_allow_longer_runs(
     network: PartTransformer, batch: Batch, references: torch.Tensor
 ) -> None:
     options = replace(ALWAYS, back=1.0, reference_back=0.0)
-    fed = run_on_predictions(network, batch, options, generators(), references)
-    reference_gain = batch.controls[..., -1] > 0
+    layout = ControlLayout(("",) * (batch.controls.shape[-1] - ControlLayout(()).size))
+    controls = batch.controls.clone()
+    controls[..., layout.phase] = 0.0
+    controls[1, 5:9, layout.phase] = torch.tensor([0.6, 0.8])
+    fed = run_on_predictions(network, replace(batch, controls=controls), options, generators(), references)
+    timed = controls[..., layout.reference_gain] > 0
+    assert not timed.all()
+    timed[1, 5:9] = True
     own = (fed.inputs != batch.inputs).any(dim=-1)
-    assert torch.equal(own[:, 1:], reference_gain[:, :-1])
+    assert torch.equal(own[:, 1:], timed[:, :-1])
 
 
 @pytest.mark.parametrize("share", [0.0, 0.25, 0.4, 0.5, 1.0])

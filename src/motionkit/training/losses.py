@@ -176,10 +176,13 @@ def _foot_moves(
 def consistency_loss(
     network: PartTransformer, modules: ConsistencyModules, prediction: Prediction, batch: Batch
 ) -> Tensor:
-    """Return how far shared channels differ between parts and from the shared data (L_con = L_feat + 2 L_root)."""
+    """Return how far shared channels differ between parts and from the shared data (L_con = L_feat + 2 L_root).
+
+    The data are the recorded frames, not the inputs, which are noisy or predicted: the target of the frame before.
+    """
     channels = network.config.shared_channels
     alike = feature_difference(prediction.shallow, channels) + feature_difference(prediction.deep, channels)
-    truth = shared_data(network, batch.inputs)
+    truth = shared_data(network, torch.cat([batch.inputs[:, :1], batch.targets[:, :-1]], dim=1))
     root = torch.zeros((), device=truth.device)
     for decoded in modules(prediction.shallow, prediction.deep):
         for part in decoded:

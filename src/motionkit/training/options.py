@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from typing import Any
 
 from motionkit.errors import MotionkitError
@@ -42,6 +42,19 @@ class OutputOptions:
 
 
 @dataclass(frozen=True)
+class Stage:
+    """A part of a run, from a share of its length on, with settings that differ from those of the run.
+
+    Attributes:
+        begins: the share of the run, 0 to 1.
+        changes: options of losses, windows or scheduled sampling by name.
+    """
+
+    begins: float
+    changes: dict[str, Any]
+
+
+@dataclass(frozen=True)
 class TrainOptions:
     """Settings of a run. It ends after steps or minutes; with both, after whichever comes first.
 
@@ -61,6 +74,15 @@ class TrainOptions:
     sampler: SamplerOptions = field(default_factory=SamplerOptions)
     scheduled_sampling: ScheduledSamplingOptions = field(default_factory=ScheduledSamplingOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
+    stages: tuple[Stage, ...] = ()  # in order; each keeps the changes of those before it
+
+    def at(self, progress: float) -> TrainOptions:
+        """Return the settings at a share of the run; a run that starts from a model is in the last stage throughout."""
+        changes: dict[str, Any] = {}
+        for stage in self.stages:
+            if self.init is not None or stage.begins <= progress:
+                changes |= stage.changes
+        return with_changes(self, changes)
 
     def __post_init__(self) -> None:
         if self.steps is None and self.minutes is None:
@@ -79,6 +101,19 @@ GROUPS: dict[str, type] = {
     "output": OutputOptions,
 }
 GROUP_OF = {option.name: group for group, kind in GROUPS.items() for option in fields(kind)}
+
+
+def with_changes(options: TrainOptions, changes: Mapping[str, Any]) -> TrainOptions:
+    """Return options with some of any group changed by name. Raises TypeError if a name is unknown."""
+    grouped: dict[str, dict[str, Any]] = {}
+    for name, value in changes.items():
+        if name in GROUP_OF:
+            grouped.setdefault(GROUP_OF[name], {})[name] = value
+    plain = {name: value for name, value in changes.items() if name not in GROUP_OF}
+    groups = {group: replace(getattr(options, group), **values) for group, values in grouped.items()}
+    return replace(options, **plain, **groups)
+
+
 # Names in checkpoints of earlier releases.
 EARLIER_NAMES = {
     "evenness": "beta_nll",

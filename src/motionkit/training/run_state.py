@@ -15,11 +15,13 @@ from motionkit.errors import ModelError
 from motionkit.files import atomic_write
 from motionkit.models.file_check import TensorFacts, check_shapes, check_values
 from motionkit.models.tensor_file import open_tensors
+from motionkit.training.window_blocks import BlockStart
 
 FORMAT = "motionkit-run-1"
 MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
 MOST_BYTES = 4 * 2**30
 MOST_STEPS = 10**12  # also the limit of seconds
+MOST_BLOCK = 1000  # steps of a block
 
 
 def save_run(
@@ -28,13 +30,21 @@ def save_run(
     average: dict[str, Tensor],
     optimizer: torch.optim.Optimizer,
     facts: dict[str, Any],
+    block: BlockStart | None,
 ) -> None:
-    """Write weights, their running average, optimizer moments, the random state and facts such as the step."""
+    """Write weights, their running average, optimizer moments, the random state and facts such as the step.
+
+    Args:
+        block: the start of the block that the run is within, if it is.
+    """
     tensors = {f"weights.{n}": t for n, t in module.state_dict().items()}
     tensors.update({f"average.{n}": t for n, t in average.items()})
     for name, p in module.named_parameters():
         for key, value in optimizer.state.get(p, {}).items():
             tensors[f"optimizer.{key}.{name}"] = value.reshape(1) if value.dim() == 0 else value
+    if block is not None:
+        tensors.update({f"block.{n}": t for n, t in block.weights.items()})
+        facts = facts | {"block": {"step": block.step, "progress": block.progress}}
     tensors["random.cpu"] = torch.get_rng_state()
     if torch.cuda.is_available():
         tensors["random.cuda"] = torch.cuda.get_rng_state()
@@ -45,15 +55,19 @@ def save_run(
 
 def load_run(
     path: Path, module: nn.Module, average: dict[str, Tensor], optimizer: torch.optim.Optimizer
-) -> dict[str, Any]:
-    """Restore what save_run wrote and return its facts. Raises ModelError if the file is damaged or does not fit."""
+) -> tuple[dict[str, Any], BlockStart | None]:
+    """Restore what save_run wrote and return its facts, and the start of the block that the run was within.
+
+    Raises:
+        ModelError: if the file is damaged or does not fit.
+    """
     with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
         facts = file.metadata
         if not isinstance(facts, dict) or facts.get("format") != FORMAT:
             raise ModelError(f"{path}: not a training checkpoint of this release")
         try:
             _check_facts(facts)
-            _check_fit(file.found, module, average)
+            _check_fit(file.found, module, average, "block" in facts)
             tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
             _check_numbers(tensors)
         except ModelError as error:
@@ -78,7 +92,10 @@ def load_run(
                 key: value.reshape(()).to(at) if key == "step" else value.to(p.device)
                 for key, value in moments.items()
             }
-    return facts
+    block = facts.get("block")
+    if block is None:
+        return facts, None
+    return facts, BlockStart(block["step"], float(block["progress"]), _under(tensors, "block."))
 
 
 def _check_facts(facts: dict[str, Any]) -> None:
@@ -88,14 +105,31 @@ def _check_facts(facts: dict[str, Any]) -> None:
         raise ModelError(f"step is {step!r:.60}, expected a number from 0 to {MOST_STEPS}")
     if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds <= MOST_STEPS:
         raise ModelError(f"seconds is {seconds!r:.60}, expected a number from 0 to {MOST_STEPS}")
+    block = facts.get("block")
+    if block is not None:
+        begins, progress = (
+            (block.get(n) for n in ("step", "progress")) if isinstance(block, dict) else (None, 0)
+        )
+        if (
+            isinstance(begins, bool)
+            or not isinstance(begins, int)
+            or not 0 <= begins < step <= begins + MOST_BLOCK
+        ):
+            raise ModelError(f"the block begins at step {begins!r:.60}, expected one shortly before {step}")
+        if isinstance(progress, bool) or not isinstance(progress, (int, float)) or not 0 <= progress <= 1:
+            raise ModelError(f"progress is {progress!r:.60}, expected a number from 0 to 1")
     if not isinstance(facts.get("options"), dict):
         raise ModelError(f"options is {facts.get('options')!r:.60}, expected an object")
 
 
-def _check_fit(found: Mapping[str, TensorFacts], module: nn.Module, average: dict[str, Tensor]) -> None:
+def _check_fit(
+    found: Mapping[str, TensorFacts], module: nn.Module, average: dict[str, Tensor], within_block: bool
+) -> None:
     """Raise ModelError unless a file has exactly the tensors of this module's run, with their shapes and types."""
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
+    if within_block:
+        expected |= {f"block.{name}": tuple(value.shape) for name, value in average.items()}
     for name, p in module.named_parameters():
         keys = [f"optimizer.{key}.{name}" for key in MOMENTS]
         if any(key in found for key in keys):  # none before the first step

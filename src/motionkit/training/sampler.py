@@ -30,6 +30,7 @@ from motionkit.features.reference import reference_map
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
 
+GAP_FRAMES = 30  # of the shortest gap in reference poses; the longest is twice as long
 MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
 
 
@@ -47,7 +48,10 @@ class SamplerOptions:
     splice_share: float = 0.4  # share of windows from spliced transitions
     trajectory_dropout: float = 0.5  # share of windows without a trajectory
     # Share of windows without reference poses; before and after a change of type it is sampled separately.
-    reference_dropout: float = 0.35
+    reference_dropout: float = 0.5
+    reference_gaps: float = (
+        0.25  # share of windows whose reference poses are missing for half a second to a second
+    )
     lead_share: float = 0.5  # share of windows whose type changes before the motion does
     lead_frames: int = 30  # by at most this many frames
     noise: float = 0.01  # standard deviation of the noise on normalised inputs (paper: 0.05)
@@ -107,6 +111,12 @@ class WindowSampler:
         if not bool(weights.sum() > 0):
             raise DatasetError("--type-weights: all types have weight 0, expected at least one above 0")
         return weights / weights.sum()
+
+    def use(self, options: SamplerOptions) -> None:
+        """Sample the coming windows by other options. The spliced transitions stay."""
+        if options != self.options:
+            self.options = options
+            self.probabilities = self._probabilities()
 
     def make_splices(self) -> None:
         """Make the spliced transitions: ends of training stretches joined to starts of others, the same for a seed."""
@@ -216,12 +226,17 @@ class WindowSampler:
         return padded
 
     def _with_reference(self, types: Array, generator: torch.Generator) -> Array:
-        """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it."""
+        """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it, and gaps."""
         before, after = (
             (torch.rand(2, generator=generator) >= self.options.reference_dropout).float().tolist()
         )
         unchanged = np.logical_and.accumulate(types == types[0])
-        return np.where(unchanged, np.float32(before), np.float32(after))
+        gain = np.where(unchanged, np.float32(before), np.float32(after))
+        if torch.rand((), generator=generator) < self.options.reference_gaps:
+            begins, frames = torch.rand(2, generator=generator).tolist()
+            first = int(begins * len(types))
+            gain[first : first + GAP_FRAMES + int(frames * GAP_FRAMES)] = 0.0
+        return gain
 
 
 def _pad(values: Array, frames: int) -> Array:

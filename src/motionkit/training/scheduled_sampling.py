@@ -31,7 +31,7 @@ class ScheduledSamplingOptions:
     period: int = 16  # steps whose windows are run together, with the weights at the first of them
     back: float = 0.08  # probability per frame of returning to the recorded frame
     limit: float = 0.5  # RMS of the normalised error beyond which the recorded frame takes over
-    # The same with reference poses. They keep the rhythm, so runs can be longer.
+    # The same with reference poses or a phase. They keep the rhythm, so runs can be longer.
     reference_back: float = 0.02
     reference_limit: float = 1.0
     temperature: float = 0.2  # of the noise on predictions, correlated in time as in synthesis
@@ -66,8 +66,10 @@ def run_on_predictions(
     own = torch.zeros(B, dtype=torch.bool, device=device)
     fresh = torch.stack([torch.randn(T, F, generator=g) for g in generators]).to(device)
     reference_gain = batch.controls[..., network.control_size - 1] > 0
-    back = torch.where(reference_gain, options.reference_back, options.back)
-    limit = torch.where(reference_gain, options.reference_limit, options.limit)
+    phase = slice(shown.start - 2, shown.start)
+    timed = reference_gain | (batch.controls[..., phase] != 0.0).any(dim=-1)
+    back = torch.where(timed, options.reference_back, options.back)
+    limit = torch.where(timed, options.reference_limit, options.limit)
     stays = torch.stack([torch.rand(T, generator=g) for g in generators]).to(device) >= back
     noise, rho = fresh[:, 0], options.rho
     for t in range(T - 1):

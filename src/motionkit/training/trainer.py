@@ -35,15 +35,10 @@ from motionkit.training.bundle import bundle_model
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
 from motionkit.training.options import OptimizerOptions, TrainOptions, flat_options
 from motionkit.training.run_state import load_run, save_run
-from motionkit.training.sampler import WindowSampler, window_generator
-from motionkit.training.scheduled_sampling import (
-    join_batches,
-    run_on_predictions,
-    sampled_windows,
-    take_windows,
-)
+from motionkit.training.sampler import WindowSampler
 from motionkit.training.scores import TypeScore, score_rollouts
 from motionkit.training.warm_start import warm_start
+from motionkit.training.window_blocks import BlockStart, WindowBlocks
 
 # The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / FEATURE_COUNT
@@ -65,6 +60,9 @@ class OwnLosses(nn.Module):
         self.space = self.space.to(device)
         return self
 
+    def use(self, options: LossOptions) -> None:
+        """The network has options of its own."""
+
     def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
         with torch.autocast(batch.inputs.device.type, torch.bfloat16) if autocast else nullcontext():
             return self.network.losses(batch, self.space, progress)
@@ -82,16 +80,22 @@ class TrainingModule(nn.Module):
         super().__init__()
         self.network = network
         self.consistency = ConsistencyModules(network) if network.config.consistency else None
-        self.options = options
+        self.types = dataset.types
         self.space = FeatureSpace.of(dataset)
-        self.step_share = _step_share(dataset.types, options)
+        self.use(options)
 
     def to_device(self, device: torch.device) -> TrainingModule:
         """Move the weights and the feature space to a device."""
         self.to(device)
         self.space = self.space.to(device)
-        self.step_share = None if self.step_share is None else self.step_share.to(device)
+        self.use(self.options)
         return self
+
+    def use(self, options: LossOptions) -> None:
+        """Compute the losses by these options from now on."""
+        share = _step_share(self.types, options)
+        self.options = options
+        self.step_share = None if share is None else share.to(self.space.mean.device)
 
     def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
         kind = batch.inputs.device.type
@@ -262,8 +266,10 @@ class _Run:
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
         self.sampler = WindowSampler(dataset, options.sampler, options.seed)
-        self.reference_matrix = torch.from_numpy(self.sampler.reference_map.matrix).to(self.device)
-        self.coming: list[Batch] = []  # batches made in advance
+        share = options.batch // self.world
+        places = range(self.rank * share, (self.rank + 1) * share)
+        self.blocks = WindowBlocks(self.sampler, network, options, places)
+        self._block: BlockStart | None = None  # of the checkpoint that the run resumes from
         self.asked_to_stop = self.stops = False
         self.logs = True  # false once writing log.jsonl has failed
 
@@ -275,7 +281,7 @@ class _Run:
         """Load the checkpoint. Its options must equal those of this run, except FREE_ON_RESUME."""
         if not self.checkpoint.is_file():
             raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
-        facts = load_run(self.checkpoint, self.module, self.average, self.optimizer)
+        facts, block = load_run(self.checkpoint, self.module, self.average, self.optimizer)
         before = flat_options(facts["options"])
         now = flat_options(json.loads(json.dumps(self.options.to_dict())))
         changed = [k for k in before if k in now and before[k] != now[k] and not k.startswith(FREE_ON_RESUME)]
@@ -285,6 +291,7 @@ class _Run:
                 f"{self.checkpoint}: the run was started with {words}; resume it with the same options"
             )
         self.step, self.seconds = int(facts["step"]), float(facts["seconds"])
+        self._block = block
 
     def progress(self) -> float:
         """Return the share of the run that is done, 0 to 1."""
@@ -308,6 +315,8 @@ class _Run:
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
         self.sampler.make_splices()
         self._note(f"{len(self.sampler.splices)} spliced transitions")
+        if self._block is not None:
+            self.blocks.resume(self.step, self._block)
         previous = self._catch_signals()
         finished = False
         try:
@@ -343,7 +352,7 @@ class _Run:
     def _loop(self) -> None:
         saved = scored = time.monotonic()
         clock = time.monotonic()
-        while self.progress() < 1.0 or self.coming:
+        while self.progress() < 1.0:
             self.losses = self._train_step()
             now = time.monotonic()
             self.seconds, clock = self.seconds + now - clock, now
@@ -351,8 +360,6 @@ class _Run:
                 self.seconds = self._agree(self.seconds)
             if self.step % self.options.output.log_every == 0 or self.progress() >= 1.0:
                 self._emit("log")
-            if self.coming:
-                continue
             if self.rank == 0 and now - saved > self.options.output.checkpoint_seconds:
                 self._attempt("the checkpoint", self._save_checkpoint)
                 saved = time.monotonic()
@@ -375,7 +382,9 @@ class _Run:
             # Dropout must differ between processes and be the same after a resume, but the checkpoint holds
             # the random state of the first process only. So each step seeds it.
             torch.manual_seed((options.seed + 1) * 1_000_003 + self.step * self.world + self.rank)
-        batch = self._next_batch()
+        batch = self.blocks.next(self.step, self.progress())
+        options = self.blocks.options
+        self.module.use(options.losses)
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
         terms = self.trainable(batch, self.autocast, self.progress())
@@ -397,40 +406,6 @@ class _Run:
         *means, stops = shared.tolist()
         self.stops = stops > 0
         return dict(zip([*names, "total", "gradient"], means, strict=True))
-
-    def _next_batch(self) -> Batch:
-        if not self.coming:
-            self.coming = self._make_batches(self._block_end() - self.step)
-        return self.coming.pop(0)
-
-    def _make_batches(self, steps: int) -> list[Batch]:
-        """Make the batches of the coming steps, with scheduled sampling in some of their windows."""
-        options, share = self.options, self.options.batch // self.world
-        first, range_of_steps = self.rank * share, range(self.step, self.step + steps)
-        batches = [
-            self.sampler.batch(step, options.batch, first, share).to(self.device) for step in range_of_steps
-        ]
-        fed = sampled_windows(first, share, options.scheduled_sampling.share)
-        if not fed:
-            return batches
-        generators = [window_generator(options.seed, s, first + i, 1) for s in range_of_steps for i in fed]
-        joined = join_batches([take_windows(batch, fed) for batch in batches])
-        joined = run_on_predictions(
-            self.module.network, joined, options.scheduled_sampling, generators, self.reference_matrix
-        )
-        others = [i for i in range(share) if i not in fed]
-        return [
-            join_batches(
-                [take_windows(joined, slice(k * len(fed), (k + 1) * len(fed))), take_windows(batch, others)]
-            )
-            for k, batch in enumerate(batches)
-        ]
-
-    def _block_end(self) -> int:
-        """Return the step at which the next batches are made. Only there can a run stop and resume unchanged."""
-        period = self.options.scheduled_sampling.period if self.options.scheduled_sampling.share else 1
-        end = (self.step // period + 1) * period
-        return min(end, self.options.steps) if self.options.steps else end
 
     @torch.no_grad()
     def _update_average(self) -> None:
@@ -467,7 +442,7 @@ class _Run:
 
     def _save_checkpoint(self) -> None:
         facts = {"step": self.step, "seconds": self.seconds, "options": self.options.to_dict()}
-        save_run(self.checkpoint, self.module, self.average, self.optimizer, facts)
+        save_run(self.checkpoint, self.module, self.average, self.optimizer, facts, self.blocks.unfinished)
         self._emit("checkpoint")
 
     def model(self) -> MotionModel:

@@ -1,0 +1,109 @@
+"""Batches of windows, made in blocks of steps.
+
+Windows with scheduled sampling are run on the network's predictions frame by frame. That pays for many windows at
+once, so those of a block of steps run together, with the weights and the stage of the run at its first step. Both are
+kept, so that a run can stop and resume at any step within a block.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from motionkit.models.batch import Batch
+from motionkit.models.predictor import Predictor
+from motionkit.training.options import TrainOptions
+from motionkit.training.sampler import WindowSampler, window_generator
+from motionkit.training.scheduled_sampling import (
+    join_batches,
+    run_on_predictions,
+    sampled_windows,
+    take_windows,
+)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockStart:
+    """The run at the first step of a block: its share that is done, and the weights of the network."""
+
+    step: int
+    progress: float
+    weights: dict[str, Tensor]
+
+
+class WindowBlocks:
+    """The batches of a run, or of one process's share of the windows.
+
+    Attributes:
+        start: where the present block began; None before the first.
+        options: the settings of the present block.
+    """
+
+    def __init__(
+        self, sampler: WindowSampler, network: Predictor, options: TrainOptions, places: range
+    ) -> None:
+        self.sampler, self.network, self.run, self.places = sampler, network, options, places
+        self.options = options.at(0.0)
+        self.start: BlockStart | None = None
+        self._coming: list[Batch] = []
+
+    def next(self, step: int, progress: float) -> Batch:
+        """Return the batch of a step; progress is the share of the run that is done."""
+        if not self._coming:
+            weights = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
+            self._begin(BlockStart(step, progress, weights))
+        return self._coming.pop(0)
+
+    @property
+    def unfinished(self) -> BlockStart | None:
+        """The start of a block whose batches are not all used; None between blocks."""
+        return self.start if self._coming else None
+
+    def resume(self, step: int, start: BlockStart) -> None:
+        """Continue a block at a step within it, as if it had never stopped."""
+        now = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
+        self.network.load_state_dict(start.weights)
+        self._begin(start)
+        self.network.load_state_dict(now)
+        del self._coming[: step - start.step]
+
+    def _begin(self, start: BlockStart) -> None:
+        self.start, self.options = start, self.run.at(start.progress)
+        self.sampler.use(self.options.sampler)
+        self._coming = self._make(range(start.step, self._end(start.step)))
+
+    def _end(self, step: int) -> int:
+        """Return the first step of the block after that of a step."""
+        period = self.options.scheduled_sampling.period if self.options.scheduled_sampling.share else 1
+        end = (step // period + 1) * period
+        return min(end, self.run.steps) if self.run.steps else end
+
+    def _make(self, steps: range) -> list[Batch]:
+        """Make the batches of some steps, with scheduled sampling in some of their windows."""
+        options, places = self.options, self.places
+        device = next(self.network.parameters()).device
+        batches = [
+            self.sampler.batch(step, options.batch, places.start, len(places)).to(device) for step in steps
+        ]
+        fed = sampled_windows(places.start, len(places), options.scheduled_sampling.share)
+        if not fed:
+            return batches
+        generators = [
+            window_generator(options.seed, step, places[i], purpose=1) for step in steps for i in fed
+        ]
+        joined = run_on_predictions(
+            self.network,
+            join_batches([take_windows(batch, fed) for batch in batches]),
+            options.scheduled_sampling,
+            generators,
+            torch.from_numpy(self.sampler.reference_map.matrix).to(device),
+        )
+        others = [i for i in range(len(places)) if i not in fed]
+        return [
+            join_batches(
+                [take_windows(joined, slice(k * len(fed), (k + 1) * len(fed))), take_windows(batch, others)]
+            )
+            for k, batch in enumerate(batches)
+        ]
