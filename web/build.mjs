@@ -10,7 +10,7 @@ const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "..", "src", "motionkit", "assets", "web");
 const PAGES = ["play", "view"];
 
-/** The hash of everything a bundle is made of; tests/apps/test_web_assets.py computes the same. */
+/** The hash of everything a bundle is made of; tests/view/test_web_assets.py computes the same. */
 function sourceHash() {
   const files = readdirSync(join(here, "src"), { recursive: true, withFileTypes: true })
     .filter((entry) => entry.isFile())

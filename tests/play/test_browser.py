@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,7 +45,7 @@ def join(address: str, open_page: Callable) -> Callable[..., Page]:
     """
 
     def start(seen: bool = False) -> Page:
-        page = open_page(address, 520, 380)
+        page = open_page(address, 720, 500)
         page.wait_for_function("motionkit.own?.root && motionkit.stage.frames > 0", timeout=PATIENCE)
         if not seen:
             page.evaluate("motionkit.stage.renderer.render = () => {}")
@@ -489,3 +490,92 @@ def test_the_page_steers_with_the_token_of_its_address(serve: Callable, open_pag
     port = server.addresses.url.rpartition(":")[2]
     page = open_page(f"http://127.0.0.1:{port}", 320, 240)
     page.wait_for_function("motionkit.own?.root", timeout=PATIENCE)
+
+
+@pytest.fixture(scope="module")
+def phone(address: str, open_page: Callable) -> Page:
+    """The page on a phone's screen."""
+    page = open_page(address, 400, 760, has_touch=True, is_mobile=True)
+    page.wait_for_function("motionkit.own?.root && motionkit.stage.frames > 0", timeout=PATIENCE)
+    page.evaluate("motionkit.stage.renderer.render = () => {}")
+    return page
+
+
+@pytest.fixture
+def touch(phone: Page) -> Callable[..., None]:
+    """A function that puts fingers on the phone's screen, moves or lifts them: touch("touchMove", (x, y))."""
+    session = phone.context.new_cdp_session(phone)
+
+    def send(kind: str, *points: tuple[float, float]) -> None:
+        places = [{"x": x, "y": y} for x, y in points]
+        session.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": places})
+
+    return send
+
+
+def test_a_thumb_on_the_stick_steers_and_past_its_rim_runs(phone: Page, touch: Callable[..., None]) -> None:
+    zone = phone.locator("#stick").bounding_box()
+    assert zone is not None
+    x, y = zone["x"] + zone["width"] / 2, zone["y"] + zone["height"] / 2
+    walking, running = (phone.evaluate(f"motionkit.speeds.{name}") for name in ("walking", "running"))
+    start, ahead = place(phone), camera_way(phone)
+    touch("touchStart", (x, y))
+    touch("touchMove", (x, y - 50))
+    asked_speed(phone, f"> 0.9 * {walking} && Math.hypot(...motionkit.sent.velocity) < 1.1 * {walking}")
+    touch("touchMove", (x, y - 75))
+    asked_speed(phone, f"> 0.99 * {running}")
+    wait_frames(phone, 60)
+    end = place(phone)
+    assert (end[0] - start[0]) * ahead[0] + (end[1] - start[1]) * ahead[1] > 0.5
+    touch("touchEnd")
+    asked_speed(phone, "=== 0")
+
+
+def test_types_are_in_a_sheet_beside_the_figure(phone: Page) -> None:
+    scene, types = phone.locator("#stage"), phone.locator("#types")
+    assert not types.is_visible()
+    button = phone.get_by_role("button", name="Types", exact=True)
+    button.tap()
+    sheet = types.bounding_box()
+    phone.wait_for_function(
+        f"Math.abs(document.getElementById('stage').getBoundingClientRect().bottom - {sheet['y']}) < 2",
+        timeout=PATIENCE,
+    )
+    assert scene.bounding_box()["height"] > 0.5 * 760, "most of the screen is left to the figure"
+    types.get_by_role("button", name="duck").tap()
+    kind = type_index(phone, "duck")
+    phone.wait_for_function(f"motionkit.own.now.type === {kind}", timeout=PATIENCE)
+    assert button.get_attribute("aria-expanded") == "true"
+    phone.keyboard.press("Escape")
+    assert not types.is_visible() and button.get_attribute("aria-expanded") == "false"
+
+
+def test_everything_on_a_phone_is_reached(phone: Page) -> None:
+    phone.get_by_role("button", name="More", exact=True).tap()
+    for name in ("Draw path", "Record", "Start anew", "Theme", "Help"):
+        box = phone.get_by_role("button", name=name, exact=True).bounding_box()
+        assert box is not None and box["x"] >= 0 and box["x"] + box["width"] <= 400 and box["height"] >= 40
+    phone.get_by_role("button", name="Draw path", exact=True).tap()
+    assert not phone.locator("#tools").is_visible(), "there is ground to draw on"
+    assert phone.evaluate("motionkit.drawing")
+    phone.evaluate("motionkit.commands.p()")
+
+
+def test_the_camera_comes_along_without_jumps(joined: Page) -> None:
+    """A target that starts, runs and stops: the camera's speed changes a little at a time."""
+    ways = joined.evaluate(
+        """() => {
+          const Chase = motionkit.chase.constructor, target = motionkit.stage.controls.target.clone();
+          const stage = { controls: { target }, follow: (x, y, z) => target.set(x, y, z) };
+          const chase = new Chase(stage), ways = [];
+          chase.to([0, 0, 0], 0.016);
+          for (let n = 0; n < 240; n++) {
+            chase.to([Math.min(Math.max(0, n - 30), 120) * 0.05, 0, 0], 1 / 60);
+            ways.push(target.x);
+          }
+          return ways;
+        }"""
+    )
+    speeds = [60 * (b - a) for a, b in pairwise(ways)]
+    assert max(abs(b - a) for a, b in pairwise(speeds)) < 0.35, "m/s from picture to picture"
+    assert ways[-1] == pytest.approx(6.0, abs=0.01) and max(speeds) < 3.1

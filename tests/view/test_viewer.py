@@ -178,3 +178,13 @@ def test_the_page_asks_for_nothing(two_motions: list[Shown], tmp_path: Path, bro
 def test_no_motions_is_an_error() -> None:
     with pytest.raises(MotionkitError, match="1 to 32 motions"):
         viewer_page([])
+
+
+def test_motion_waits_where_it_is_to_be_reduced(
+    two_motions: list[Shown], tmp_path: Path, open_page: Callable
+) -> None:
+    file = tmp_path / "calm.html"
+    write_viewer(file, two_motions[:1])
+    page = open_page(file.as_uri(), 400, 700, offline=True, reduced_motion="reduce")
+    assert not page.evaluate("motionkit.playing")
+    assert page.evaluate("document.documentElement.scrollWidth") == 400, "nothing reaches out of the screen"

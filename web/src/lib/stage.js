@@ -1,17 +1,18 @@
 // Renderer, light, ground and camera; draws only when something changed.
 
 import {
-  BasicShadowMap, BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, Group, HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
-  ShaderMaterial, ShadowMaterial, Vector3, WebGLRenderer,
+  BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, Group, HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
+  ShaderMaterial, ShadowMaterial, Vector3, VSMShadowMap, WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
 
 export const THEMES = {
-  dark: { sky: 0x15181e, ground: 0x1c2027, line: 0x3a414d, shadow: 0.5, hemi: 0.95, key: 2.9, rim: 1.6 },
-  light: { sky: 0xeef1f5, ground: 0xe3e7ed, line: 0xb4bdc9, shadow: 0.28, hemi: 1.35, key: 2.6, rim: 0.7 },
+  dark: { sky: 0x15181e, ground: 0x1c2027, line: 0x3a414d, bold: 0x667184, shadow: 0.5, hemi: 0.95, key: 2.9, rim: 1.6 },
+  light: { sky: 0xeef1f5, ground: 0xe3e7ed, line: 0xb4bdc9, bold: 0x76839a, shadow: 0.28, hemi: 1.35, key: 2.6, rim: 0.7 },
 };
 const SUN = new Vector3(1.7, 5.6, 2.2);
 const TOO_SLOW = 70; // ms from picture to picture
+const BOLD = 5; // metres between bold lines
 const LEAST_SHARP = 0.45;
 const SHADOW_REACH = 1.7; // metres around a figure's hips that its shadow may fall on
 
@@ -23,7 +24,7 @@ export class Stage {
     this.sharpness = 1;
     this.renderer = new WebGLRenderer({ canvas, antialias: !this.plain, powerPreference: "high-performance" });
     this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = this.plain ? BasicShadowMap : PCFShadowMap;
+    this.renderer.shadowMap.type = this.plain ? PCFShadowMap : VSMShadowMap;
     this.scene = new Scene();
     this.scene.background = new Color();
     this.scene.fog = new Fog(0, 12, 60);
@@ -60,10 +61,12 @@ export class Stage {
     if (this.plain) {
       this.floor.material.color.set(theme.ground);
       this.lines.material.color.set(theme.line);
+      this.bold.material.color.set(theme.bold);
     } else {
       const { uniforms } = this.grid.material;
       uniforms.ground.value.set(theme.ground);
       uniforms.line.value.set(theme.line);
+      uniforms.bold.value.set(theme.bold);
       uniforms.sky.value.set(theme.sky);
     }
     this.shade.material.opacity = theme.shadow;
@@ -109,7 +112,7 @@ export class Stage {
     this.scene.fog.near = 8 + distance;
     this.scene.fog.far = 40 + 5 * distance;
     // Lines that are drawn one by one stay where they are in the world.
-    this.grid.position.set(Math.round(target.x), 0, Math.round(target.z));
+    this.grid.position.set(BOLD * Math.round(target.x / BOLD), 0, BOLD * Math.round(target.z / BOLD));
     if (!this.plain) this.grid.material.uniforms.far.value = this.scene.fog.far;
     this.renderer.render(this.scene, this.camera);
     this.frames += 1;
@@ -148,10 +151,11 @@ export class Stage {
     this.hemi = new HemisphereLight(0xffffff, 0x888888, 1);
     this.key = new DirectionalLight(0xfff3e4, 1);
     this.key.castShadow = true;
-    this.key.shadow.mapSize.setScalar(this.plain ? 512 : 1536);
-    this.key.shadow.radius = 3;
-    this.key.shadow.bias = -0.0006;
-    this.key.shadow.normalBias = 0.015;
+    const { shadow } = this.key;
+    shadow.mapSize.setScalar(this.plain ? 384 : 1024);
+    shadow.radius = this.plain ? 2.5 : 5;
+    shadow.blurSamples = 12;
+    shadow.bias = -0.0006;
     this.rim = new DirectionalLight(0xa9c4ff, 1);
     this.rim.position.set(-3, 3, -4);
     this.scene.add(this.hemi, this.key, this.key.target, this.rim);
@@ -174,8 +178,10 @@ export class Stage {
     this.floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
     this.lines = new LineSegments(gridLines(45, 3), new LineBasicMaterial({ depthWrite: false }));
     this.floor.renderOrder = -3;
+    this.bold = new LineSegments(boldLines(45, 3), this.lines.material.clone());
     this.lines.renderOrder = -2;
-    return new Group().add(this.floor, this.lines);
+    this.bold.renderOrder = -2;
+    return new Group().add(this.floor, this.lines, this.bold);
   }
 }
 
@@ -200,12 +206,24 @@ function gridLines(reach, piece) {
   return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
 }
 
-// Lines every metre, finer ones every quarter, fading into the distance; as wide as a pixel anywhere.
+// Every fifth line as a thin band: lines are a pixel wide, whatever they are asked to be.
+function boldLines(reach, piece) {
+  const points = [];
+  for (let n = -reach; n <= reach; n += BOLD) {
+    for (let at = -reach; at < reach; at += piece) {
+      for (const side of [-0.006, 0, 0.006]) points.push(n + side, 0, at, n + side, 0, at + piece, at, 0, n + side, at + piece, 0, n + side);
+    }
+  }
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
+}
+
+// Lines every metre, bold ones every five, squares in two shades, finer ones every quarter, fading into the distance; as wide as a pixel anywhere.
 function gridMaterial() {
   return new ShaderMaterial({
     uniforms: {
       ground: { value: new Color() },
       line: { value: new Color() },
+      bold: { value: new Color() },
       sky: { value: new Color() },
       far: { value: 60 },
     },
@@ -217,7 +235,7 @@ function gridMaterial() {
         gl_Position = projectionMatrix * viewMatrix * vec4(world, 1.0);
       }`,
     fragmentShader: `
-      uniform vec3 ground, line, sky;
+      uniform vec3 ground, line, bold, sky;
       uniform float far;
       varying vec3 world;
       float lines(vec2 at, float width) {
@@ -230,7 +248,10 @@ function gridMaterial() {
         float away = distance(world, cameraPosition);
         float whole = lines(world.xz, 1.2);
         float parts = lines(world.xz * 4.0, 0.6) * 0.22;
-        vec3 color = mix(ground, line, max(whole * 0.85, parts));
+        float fifth = lines(world.xz / ${BOLD.toFixed(1)}, 2.2);
+        vec2 square = step(0.5, fract(world.xz * 0.5));
+        vec3 shade = mix(ground, line, 0.10 * abs(square.x - square.y) * (1.0 - smoothstep(0.1, 0.35, away / far)));
+        vec3 color = mix(mix(shade, line, max(whole * 0.85, parts)), bold, fifth * 0.8);
         color = mix(color, sky, smoothstep(0.1 * far, 0.55 * far, away));
         gl_FragColor = vec4(color, 1.0);
         #include <colorspace_fragment>

@@ -2,13 +2,8 @@
 
 import { Color, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
 import { button, element, fillHelp, initialTheme, toggle } from "../lib/dom.js";
-import { Figure } from "../lib/figure.js";
-import { Labels } from "../lib/labels.js";
-import { Ribbon } from "../lib/marks.js";
-import { Pose, Rig } from "../lib/rig.js";
-import { Stage } from "../lib/stage.js";
+import { Chase, Figure, Labels, Pose, Ribbon, Rig, Sheets, Stage, Steering, ThumbStick } from "../lib/scene.js";
 import { Link } from "./link.js";
-import { Steering } from "./steering.js";
 
 const CM = 0.01;
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227"];
@@ -24,7 +19,6 @@ const SLOWEST = 40; // cm/s a stick gives at least
 const TURNED = 0.03; // radians the way must change before the server is told
 const PATH_STEP = 0.08; // metres between the points of a drawn path
 const SPARE = 1.25; // of the server's limit of messages, left to other requests
-const SMOOTH = 0.12; // seconds the camera takes to come along
 const EYE = 0.8;
 const $ = (id) => document.getElementById(id);
 
@@ -34,12 +28,16 @@ class Play {
     this.rigs = new Map();
     this.stage = new Stage($("scene"));
     this.labels = new Labels($("labels"), this.stage);
+    this.chase = new Chase(this.stage);
     this.steering = new Steering();
+    this.steering.thumb = new ThumbStick($("stick"));
+    this.sheets = new Sheets($("dock"), [{ name: "Types", panel: $("types") }, { name: "More", panel: $("tools") }]);
     this.characters = new Map(); // id to what is shown of it
     this.told = new Map(); // id to what the server says of it
     Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [], shownFrames: 0 });
     this.theme = initialTheme();
-    this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4);
+    this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
+    $("figures").hidden = matchMedia("(max-width: 700px), (max-height: 480px)").matches; // there it would hide the body
     this.#marker();
     this.#keys();
     this.#mouse();
@@ -209,10 +207,7 @@ class Play {
 
   #camera(passed) {
     const [x, , z] = this.own.root;
-    const { target } = this.stage.controls;
-    const share = this.settled ? 1 - Math.exp(-passed / SMOOTH) : 1;
-    this.settled = true;
-    this.stage.follow(target.x + share * (x - target.x), EYE, target.z + share * (z - target.z));
+    this.chase.to([x, EYE, z], passed);
   }
 
   // A ring under one's own character, with an arrow to where it is asked to go.
@@ -381,6 +376,7 @@ class Play {
 
   #setDrawing(on) {
     this.drawing = on;
+    if (on) this.sheets.show(null); // there must be ground to draw on
     this.stage.controls.enabled = !on;
     $("scene").classList.toggle("drawing", on);
     this.#hint();
@@ -462,7 +458,7 @@ class Play {
   }
 
   #tools() {
-    const draw = toggle("Draw path", "Draw on the ground with the mouse, and it is followed (P)", this.drawing, (on) => this.#setDrawing(on));
+    const draw = toggle("Draw path", "Draw on the ground with mouse or finger, and it is followed (P)", this.drawing, (on) => this.#setDrawing(on));
     const face = toggle("Face ahead", "Look where the camera looks, whichever way it goes (V)", this.facing, (on) => (this.facing = on));
     const info = toggle("Figures", "Measurements (I)", !$("figures").hidden, (on) => ($("figures").hidden = !on));
     this.recordButton = button("Record", "Record, and download as BVH when it ends (O)", () => this.record());
@@ -500,6 +496,7 @@ class Play {
       [["Tab"], "steer the next of one's characters"],
       [["Backspace"], "start anew"],
       [["T", "I"], "theme; measurements"],
+      [["Touch"], "the stick goes, past its rim fast; drag looks around, two fingers come nearer"],
       [["Pad"], "left stick or cross goes, a right trigger faster, right stick looks, A B X Y show the first types, menu records"],
     ]);
   }
@@ -575,8 +572,10 @@ class Play {
 
   #hint() {
     const text = this.drawing
-      ? "Draw on the ground with the mouse. Esc ends drawing."
-      : "W A S D to go, Shift faster, drag to look around, ? for all keys";
+      ? "Draw on the ground with mouse or finger. Esc or Draw path ends drawing."
+      : matchMedia("(pointer: coarse)").matches
+        ? "Push the stick to go, past its rim to run; drag elsewhere to look around"
+        : "W A S D to go, Shift faster, drag to look around, ? for all keys";
     $("hint").style.pointerEvents = "none";
     $("hint").replaceChildren(text);
   }

@@ -1,12 +1,8 @@
 // The page of `motionkit view`: reads the motions in it and plays them.
 
 import { Color, Group, Vector3 } from "three";
-import { Clip } from "../lib/clip.js";
 import { button, element, fillHelp, icon, initialTheme, toggle } from "../lib/dom.js";
-import { Figure } from "../lib/figure.js";
-import { Footprints, Ribbon } from "../lib/marks.js";
-import { Stage } from "../lib/stage.js";
-import { Labels } from "../lib/labels.js";
+import { Clip, Figure, Footprints, Labels, Ribbon, Stage } from "../lib/scene.js";
 import { Timeline } from "./timeline.js";
 
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227", "#8d97a8"];
@@ -96,13 +92,14 @@ class Viewer {
     const low = [0, 1].map((axis) => Math.min(...boxes.map((box) => box[axis])) - 0.5);
     const high = [2, 3].map((axis) => Math.max(...boxes.map((box) => box[axis])) + 0.5);
     const angle = this.tracks.length > 1 ? 0.5 : this.#goodSide(clip);
-    const narrow = Math.max(1, 1.4 / this.stage.camera.aspect);
+    const { aspect } = this.stage.camera;
+    const narrow = Math.max(1, 1.4 / aspect);
     if (this.followed) {
       const frame = clip.frameAt(this.time);
       const x = clip.middle[frame * 2] + group.position.x;
       const z = clip.middle[frame * 2 + 1] + group.position.z;
       const crowd = this.apart ? 1 + 0.55 * (shown.length - 1) : 1;
-      this.stage.look(new Vector3(x, this.#eyeHeight(), z), angle, 0.17, 3.9 * crowd * narrow);
+      this.stage.look(new Vector3(x, this.#eyeHeight(), z), angle, 0.17, 3.9 * Math.max(1, 0.95 / aspect) * (crowd > 1 ? crowd * Math.min(narrow, 1.5) : 1));
       return;
     }
     const middle = new Vector3((low[0] + high[0]) / 2, this.#eyeHeight(), (low[1] + high[1]) / 2);
@@ -377,7 +374,7 @@ async function start() {
   const viewer = new Viewer(await Promise.all(data.motions.map((motion) => Clip.from(motion))));
   viewer.choose(0);
   window.motionkit = viewer; // for tests and the curious
-  viewer.play(true);
+  viewer.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   document.documentElement.dataset.ready = "true";
 }
 

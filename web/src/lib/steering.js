@@ -1,4 +1,4 @@
-// What the user wants: held keys, a gamepad's sticks and buttons.
+// What the user wants: held keys, a gamepad's sticks and buttons, a stick on the screen.
 
 const WAYS = {
   w: [0, 1], arrowup: [0, 1], s: [0, -1], arrowdown: [0, -1], a: [-1, 0], arrowleft: [-1, 0], d: [1, 0], arrowright: [1, 0],
@@ -13,12 +13,14 @@ export class Steering {
     this.held = new Set();
     this.fast = false;
     this.pressed = new Set();
+    this.thumb = null; // a ThumbStick
     addEventListener("blur", () => this.release());
   }
 
   release() {
     this.held.clear();
     this.fast = false;
+    this.thumb?.release();
   }
 
   /** Takes a key; whether it steers. */
@@ -39,6 +41,8 @@ export class Steering {
   way() {
     let [right, ahead] = sum([...this.held].map((key) => WAYS[key]));
     let { fast } = this;
+    const { thumb } = this;
+    if (thumb && !right && !ahead) [right, ahead, fast] = [thumb.right, thumb.ahead, fast || thumb.fast];
     const pad = this.pad();
     if (pad && !right && !ahead) {
       const pressed = (n) => Boolean(pad.buttons[n]?.pressed);
