@@ -14,6 +14,7 @@ if TYPE_CHECKING:
         follow_path,
         load_model,
         measure,
+        preprocess,
         read_bvh,
         read_canonical,
         synthesize,
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from motionkit.control.drive import Driver, Wish
     from motionkit.control.path import Path2D, PathPart, make_path, read_path, shape_path
     from motionkit.data.dataset import Dataset
-    from motionkit.data.preprocess import PreprocessOptions, preprocess
+    from motionkit.data.preprocess import PreprocessOptions
     from motionkit.errors import MotionkitError
     from motionkit.export.onnx_export import export_onnx
     from motionkit.features.decode import decode_motion as decode
@@ -47,6 +48,7 @@ _HOMES = {
     "follow_path": "api",
     "load_model": "api",
     "measure": "api",
+    "preprocess": "api",
     "read_bvh": "api",
     "read_canonical": "api",
     "synthesize": "api",
@@ -61,7 +63,6 @@ _HOMES = {
     "shape_path": "control.path",
     "Dataset": "data.dataset",
     "PreprocessOptions": "data.preprocess",
-    "preprocess": "data.preprocess",
     "MotionkitError": "errors",
     "export_onnx": "export.onnx_export",
     "decode": "features.decode:decode_motion",

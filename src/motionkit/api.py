@@ -6,6 +6,7 @@ Their defaults are those of the commands; a test compares the two.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from motionkit.control.follow import FollowResult
     from motionkit.control.path import Path2D
     from motionkit.control.synthesize import SynthesisResult
+    from motionkit.data.preprocess import PreprocessOptions, PreprocessReport
     from motionkit.evaluation.report import Scoreboard
     from motionkit.evaluation.settings import EvaluationSettings
     from motionkit.inference.rollout import Noise
@@ -26,7 +28,8 @@ if TYPE_CHECKING:
     from motionkit.training.options import TrainOptions
     from motionkit.training.trainer import TrainEvent, TrainResult
 
-TRAIN_MINUTES = 30.0  # where a run is given neither steps nor minutes
+# Where a run is given neither steps nor minutes: from random weights, and from a model.
+TRAIN_MINUTES, FINE_TUNE_MINUTES = 30.0, 5.0
 
 
 def read_bvh(path: str | Path, scale: float = 1.0, fps: float | None = None) -> Motion:
@@ -220,6 +223,37 @@ def write_view(
         raise MotionkitError(f"{path}: expected a file that ends with .html, .png, .gif or .mp4")
 
 
+def preprocess(
+    folders: Sequence[str | Path],
+    output: str | Path,
+    options: PreprocessOptions | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+    *,
+    references: str | Path = "bundled",
+) -> PreprocessReport:
+    """Make a dataset folder from BVH files, atomically.
+
+    Args:
+        folders: folders (or files) to read.
+        output: dataset folder to write; an old dataset there is replaced, other files in it are kept.
+        options: the defaults if None.
+        progress: called with a stage name, the number of files done and of all files.
+        references: the model that training is to begin from, whose reference rotations the features are relative to;
+            "own" for the mean rotations of the data. Those in options go before.
+
+    Raises:
+        DatasetError: no file is usable, a file is inside output, or, with strict, a file is unusable.
+        ModelError: references is no model, or one of another layout.
+    """
+    from motionkit.data import preprocess as room
+    from motionkit.models.bundled import reference_rotations
+
+    options = options or room.PreprocessOptions()
+    if options.reference_rotations is None:
+        options = replace(options, reference_rotations=reference_rotations(references, options.layout))
+    return room.preprocess(folders, output, options, progress)
+
+
 def train(
     dataset: str | Path,
     output: str | Path = "model.safetensors",
@@ -235,7 +269,7 @@ def train(
     Args:
         dataset: the folder that preprocess wrote.
         output: the model file; an old one is replaced.
-        options: from train_options; the preset tptn for 30 minutes by default.
+        options: from train_options; by default the preset tptn for 5 minutes from the bundled model.
         resume: go on from the checkpoint in the run folder.
         run_folder: for checkpoint, log and samples; beside the model by default.
         device: "auto", "cpu", "cuda" or "cuda:1".
@@ -247,9 +281,9 @@ def train(
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
     from motionkit.training import trainer
-    from motionkit.training.presets import train_options
+    from motionkit.training.presets import fine_tune_options
 
-    options = options or train_options("tptn", minutes=TRAIN_MINUTES)
+    options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
     return trainer.train(dataset, output, options, resume, run_folder, device, on_event)
 
 

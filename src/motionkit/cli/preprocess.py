@@ -65,6 +65,14 @@ SHOWN_SKIPS = 20
     show_default=True,
     help="Filter out marker jitter (7 Hz low-pass), or keep the recorded rotations.",
 )
+@click.option(
+    "--references",
+    default="bundled",
+    show_default=True,
+    metavar="MODEL|own",
+    help="Model file whose reference rotations the features are relative to, so that training can begin from it; "
+    "own takes the mean rotations of the data.",
+)
 @click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
 @json_option
 def command(
@@ -78,6 +86,7 @@ def command(
     own_bodies: bool,
     layout: str,
     smooth: bool,
+    references: str,
     strict: bool,
     as_json: bool,
 ) -> None:
@@ -88,8 +97,12 @@ def command(
     Unusable files are skipped and listed; the dataset then holds the others and the exit code is 1.
     """
     from motionkit.data.preprocess import PreprocessOptions, preprocess
+    from motionkit.models.bundled import reference_rotations
 
-    options = PreprocessOptions(labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth)
+    rotations = reference_rotations(references, layout)
+    options = PreprocessOptions(
+        labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth, rotations
+    )
     with progress_bar() as bar:
         tasks: dict[str, Any] = {}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,8 @@ if TYPE_CHECKING:
 
     from motionkit.training.trainer import TrainEvent
 
+BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
+KEPT_SHARE = 0.5  # of the windows, with --add, are of the types that the model knew
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
 
 
@@ -60,7 +63,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option(
     "--minutes",
     type=click.FloatRange(min=0.01),
-    help="Training time in minutes; 30 by default, unless --steps is given.",
+    help="Training time in minutes, unless --steps is given: 5 by default, from random weights 30.",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
 @click.option("--force", is_flag=True, help="Overwrite an existing model and run folder.")
@@ -68,8 +71,10 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option(
     "--init",
     type=click.Path(),
-    help="Start from the weights of this model file, or of the bundled model (bundled); its dataset must be the same.",
+    help="Model file to begin from; the bundled model by default, for the preset that it has.",
 )
+@click.option("--from-scratch", is_flag=True, help="Begin from random weights.")
+@click.option("--add", is_flag=True, help="Keep the types of the model that training begins from, too.")
 @click.option(
     "--batch",
     type=click.IntRange(1, 4096),
@@ -137,6 +142,8 @@ def command(
     resume: bool,
     force: bool,
     init: str | None,
+    from_scratch: bool,
+    add: bool,
     batch: int | None,
     window: int | None,
     rate: float | None,
@@ -154,10 +161,13 @@ def command(
 ) -> None:
     """Train a motion model on a DATASET folder made by preprocess.
 
-    A checkpoint is written every 40 seconds. Ctrl-C writes the model as it is, and --resume continues the
-    run exactly. For several processes: torchrun --nproc-per-node N -m motionkit train DATASET ...
+    Training begins from the bundled model and takes minutes; --from-scratch begins from random weights and
+    takes an hour and more. A checkpoint is written every 40 seconds. Ctrl-C writes the model as it is, and
+    --resume continues the run exactly. For several processes: torchrun --nproc-per-node N -m motionkit train
+    DATASET ...
     """
-    check_outputs([output], [init if init != "bundled" else None, *dataset.glob("*")])
+    init = _beginning(init, from_scratch, add, preset)
+    check_outputs([output], [init if init != BUNDLED else None, *dataset.glob("*")])
     if not resume and not force:
         _refuse_to_replace(output, run_folder or output.with_suffix(".run"))
 
@@ -165,16 +175,17 @@ def command(
 
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
-    from motionkit.training.presets import train_options
+    from motionkit.api import FINE_TUNE_MINUTES, TRAIN_MINUTES
+    from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.training.trainer import train
 
     if minutes is None and steps is None:
-        minutes = 30.0
-    options = train_options(
+        minutes = TRAIN_MINUTES if init is None else FINE_TUNE_MINUTES
+    options = (train_options if init is None else partial(fine_tune_options, init=init))(
         preset,
         steps=steps,
         minutes=minutes,
-        init=init,
+        kept_share=KEPT_SHARE if add else None,
         batch=batch,
         window=window,
         rate=rate,
@@ -209,6 +220,19 @@ def command(
     )
     if not result.finished:
         sys.exit(STOPPED)
+
+
+def _beginning(init: str | None, from_scratch: bool, add: bool, preset: str) -> str | None:
+    """The model to begin from, None for random weights. Raises UsageError for options that contradict each other."""
+    if from_scratch and (init or add):
+        raise click.UsageError(f"--from-scratch does not go with {'--init' if init else '--add'}")
+    if init is None and not from_scratch and preset == BUNDLED_PRESET:
+        init = BUNDLED
+    if add and init is None:
+        raise click.UsageError(
+            f"--add needs a model to begin from; give --init, or the preset {BUNDLED_PRESET}"
+        )
+    return init
 
 
 def _refuse_to_replace(model: Path, run_folder: Path) -> None:

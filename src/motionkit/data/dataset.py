@@ -10,6 +10,7 @@ phases.npy      (N,) float32: phase of a flip, strike or jump (data/phases.py), 
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -120,6 +121,37 @@ class Dataset:
         ):  # features, ten times as large, as they are read
             most = len(self.types) - 1 if name == "types" else None
             check_range(self._path(name), name, self._arrays[name], most=most)
+
+    def append(
+        self, types: Sequence[str], recordings: Sequence[ClipData], phase_seconds: Mapping[str, float]
+    ) -> None:
+        """Add new types with training clips on the canonical body, in memory; the folder stays as it is.
+
+        Args:
+            types: names that the dataset does not have; their ids count on from its own.
+            recordings: clips that follow each other; their reference poses are not kept.
+            phase_seconds: length of a performance of the new types, 0 for those without a phase.
+        """
+        self.types = (*self.types, *types)
+        body = canonical_skeleton().offsets
+        known = [i for i, offsets in enumerate(self.bodies) if np.allclose(offsets, body)]
+        if not known:
+            self.bodies = (*self.bodies, body)
+        start = len(self._arrays["types"])
+        for number, data in enumerate(recordings):
+            name, frames = f"{self.types[int(data.types[0])]} {number}", len(data.types)
+            clip = Clip(name, start, frames, "train", "", known[0] if known else len(self.bodies) - 1)
+            self.clips, start = (*self.clips, clip), start + frames
+        for name, rows in self._arrays.items():
+            added = np.concatenate([getattr(data, name) for data in recordings]).astype(rows.dtype)
+            self._arrays[name] = np.concatenate([rows, added])
+        seconds = {name: value for name, value in phase_seconds.items() if value}
+        self.manifest = self.manifest | {
+            "phase_seconds": self.phase_seconds | seconds,
+            "phase_events": self.phase_events | dict.fromkeys(seconds, ""),
+        }
+        for name in ("sided_types", "mirrored_type_ids", "pose_embedding"):
+            self.__dict__.pop(name, None)
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.npy"

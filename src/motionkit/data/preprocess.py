@@ -49,9 +49,13 @@ MIN_CLIP_FRAMES = 16
 TEST_SHARE = 0.15  # of the clips of a type, if the labels have no split
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class PreprocessOptions:
-    """The options of preprocess; the command's help describes them."""
+    """The options of preprocess; the command's help describes them.
+
+    reference_rotations (23, 4) are those of the model that training is to begin from; by default the mean rotations
+    of the data itself.
+    """
 
     labels: Path | None = None
     fps: float | None = None
@@ -62,6 +66,7 @@ class PreprocessOptions:
     jobs: int = 0
     strict: bool = False
     smooth: bool = True
+    reference_rotations: Array | None = None
 
 
 @dataclass
@@ -323,7 +328,8 @@ def _pass_two(
     each: Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], PreprocessReport]:
-    reference_rotations = _references(prepared)
+    given = options.reference_rotations
+    reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     splits = _decide_splits(prepared, options.mirror)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)

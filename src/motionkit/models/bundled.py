@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from motionkit.arrays import Array
 from motionkit.errors import ModelError
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 
 BUNDLED = "bundled"  # in place of a path
+OWN_REFERENCES = "own"
 BUNDLED_MODEL = Path(__file__).resolve().parent.parent / "assets" / "motionkit-free.safetensors"
 
 
@@ -28,3 +30,23 @@ def open_model(path: str | Path | None, reference: str = "auto") -> MotionModel:
     """
     model = load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)
     return model.with_reference(reference)
+
+
+def reference_rotations(references: str | Path, layout: str) -> Array | None:
+    """The reference rotations (23, 4) of a model, for a dataset of a layout; None for "own".
+
+    A dataset of a layout that the bundled model does not have cannot be trained from it, and gets its own.
+
+    Raises:
+        ModelError: the file is no model, or a model of another layout.
+    """
+    if str(references) == OWN_REFERENCES:
+        return None
+    model = open_model(references)
+    if model.config.layout == layout:
+        return model.reference_rotations
+    if str(references) == BUNDLED:
+        return None
+    raise ModelError(
+        f"{references}: a model of layout {model.config.layout}, but the dataset is to have {layout}"
+    )

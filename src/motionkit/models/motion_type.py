@@ -150,7 +150,7 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
     """
     if not clips or any(bool((clip.phases >= 0.0).any()) for clip in clips):
         return False
-    velocity = np.concatenate([_facing_velocity(clip, fps) for clip in clips])
+    velocity = np.concatenate([facing_velocity(clip, fps) for clip in clips])
     speed = float(np.linalg.norm(velocity, axis=1).mean())
     steadiness = float(np.linalg.norm(velocity.mean(axis=0))) / max(speed, 1e-6)
     stands = speed < STANDING_SPEED
@@ -169,7 +169,7 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
     return spread < GAIT_SPREAD
 
 
-def _facing_velocity(clip: ReferenceClip, fps: float) -> Array:
+def facing_velocity(clip: ReferenceClip, fps: float) -> Array:
     """Root velocity (L - 1, 2) in cm/s in the heading frame."""
     steps = np.diff(clip.ground[:, :2], axis=0) * fps
     return rotate_ground(-clip.ground[1:, 2], steps)

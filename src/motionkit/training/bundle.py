@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -41,13 +42,25 @@ OTHER = SamplingPreset(1.75, velocity_blend=0.47, slip_correction=0.45, noise_sc
 
 
 def bundle_model(
-    network: NetworkWeights, dataset: Dataset, card: dict[str, Any], references: bool = True
+    network: NetworkWeights,
+    dataset: Dataset,
+    card: dict[str, Any],
+    references: bool = True,
+    kept: Mapping[str, MotionType] | None = None,
 ) -> MotionModel:
-    """The model of a network trained on a dataset, with or without reference poses."""
+    """The model of a network trained on a dataset, with or without reference poses.
+
+    Args:
+        kept: types taken as they are, because the model that training began from knows them.
+    """
+    kept = kept or {}
     gaits = measure_gaits(dataset)
     return MotionModel(
         network,
-        {kind: _motion_type(dataset, kind, gaits.get(kind)) for kind in dataset.types},
+        {
+            kind: kept[kind] if kind in kept else _motion_type(dataset, kind, gaits.get(kind))
+            for kind in dataset.types
+        },
         dataset.fps,
         dataset.scaling,
         dataset.trajectory_scaling,

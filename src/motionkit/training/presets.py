@@ -1,9 +1,10 @@
-"""Training settings by preset name: the shipped recipe, and the paper's own."""
+"""Training settings by preset name: the shipped recipe, the paper's own, and those of fine-tuning."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from motionkit.models.bundled import BUNDLED
 from motionkit.models.presets import preset
 from motionkit.training.losses import LossOptions
 from motionkit.training.options import OptimizerOptions, Stage, TrainOptions, with_changes
@@ -37,6 +38,9 @@ PAPER: dict[str, Any] = {
     "scheduled_sampling": ScheduledSamplingOptions(share=0.0),
 }
 
+# From a trained model: docs/my-clips.md has the trials behind the numbers.
+FINE_TUNE: dict[str, Any] = {"rate": 5e-4, "warmup": 50, "ema": 0.99, "step_weight": 35.0}
+
 
 def train_options(
     name: str, steps: int | None = None, minutes: float | None = None, **changes: Any
@@ -62,3 +66,15 @@ def train_options(
         for stage in options.stages
     )
     return with_changes(options, {"stages": stages} | wanted)
+
+
+def fine_tune_options(
+    name: str, init: str = BUNDLED, steps: int | None = None, minutes: float | None = None, **changes: Any
+) -> TrainOptions:
+    """Return the options of a run that begins from a model; arguments as for train_options.
+
+    Args:
+        init: the model file, or "bundled".
+    """
+    given = {option: value for option, value in changes.items() if value is not None}
+    return train_options(name, steps, minutes, init=init, **(FINE_TUNE | given))

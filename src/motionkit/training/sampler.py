@@ -55,6 +55,8 @@ class SamplerOptions:
     lead_share: float = 0.5  # share of windows whose type changes before the motion does
     lead_frames: int = 30  # by at most this many frames
     noise: float = 0.01  # standard deviation of the noise on normalised inputs (paper: 0.05)
+    # Share of windows of the types that the model a run begins from has, and the dataset has not; 0 drops those types.
+    kept_share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -75,8 +77,11 @@ def window_generator(seed: int, step: int, place: int, purpose: int = 0) -> torc
 class WindowSampler:
     """Samples windows of normalised features with their controls from a dataset's training clips."""
 
-    def __init__(self, dataset: Dataset, options: SamplerOptions, seed: int = 0) -> None:
-        self.dataset, self.options, self.seed = dataset, options, seed
+    def __init__(
+        self, dataset: Dataset, options: SamplerOptions, seed: int = 0, kept: tuple[str, ...] = ()
+    ) -> None:
+        """kept are types of the dataset that together have options.kept_share of the windows."""
+        self.dataset, self.options, self.seed, self.kept = dataset, options, seed, kept
         self.clips = dataset.select("train")
         if not self.clips:
             raise DatasetError(f"{dataset.folder}: no training clips")
@@ -110,6 +115,10 @@ class WindowSampler:
             weights[self.dataset.types.index(name)] *= times
         if not bool(weights.sum() > 0):
             raise DatasetError("--type-weights: all types have weight 0, expected at least one above 0")
+        old = torch.tensor([name in self.kept for name in self.dataset.types])
+        for group, share in ((old, self.options.kept_share), (~old, 1.0 - self.options.kept_share)):
+            if self.kept and bool(weights[group].sum() > 0):
+                weights[group] *= share / weights[group].sum()
         return weights / weights.sum()
 
     def use(self, options: SamplerOptions) -> None:

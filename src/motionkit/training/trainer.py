@@ -28,16 +28,18 @@ from motionkit.models.checkpoint import save_model
 from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.file_check import check_names
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionType
 from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
 from motionkit.training.options import OptimizerOptions, TrainOptions, flat_options
+from motionkit.training.rehearsal import keep_types
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.scores import TypeScore, score_rollouts
-from motionkit.training.warm_start import warm_start
+from motionkit.training.warm_start import check_start, warm_start
 from motionkit.training.window_blocks import BlockStart, WindowBlocks
 
 # The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
@@ -244,9 +246,16 @@ class _Run:
                 f"{dataset.folder}: layout {dataset.layout.version}, but preset {options.preset} needs "
                 f"{config.layout}: run preprocess with --layout {config.layout}"
             )
+        begun_from = None if options.init is None else open_model(options.init)
+        self.kept: dict[str, MotionType] = {}
+        if begun_from is not None:
+            check_start(dataset, begun_from)
+            if options.sampler.kept_share:
+                names = keep_types(dataset, begun_from, options.seed)
+                self.kept = {name: begun_from.types[name] for name in names}
         network = build(config, ControlLayout(dataset.types).size)
-        if options.init is not None:
-            warm_start(network, dataset, open_model(options.init))
+        if begun_from is not None:
+            warm_start(network, dataset, begun_from)
         # The losses of part transformers have options, and so are not the network's own.
         self.module: OwnLosses | TrainingModule = (
             TrainingModule(network, dataset, options.losses)
@@ -265,7 +274,7 @@ class _Run:
         self.step, self.seconds = 0, 0.0
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
-        self.sampler = WindowSampler(dataset, options.sampler, options.seed)
+        self.sampler = WindowSampler(dataset, options.sampler, options.seed, tuple(self.kept))
         share = options.batch // self.world
         places = range(self.rank * share, (self.rank + 1) * share)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
@@ -459,7 +468,7 @@ class _Run:
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
         references = self.options.sampler.reference_dropout < 1.0
-        return bundle_model(network.weights(), self.dataset, card, references)
+        return bundle_model(network.weights(), self.dataset, card, references, self.kept)
 
     def _score(self) -> bool:
         """Score roll-outs and write samples, if the options ask for it, and return whether that worked."""

@@ -6,30 +6,40 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import ReferenceClip, facing_velocity
 from motionkit.models.predictor import Predictor
 
+USUAL_SPEED = 50.0  # cm/s, which counts as much as a deviation of a pose
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
 
 
-def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None:
-    """Copy a model's weights into a network. Types are matched by name; weights of new types stay as they are.
-
-    The dataset takes over the model's scaling and pose embedding, because the weights depend on them.
-
-    Raises:
-        ModelError: if the networks differ in size, or the features in their reference rotations.
-    """
+def check_start(dataset: Dataset, model: MotionModel) -> None:
+    """Raise ModelError unless the features of a dataset are relative to the model's reference rotations."""
     # A quaternion and its negative are the same rotation.
     turned = 1.0 - np.abs((dataset.reference_rotations * model.reference_rotations).sum(-1))
     if float(turned.max()) > 1e-4:
         raise ModelError(
             f"{dataset.folder}: the dataset's reference rotations differ from the model's; "
-            "start from a model that was trained on this dataset"
+            "preprocess it again with --references and this model, or train with --from-scratch"
         )
+
+
+def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None:
+    """Copy a model's weights into a network. A type takes those of its name, or else of the type that moves most alike.
+
+    The dataset takes over the model's scaling and pose embedding, because the weights depend on them.
+
+    Raises:
+        ModelError: if the networks differ in size.
+    """
+    dataset.scaling, dataset.trajectory_scaling = model.scaling, model.trajectory_scaling
+    dataset.pose_embedding = model.pose_embedding
+    likes = similar_types(dataset, model)
     old = {name: torch.from_numpy(array) for name, array in model.network.arrays.items()}
     new = network.state_dict()
     with torch.no_grad():
@@ -37,7 +47,7 @@ def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None
             if name not in old:
                 continue
             if name in CONTROL_WEIGHTS:
-                _copy_controls(value, old[name], ControlLayout(dataset.types), model.controls)
+                _copy_controls(value, old[name], ControlLayout(dataset.types), model.controls, likes)
             elif value.shape == old[name].shape:
                 value.copy_(old[name])
             else:
@@ -45,14 +55,59 @@ def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None
                     f"the model's {name} is {tuple(old[name].shape)}, the preset's is {tuple(value.shape)}: "
                     "expected the preset the model was trained with"
                 )
-    dataset.scaling, dataset.trajectory_scaling = model.scaling, model.trajectory_scaling
-    dataset.pose_embedding = model.pose_embedding
 
 
-def _copy_controls(new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout) -> None:
-    """Copy the rows of control embeddings (P, C, D), signal by signal."""
+def _copy_controls(
+    new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout, likes: dict[str, str]
+) -> None:
+    """Copy the rows of control embeddings (P, C, D), signal by signal; likes names the type that each type follows."""
     for name in ("skeleton", "trajectory", "flag", "phase", "reference", "reference_gain"):
         new[:, getattr(layout, name)] = old[:, getattr(before, name)]
     for i, kind in enumerate(layout.types):
-        if kind in before.types:
-            new[:, layout.type.start + i] = old[:, before.type.start + before.types.index(kind)]
+        if kind in likes:
+            new[:, layout.type.start + i] = old[:, before.type.start + before.types.index(likes[kind])]
+
+
+def similar_types(dataset: Dataset, model: MotionModel) -> dict[str, str]:
+    """For each type of a dataset the type of a model to begin from: that of its name, or the one that moves most alike.
+
+    Movement is described by poses and by the velocity over the ground. The dataset has the model's pose embedding.
+    """
+    known = {
+        name: _movement([_clip_rows(c, model.fps) for c in t.reference_clips])
+        for name, t in model.types.items()
+    }
+    known = {name: facts for name, facts in known.items() if facts is not None}
+    likes = {}
+    for i, kind in enumerate(dataset.types):
+        mine = None if kind in model.types else _movement(_type_rows(dataset, i))
+        if kind in model.types:
+            likes[kind] = kind
+        elif mine is not None and known:
+            likes[kind] = min(known, key=lambda name: float(np.linalg.norm(known[name] - mine)))
+    return likes
+
+
+def _movement(rows: list[Array]) -> Array | None:
+    """Means and deviations of rows (T, 26) of poses and velocities; None without rows."""
+    if not rows:
+        return None
+    whole = np.concatenate(rows)
+    return np.concatenate([whole.mean(axis=0), whole.std(axis=0)])
+
+
+def _clip_rows(clip: ReferenceClip, fps: float) -> Array:
+    """Pose embeddings and velocity (L - 1, 26) of a reference clip."""
+    return np.concatenate([clip.poses[1 : len(clip)], facing_velocity(clip, fps) / USUAL_SPEED], axis=1)
+
+
+def _type_rows(dataset: Dataset, kind: int) -> list[Array]:
+    """Pose embeddings and velocities (T, 26) of the training frames of a type."""
+    block, rows = dataset.layout.blocks["root_xz_velocity"], []
+    for clip in dataset.select("train"):
+        shown = dataset.clip_types(clip) == kind
+        if bool(shown.any()):
+            features = dataset.read(clip).features[shown]
+            velocity = features[:, block] / USUAL_SPEED
+            rows.append(np.concatenate([dataset.pose_embedding.of(features), velocity], axis=1))
+    return rows

@@ -1,0 +1,72 @@
+"""Keeps the types of a model while it learns new ones: its own roll-outs become recordings to train on.
+
+A model file does not hold the clips it was trained on. What the model makes of them stands in for them (Robins 1995,
+"Catastrophic forgetting, rehearsal and pseudorehearsal").
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.reference_player import last_poses
+from motionkit.control.script import TypePart, crowd_controller
+from motionkit.data.dataset import ClipData, Dataset
+from motionkit.features.control import Controls
+from motionkit.features.reference import REFERENCE_COUNT
+from motionkit.inference.rollout import Noise, RolloutState, run, start_batch
+from motionkit.models.model import MotionModel
+
+ROLLOUTS, SECONDS = 4, 15.0  # of each type; a performance begins again when it is over
+IN_CONTACT = 0.5  # least probability of a contact label
+
+
+def keep_types(dataset: Dataset, model: MotionModel, seed: int = 0) -> tuple[str, ...]:
+    """Add the types of a model that a dataset lacks, with roll-outs of the model as their training clips.
+
+    Returns:
+        The names of the types added.
+    """
+    kept = tuple(name for name, kind in model.types.items() if name not in dataset.types and kind.start_poses)
+    if kept:
+        names = kept * ROLLOUTS
+        clips = roll_out(model, names, SECONDS, seed)
+        ids = {name: len(dataset.types) + i for i, name in enumerate(kept)}
+        for name, clip in zip(names, clips, strict=True):
+            clip.types[:] = ids[name]
+        dataset.append(kept, clips, {name: model.phase_seconds(name) for name in kept})
+    return kept
+
+
+def roll_out(model: MotionModel, names: tuple[str, ...], seconds: float, seed: int = 0) -> list[ClipData]:
+    """Roll out a character for each name of a type, side by side, as clips of type 0 without reference poses."""
+    frames = round(seconds * model.fps)
+    state = RolloutState(model, len(names), Noise(), seed)
+    weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(name) for name in names]]
+    poses = [model.types[name].start_poses for name in names]
+    features, contacts = start_batch([known[i % len(known)] for i, known in enumerate(poses)])
+    state.start(features, contacts, weights)
+    plans = [[TypePart(name, seconds)] for name in names]
+    near = [last_poses(model, seen) for seen in features]
+    controller = crowd_controller(model, plans, near, [features.shape[1]] * len(names), seed)
+    phases: list[Array] = []
+
+    def controls(frame: int, ground: Array) -> Controls:
+        asked = controller(frame, ground)
+        phases.append(asked.phase)
+        return asked
+
+    made = run(state, frames, controls)
+    phase = np.stack(phases, 1)
+    nothing = np.zeros((frames, REFERENCE_COUNT), np.float32)
+    return [
+        ClipData(
+            made.features[i],
+            (made.contacts[i] > IN_CONTACT).astype(np.float32),
+            made.ground[i],
+            np.zeros(frames, np.int64),
+            phase[i].astype(np.float32),
+            nothing,
+        )
+        for i in range(len(names))
+    ]
