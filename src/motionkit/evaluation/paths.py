@@ -90,6 +90,47 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
     if not trials:
         note = "not measured: every path needs a type the model does not have"
         return Section("paths", "Path following", [], [], [note])
+    found = follow_trials(model, trials, settings, progress)
+    rows, goals = [], []
+    for trial, followed in zip(trials, found, strict=True):
+        mean, finished = followed.mean, followed.finished
+        ends = f"{finished} of {settings.repeats}"
+        rows.append((trial.name, mean, followed.largest, ends, followed.seconds))
+        note = "" if finished == settings.repeats else f"finished {ends}"
+        goals.append(
+            Goal(f"{trial.name}: mean distance, cm", mean, f"≤ {trial.target:g}", None, trial.target, note)
+        )
+    notes = [
+        f"{settings.repeats} characters per path, each type at its usual speed; distance: from the root to the nearest "
+        "point of the path (path-mean, path-max), over all frames until the end; mean over characters, and the largest",
+        f"a character gives up after {PATIENCE:g} times the expected time plus 3 s",
+    ]
+    return Section(
+        "paths", "Path following", [Table("Distance from the path", table_columns, rows)], goals, notes
+    )
+
+
+@dataclass(frozen=True)
+class Followed:
+    """How the characters of one trial did.
+
+    Attributes:
+        mean: mean distance from the path in cm, over characters.
+        largest: the largest distance in cm.
+        finished: characters that reached the end.
+        seconds: mean time until the end, or until a character gave up.
+    """
+
+    mean: float
+    largest: float
+    finished: int
+    seconds: float
+
+
+def follow_trials(
+    model: MotionModel, trials: list[PathTrial], settings: EvaluationSettings, progress: Progress
+) -> list[Followed]:
+    """Let settings.repeats characters follow each path, all at once."""
     walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.repeats)]
     characters = [
         Driven(walker.follower.path.parts[0].type, walker, _start(walker.follower)) for walker in walkers
@@ -103,32 +144,24 @@ def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Pr
         progress,
         lambda: all(walker.over for walker in walkers),
     )
-    rows, goals = [], []
+    out = []
     for number, trial in enumerate(trials):
         mine = range(number * settings.repeats, (number + 1) * settings.repeats)
-        means, largest, finished, seconds = [], [], 0, []
-        for i in mine:
-            track = performed[i].body.positions[: walkers[i].frames, 0, [0, 2]]
-            distance = trajectory_distance(track, trial.path.points)
-            means.append(distance.mean)
-            largest.append(distance.max)
-            finished += walkers[i].finished
-            seconds.append(walkers[i].frames / model.fps)
-        mean = sum(means) / len(means)
-        ends = f"{finished} of {len(means)}"
-        rows.append((trial.name, mean, max(largest), ends, sum(seconds) / len(seconds)))
-        note = "" if finished == len(means) else f"finished {ends}"
-        goals.append(
-            Goal(f"{trial.name}: mean distance, cm", mean, f"≤ {trial.target:g}", None, trial.target, note)
+        distances = [
+            trajectory_distance(
+                performed[i].body.positions[: walkers[i].frames, 0, [0, 2]], trial.path.points
+            )
+            for i in mine
+        ]
+        out.append(
+            Followed(
+                float(np.mean([distance.mean for distance in distances])),
+                max(distance.max for distance in distances),
+                sum(walkers[i].finished for i in mine),
+                float(np.mean([walkers[i].frames / model.fps for i in mine])),
+            )
         )
-    notes = [
-        f"{settings.repeats} characters per path, each type at its usual speed; distance: from the root to the nearest "
-        "point of the path (path-mean, path-max), over all frames until the end; mean over characters, and the largest",
-        f"a character gives up after {PATIENCE:g} times the expected time plus 3 s",
-    ]
-    return Section(
-        "paths", "Path following", [Table("Distance from the path", table_columns, rows)], goals, notes
-    )
+    return out
 
 
 def _start(follower: PathFollower) -> Array:

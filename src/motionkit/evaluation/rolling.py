@@ -14,6 +14,7 @@ from motionkit.arrays import Array
 from motionkit.control.drive import together
 from motionkit.control.reference_player import last_poses
 from motionkit.control.script import TypePart, plan_controls
+from motionkit.control.steering import steered_type
 from motionkit.evaluation.body import Body, bodies
 from motionkit.features.control import Controls
 from motionkit.features.decode import decode_rotations, root_height
@@ -31,7 +32,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 
 BATCH = 128  # characters per network step; more need memory and save no time
-NEUTRAL = ("idle", "walking")  # types that characters perform before a command
+WALK = 130.0  # cm/s; a neutral type is the one that walks at about this speed
 NEUTRAL_SECONDS = 0.5
 
 # Called with the share of the work that is done (0 to 1).
@@ -61,8 +62,10 @@ class Performance:
 
 
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
-    """Return the types characters start from: those of NEUTRAL the model has, else its first type."""
-    return tuple(kind for kind in NEUTRAL if kind in model.types) or model.type_names[:1]
+    """Return the types characters perform before a command: the one that stands, and the one that walks."""
+    return tuple(
+        dict.fromkeys((steered_type(model, (0.0, 0.0), None), steered_type(model, (0.0, WALK), 0.0)))
+    )
 
 
 def roll_plans(

@@ -1,0 +1,237 @@
+"""A verdict for each type of a model in a minute or two: does it work, and if not, why?
+
+Every type is judged by the recordings it was trained on (real.py) in roll-outs from standing and from walking. Gaits
+also follow a path. The measures are those of the scoreboard; only the roll-outs are fewer and shorter.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.control.path import shape_path
+from motionkit.control.script import TypePart
+from motionkit.evaluation.accuracy import GRACE, LIVELY, Judge
+from motionkit.evaluation.body import Body, body_of
+from motionkit.evaluation.detectors import detection_windows
+from motionkit.evaluation.paths import PathTrial, follow_trials
+from motionkit.evaluation.real import PROFILE_SECONDS
+from motionkit.evaluation.report import Section, Table
+from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Performance, Plan, neutral_types, roll_plans
+from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.metrics.foot_sliding import average_foot_sliding
+from motionkit.metrics.ground import floor_height, foot_positions
+from motionkit.models.model import MotionModel
+from motionkit.motion.foot_ik import lock_feet
+
+QUICK = EvaluationSettings(seeds=8, accuracy_seconds=6.0, repeats=2)
+# Targets: share of roll-outs that show the type, distance from the path (cm) of walks and of runs, and sliding of
+# held feet relative to the recordings.
+SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
+RUN_SPEED = 200.0  # cm/s; faster gaits have a run's path and target
+WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
+FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
+
+
+@dataclass(frozen=True)
+class TypeVerdict:
+    """How one type of a model does.
+
+    Attributes:
+        type: its name.
+        clips, seconds: its training clips and their length.
+        shown, rollouts: roll-outs that show the type, of all.
+        joint_speed: mean joint speed relative to the recordings.
+        path: mean distance in cm from a figure-eight; None for types that no velocity steers.
+        path_target: the largest good distance in cm.
+        sliding: foot sliding of the roll-outs with held feet relative to that of the recordings.
+        reasons: what is wrong, in plain words; empty for a type that works.
+    """
+
+    type: str
+    clips: int
+    seconds: float
+    shown: int
+    rollouts: int
+    joint_speed: float
+    path: float | None
+    path_target: float
+    sliding: float
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def works(self) -> bool:
+        """Whether nothing is wrong with the type."""
+        return not self.reasons
+
+    def sentence(self) -> str:
+        """The verdict in one line."""
+        if self.works:
+            return f"{self.type} works: shown in {self.shown} of {self.rollouts} roll-outs"
+        return f"{self.type}: {'; '.join(self.reasons)}"
+
+
+def quick_verdicts(
+    model: MotionModel,
+    judge: Judge,
+    settings: EvaluationSettings = QUICK,
+    progress: Callable[[float], None] | None = None,
+) -> list[TypeVerdict]:
+    """Judge every type of a model that the recordings of judge show, in the order of the model."""
+    kinds = [
+        kind for kind in model.types if kind in judge.real.types and judge.real.profile(kind) is not None
+    ]
+    neutral = neutral_types(model)
+    plans = [
+        Plan(
+            (
+                TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS),
+                TypePart(kind, settings.accuracy_seconds),
+            ),
+            seed,
+        )
+        for kind in kinds
+        for seed in range(settings.seeds)
+    ]
+    report = progress or (lambda share: None)
+    performed = roll_plans(model, plans, settings.noise, settings.seed, lambda share: report(0.7 * share))
+    paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
+    size = settings.seeds
+    return [
+        _verdict(model, judge, kind, performed[i * size : (i + 1) * size], paths.get(kind))
+        for i, kind in enumerate(kinds)
+    ]
+
+
+def quick_section(verdicts: list[TypeVerdict]) -> Section:
+    """The verdicts as a table of a scoreboard."""
+    columns = (
+        "type",
+        "verdict",
+        "shown",
+        "joint speed / real",
+        "path, cm",
+        "sliding / real",
+        "clips",
+        "seconds",
+        "why",
+    )
+    rows = [
+        (
+            v.type,
+            "works" if v.works else "does not work",
+            f"{v.shown} of {v.rollouts}",
+            v.joint_speed,
+            v.path,
+            v.sliding,
+            v.clips,
+            v.seconds,
+            "; ".join(v.reasons),
+        )
+        for v in verdicts
+    ]
+    notes = [
+        f"shown: roll-outs within the limits of the type's recordings, after {NEUTRAL_SECONDS:g} s of another type",
+        f"path: mean distance of the root from a figure-eight of {WALK_RADIUS:g} m, for runs of {RUN_RADIUS:g} m; "
+        f"to be within {WALKS_WITHIN:g} and {RUNS_WITHIN:g} cm",
+        f"sliding: of feet that are held, relative to the recordings; at most {SLIDING:g}",
+    ]
+    return Section("quick", "Does each type work?", [Table("Types", columns, rows)], [], notes)
+
+
+def _verdict(
+    model: MotionModel, judge: Judge, kind: str, performed: list[Performance], path: float | None
+) -> TypeVerdict:
+    skip = round(NEUTRAL_SECONDS * model.fps)
+    bodies = [each.body.cut(skip, len(each.body)) for each in performed]
+    found = judge.real.of_type(kind, "train")
+    profile = judge.real.profile(kind)
+    assert profile is not None
+    late = [body.cut(round(GRACE * body.fps), len(body)) for body in bodies]
+    recorded = np.average([_sliding(s.body) for s in found], weights=[len(s.body) for s in found])
+    gait = model.types[kind].gait
+    verdict = TypeVerdict(
+        kind,
+        len({stretch.clip for stretch in found}),
+        sum(stretch.body.seconds for stretch in found),
+        sum(judge.performs(kind, body) for body in bodies),
+        len(bodies),
+        sum(body.joint_speed() for body in late) / len(late) / max(profile.joint_speed, 1e-6),
+        path,
+        RUNS_WITHIN if gait is not None and gait.speed > RUN_SPEED else WALKS_WITHIN,
+        float(np.mean([_held_sliding(model, each) for each in performed]) / max(recorded, 0.02)),
+    )
+    return replace(verdict, reasons=_reasons(verdict, judge, late))
+
+
+def _path_distances(
+    model: MotionModel, kinds: list[str], settings: EvaluationSettings, progress: Callable[[float], None]
+) -> dict[str, float]:
+    """Mean distance in cm from a figure-eight for each type of kinds that velocity steers; standing is left out."""
+    trials = []
+    for kind in kinds:
+        each = model.types[kind]
+        if each.steered and not each.stands and each.gait is not None:
+            runs = each.gait.speed > RUN_SPEED
+            path = shape_path("figure-eight", RUN_RADIUS if runs else WALK_RADIUS, [kind], None)
+            trials.append(PathTrial(kind, path, RUNS_WITHIN if runs else WALKS_WITHIN))
+    if not trials:
+        return {}
+    found = follow_trials(model, trials, settings, progress)
+    return {trial.name: followed.mean for trial, followed in zip(trials, found, strict=True)}
+
+
+def _sliding(body: Body) -> float:
+    """Average foot sliding of a body in cm per frame, on its own floor."""
+    feet = foot_positions(body.positions)
+    return average_foot_sliding(feet, floor_height(feet, body.fps)).value or 0.0
+
+
+def _held_sliding(model: MotionModel, performed: Performance) -> float:
+    """Average foot sliding in cm per frame of a roll-out whose feet are held, as synthesis holds them."""
+    skip = round((NEUTRAL_SECONDS + GRACE) * model.fps)
+    body = body_of(lock_feet(performed.motion(model), performed.contacts))
+    return _sliding(body.cut(skip, len(body)))
+
+
+def _reasons(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[str, ...]:
+    """What is wrong with a type, and what may be the cause."""
+    out = []
+    if verdict.shown < SHOWN * verdict.rollouts:
+        words = f"shown in {verdict.shown} of {verdict.rollouts} roll-outs"
+        cause = _cause(verdict, judge, bodies)
+        out.append(f"{words} ({cause})" if cause else words)
+    if verdict.path is not None and not verdict.path <= verdict.path_target:
+        out.append(f"{verdict.path:.1f} cm from its path, expected at most {verdict.path_target:g}")
+    if verdict.sliding > SLIDING:
+        out.append(f"feet slide {verdict.sliding:.1f} times as far as in the clips")
+    if out and verdict.clips == 1:
+        out.append("there is one clip to learn from")
+    if out and verdict.seconds < FEW_SECONDS:
+        out.append(f"there are {verdict.seconds:.1f} s of clips to learn from")
+    return tuple(out)
+
+
+def _cause(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> str:
+    """Why roll-outs of a type are not within the limits of its recordings."""
+    if not verdict.joint_speed >= LIVELY[0]:
+        return f"it moves {verdict.joint_speed:.2f} times as much as the clips"
+    if verdict.joint_speed > LIVELY[1]:
+        return f"it moves {verdict.joint_speed:.1f} times as much as the clips"
+    profile = judge.real.profile(verdict.type)
+    assert profile is not None
+    nearest: Counter[str] = Counter()
+    far = []
+    for body in bodies:
+        for window in detection_windows(body, PROFILE_SECONDS):
+            distances = judge.real.pose_distances(window).mean(axis=0)
+            nearest[judge.real.types[int(distances.argmin())]] += 1
+            far.append(float(distances[profile.kind]))
+    other = nearest.most_common(1)[0][0]
+    if other != verdict.type:
+        return f"its poses are more like {other}"
+    distance = float(np.mean(far))
+    return f"poses {distance:.1f} cm per joint from the clips" if distance > profile.distance else ""
