@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from motionkit.motion.mirror import mirror_motion as mirror
     from motionkit.motion.motion import Motion, resample
     from motionkit.motion.skeleton import Skeleton, canonical_skeleton
-    from motionkit.training.presets import train_options
+    from motionkit.training.presets import fine_tune_options, train_options
 
 __version__ = "0.1.0"
 
@@ -77,6 +77,7 @@ _HOMES = {
     "resample": "motion.motion",
     "Skeleton": "motion.skeleton",
     "canonical_skeleton": "motion.skeleton",
+    "fine_tune_options": "training.presets",
     "train_options": "training.presets",
 }
 
@@ -99,6 +100,7 @@ __all__ = [
     "encode",
     "evaluate",
     "export_onnx",
+    "fine_tune_options",
     "follow_path",
     "kinematics",
     "load_model",

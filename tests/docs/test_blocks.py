@@ -15,6 +15,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+import motionkit as mk
 from motionkit.cli.main import cli
 from motionkit.motion.bvh import read_bvh
 
@@ -51,8 +52,8 @@ def workplace(
         (tmp_path / name).symlink_to(ROOT / name)
     for name in ("my-motion", "cmu"):
         shutil.copytree(clips_folder, tmp_path / name)
-    for name in ("mine", "free"):
-        shutil.copytree(dataset_folder, tmp_path / "datasets" / name)
+    shutil.copytree(dataset_folder, tmp_path / "datasets" / "free")
+    mk.preprocess([clips_folder], tmp_path / "datasets" / "mine", mk.PreprocessOptions(jobs=1))
     shutil.copy(tiny_model_file, tmp_path / "mine.safetensors")
     for name in ("walk", "truth", "made", "ground_truth", "generated"):
         shutil.copy(SAMPLE / "16_45.bvh", tmp_path / f"{name}.bvh")
@@ -92,7 +93,6 @@ def run_command(words: list[str]) -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_blocks_run(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "argv", ["block", "examples/data"])
-    monkeypatch.setattr("motionkit.api.TRAIN_MINUTES", 0.01)
     names: dict[str, object] = {"__name__": "block"}
     for language, text in blocks(page):
         if language == "sh":
@@ -100,7 +100,10 @@ def test_blocks_run(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
                 run_command(words)
         elif language == "python" and "127.0.0.1" not in text:
             text = text.replace(
-                'train_options("tptn", minutes=60)', 'train_options("tiny", steps=2, splices=4)'
+                'mk.train_options("tptn", minutes=60)', 'mk.train_options("tiny", steps=2, splices=4)'
+            ).replace(
+                'mk.fine_tune_options("tptn", minutes=5)',
+                'mk.fine_tune_options("tptn", steps=2, splices=4, batch=2, score_seconds=0.1)',
             )
             exec(compile(text, str(page), "exec"), names)
     for made in workplace.glob("*.bvh"):
