@@ -39,7 +39,7 @@ PAPER: dict[str, Any] = {
 }
 
 # From a trained model: a small step, short averages, and few splices, since minutes are all there is.
-FINE_TUNE: dict[str, Any] = {"rate": 5e-4, "warmup": 50, "ema": 0.99, "step_weight": 35.0, "splices": 400}
+FINE_TUNE: dict[str, Any] = {"rate": 5e-4, "warmup": 50, "ema": 0.99, "splices": 400}
 
 
 def train_options(
