@@ -1,162 +1,151 @@
-"""A training step with block attention against plain attention under a full mask, same weights.
+"""A training step as `motionkit train` makes it, part by part, against the same step without its fast paths.
 
-    python benchmarks/training_step.py [--batch 16] [--window 96] [--threads 1] [--bfloat16]
+    python benchmarks/training_step.py [--dataset FOLDER] [--threads 2] [--device cuda]
 
-Everything but the attention is the same code, including losses and optimizer. The predictions of both are compared
-before the timing.
+Plain means: attention over blocks in torch instead of C, windows on predictions in torch in float32 instead of the C
+step, and AdamW parameter by parameter. Weights, windows and losses are the same; the losses of the first step are
+compared. Both run in turn, so that slow phases of the machine affect both; the times are those of the processor with
+--cpu-time, for a machine with other work. Without a dataset the sample motion of examples/data is used.
 """
 
 from __future__ import annotations
 
 import argparse
-import copy
-import math
-from collections.abc import Callable
-from dataclasses import replace
+import statistics
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from unittest.mock import patch
 
 import torch
-from common import print_table, time_in_turn
-from torch import Tensor, nn
+from common import SAMPLE_FOLDER, print_table
 
-from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
-from motionkit.features.encode import identity_reference_rotations
-from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.models.attention import LocalAttention
-from motionkit.models.consistency import ConsistencyModules
-from motionkit.models.network import PartTransformer
-from motionkit.models.presets import PRESETS, preset
-from motionkit.motion.skeleton import canonical_skeleton
-from motionkit.training.losses import Batch, FeatureSpace, total_loss, training_losses
+from motionkit.data.dataset import Dataset
+from motionkit.data.preprocess import preprocess
+from motionkit.training.losses import total_loss
+from motionkit.training.presets import train_options
+from motionkit.training.trainer import LOSS_SCALE, TrainingRun
 
-TYPES = tuple(f"type-{i}" for i in range(21))
-LOSS_SCALE = 1.0 / FEATURE_COUNT
+PARTS = ("windows", "windows on predictions", "forward and losses", "backward", "optimizer and average")
 
 
-class PlainAttention(nn.Module):
-    """Attention of all frames to all frames, with a mask for frames outside the window."""
+@contextmanager
+def plain_paths() -> Iterator[None]:
+    """Turn the fast paths off."""
 
-    def __init__(self, local: LocalAttention) -> None:
-        super().__init__()
-        self.heads, self.window = local.heads, local.window
-        self.qkv, self.out, self.offset_bias = local.qkv, local.out, local.offset_bias
+    def in_torch(network, batch, device):
+        return network.stream(batch).step
 
-    def forward(self, x_PBTD: Tensor, residual: Tensor) -> Tensor:
-        P, B, T, D = x_PBTD.shape
-        E = D // self.heads
-        q, k, v = self.qkv(x_PBTD).reshape(P, B, T, 3, self.heads, E).permute(3, 0, 1, 4, 2, 5)
-        scores = q @ k.transpose(-1, -2) / math.sqrt(E) + self.mask(T)
-        mixed = torch.softmax(scores, dim=-1) @ v
-        return self.out(mixed.transpose(2, 3).reshape(P, B, T, D), residual)
-
-    def mask(self, frames: int) -> Tensor:
-        """Return an additive mask, broadcastable to (P, B, H, T, T)."""
-        distance = torch.arange(frames)[:, None] - torch.arange(frames)[None, :]
-        inside = (distance >= 0) & (distance < self.window)
-        mask = torch.where(inside, 0.0, -torch.inf)
-        if self.offset_bias is None:
-            return mask
-        return mask + self.offset_bias[:, None, :, distance.clamp(0, self.window - 1)]
+    with ExitStack() as stack:
+        stack.enter_context(patch("motionkit.models.attention.can_attend", lambda *_: False))
+        stack.enter_context(patch("motionkit.training.scheduled_sampling._frame_step", in_torch))
+        yield
 
 
-def with_plain_attention(network: PartTransformer) -> PartTransformer:
-    """Return a copy of a network with the same weights and plain attention."""
-    plain = copy.deepcopy(network)
-    for module in (plain.shallow, plain.deep):
-        for layer in module.layers:
-            layer.attention = PlainAttention(layer.attention)
-    return plain
+class Timed:
+    """A run whose parts of a step are timed."""
 
+    def __init__(self, dataset: Path, folder: Path, arguments: argparse.Namespace, plain: bool) -> None:
+        options = train_options(
+            arguments.preset,
+            steps=10_000,
+            batch=arguments.batch,
+            window=arguments.window,
+            splices=20,
+            stages=(),
+        )
+        self.run = TrainingRun(Dataset(dataset), folder / "m.safetensors", options, device=arguments.device)
+        self.run.sampler.make_splices()
+        self.plain, self.clock = plain, time.process_time if arguments.cpu_time else time.perf_counter
+        if plain:
+            settings = options.optimizer
+            self.run.optimizer = torch.optim.AdamW(
+                self.run.module.parameters(), lr=settings.rate, betas=settings.betas, foreach=True
+            )
+        self.losses: dict[str, float] = {}
 
-def random_batch(batch: int, frames: int) -> Batch:
-    """Return windows of random numbers, which do not affect the time."""
-    generator = torch.Generator().manual_seed(0)
+    def timed(self, work: Callable[[], object]) -> float:
+        """Return the seconds of some work, on a GPU those until it is done."""
+        began = self.clock()
+        work()
+        if self.run.device.type == "cuda":
+            torch.cuda.synchronize()
+        return self.clock() - began
 
-    def normal(*shape: int) -> Tensor:
-        return torch.randn(batch, frames, *shape, generator=generator)
+    def step(self) -> list[float]:
+        """Make a step of average cost and return the seconds of its PARTS."""
+        with plain_paths() if self.plain else ExitStack():
+            return self._step()
 
-    return Batch(
-        normal(FEATURE_COUNT),
-        normal(FEATURE_COUNT),
-        (normal(CONTACT_COUNT) > 0).float(),
-        (normal(CONTACT_COUNT) > 0).float(),
-        normal(ControlLayout(TYPES).size),
-        normal(TRAJECTORY_COUNT),
-        torch.from_numpy(canonical_skeleton().offsets).expand(batch, -1, -1),
-        torch.ones(batch, frames),
-    )
+    def _step(self) -> list[float]:
+        run, options = self.run, self.run.options
+        period = options.scheduled_sampling.period
+        windows = self.timed(lambda: run.sampler.batch(run.step, options.batch))
+        # A block makes the windows of all its steps, and runs some of them on predictions.
+        block = self.timed(lambda: setattr(self, "batch", run.blocks.next(run.step, 0.0)))
+        predictions = max(0.0, block / period - windows)
+        batch = self.batch
+        run.module.train()
 
+        def forward() -> None:
+            self.terms = run.module(batch, run.autocast, 0.0)
+            self.loss = total_loss(self.terms, options.losses.weights) * LOSS_SCALE
 
-def training_step(network: PartTransformer, batch: Batch, bfloat16: bool) -> Callable[[], None]:
-    """Return a training step: forward, six losses, backward, AdamW."""
-    network.train()
-    modules = ConsistencyModules(network)
-    optimizer = torch.optim.AdamW([*network.parameters(), *modules.parameters()], lr=1e-4)
-    reference_rotations = torch.from_numpy(identity_reference_rotations())
-    space = FeatureSpace(
-        torch.zeros(FEATURE_COUNT),
-        torch.ones(FEATURE_COUNT),
-        reference_rotations,
-        network.config.layout,
-        60.0,
-    )
+        def update() -> None:
+            torch.nn.utils.clip_grad_norm_(run.module.parameters(), options.optimizer.clip_norm)
+            run.optimizer.step()
+            run.update_average()
 
-    def step() -> None:
-        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-            prediction = network(batch.inputs, batch.contacts, batch.controls)
-        prediction = replace(prediction, shallow=prediction.shallow.float(), deep=prediction.deep.float())
-        terms = training_losses(network, modules, prediction, batch, space)
-        optimizer.zero_grad(set_to_none=True)
-        (total_loss(terms) * LOSS_SCALE).backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
-        optimizer.step()
-
-    return step
-
-
-def largest_difference(a: PartTransformer, b: PartTransformer, batch: Batch) -> float:
-    """Return the largest difference between the predicted means of two networks, without dropout."""
-    with torch.no_grad():
-        means = [n.eval()(batch.inputs, batch.contacts, batch.controls).mean for n in (a, b)]
-    return float((means[0] - means[1]).abs().max())
+        seconds = [windows, predictions, self.timed(forward)]
+        self.losses = self.losses or {name: float(value) for name, value in self.terms.items()}
+        run.optimizer.zero_grad(set_to_none=True)
+        seconds += [self.timed(self.loss.backward), self.timed(update)]
+        run.step += period
+        run.blocks.drop()
+        return seconds
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--preset", default="tptn", choices=list(PRESETS))
+    parser.add_argument("--preset", default="tptn")
+    parser.add_argument("--dataset", type=Path, help="dataset folder; the sample motion by default")
     parser.add_argument("--batch", type=int, default=16, help="windows per step")
     parser.add_argument("--window", type=int, default=96, help="frames per window")
     parser.add_argument("--repeats", type=int, default=5)
     parser.add_argument("--threads", type=int, default=1, help="torch threads")
-    parser.add_argument(
-        "--bfloat16", action="store_true", help="also time bfloat16, which is slow where it is emulated"
-    )
+    parser.add_argument("--device", default="cpu")
+    parser.add_argument("--cpu-time", action="store_true", help="time of the processor instead of the clock")
     arguments = parser.parse_args()
     torch.set_num_threads(arguments.threads)
-    torch.manual_seed(0)
-    network = PartTransformer(preset(arguments.preset), ControlLayout(TYPES).size)
-    with torch.no_grad():  # an untrained head is zero and hides the layers before it
-        for parameter in network.parameters():
-            parameter.add_(0.02 * torch.randn_like(parameter))
-    plain = with_plain_attention(network)
-    batch = random_batch(arguments.batch, arguments.window)
-    difference = largest_difference(network, plain, batch)
-    steps = {
-        "full mask, float32": training_step(plain, batch, False),
-        "blocks, float32": training_step(network, batch, False),
-    }
-    if arguments.bfloat16:
-        steps["blocks, bfloat16"] = training_step(copy.deepcopy(network), batch, True)
-    seconds = time_in_turn(list(steps.values()), arguments.repeats)
-    frames = arguments.batch * arguments.window
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if arguments.dataset is None:
+            preprocess(SAMPLE_FOLDER, folder / "dataset")
+        dataset = arguments.dataset or folder / "dataset"
+        runs = [Timed(dataset, folder, arguments, plain) for plain in (True, False)]
+        measured: list[list[list[float]]] = [[], []]
+        for _ in range(arguments.repeats + 1):  # the first warms up
+            for rounds, run in zip(measured, runs, strict=True):
+                rounds.append(run.step())
+    plain, fast = (
+        [statistics.median(column) for column in zip(*rounds[1:], strict=True)] for rounds in measured
+    )
     rows = [
-        [name, f"{1000 * s:.0f}", f"{frames / s:.0f}", f"{seconds[0] / s:.2f}"]
-        for name, s in zip(steps, seconds, strict=True)
+        [part, f"{1000 * a:.1f}", f"{1000 * b:.1f}", f"{a / b:.2f}"]
+        for part, a, b in zip((*PARTS, "step"), [*plain, sum(plain)], [*fast, sum(fast)], strict=True)
     ]
-    title = f"{arguments.preset}, {arguments.batch} windows of {arguments.window} frames"
-    print_table(title, ["attention", "ms per step (median)", "frames per second", "speed-up"], rows)
-    print(f"predictions of both attentions differ by at most {difference:.1e} (normalised units, float32)")
-    ratios = [f"{seconds[0] / s:.2f} {name}" for name, s in zip(steps, seconds, strict=True)][1:]
-    print(f"ratio: {'; '.join(ratios)}, against the full mask")
+    kind = "processor" if arguments.cpu_time else "clock"
+    title = (
+        f"{arguments.preset}, {arguments.batch} windows of {arguments.window} frames, "
+        f"{arguments.threads} threads, {arguments.device}, ms of the {kind} (median of {arguments.repeats})"
+    )
+    print_table(title, ["part of a step", "plain", "as trained", "times as fast"], rows)
+    a, b = runs[0].losses, runs[1].losses
+    off = max(abs(a[name] - b[name]) / (abs(a[name]) + 1e-6) for name in a)
+    print(f"losses of the first step differ by at most {off:.1e} of their value")
+    print(f"ratio: {sum(plain) / sum(fast):.2f} times as many steps as the plain step")
 
 
 if __name__ == "__main__":

@@ -12,6 +12,7 @@
 #include "vectors.h"
 
 #define MOST_PLACES 64 /* of a window */
+#define USUAL 16 /* channels of a head, for which loops are unrolled */
 
 typedef uint16_t halves __attribute__((vector_size(2 * HEADS), aligned(2), may_alias));
 typedef uint32_t words __attribute__((vector_size(4 * HEADS)));
@@ -71,8 +72,8 @@ INLINE heads_vec product(const heads_vec *x, const heads_vec *y, int64_t E) {
     return even + odd;
 }
 
-INLINE void forward_of(const int bfloat16, const Attention *a, int64_t sequence, heads_vec *rows) {
-    const int64_t E = a->channels, T = a->frames, W = a->window, part = sequence / a->batch;
+INLINE void forward_of(const int bfloat16, const int64_t E, const Attention *a, int64_t sequence, heads_vec *rows) {
+    const int64_t T = a->frames, W = a->window, part = sequence / a->batch;
     const int64_t size = bfloat16 ? 2 : 4, whole = T * E * HEADS * size;
     const heads_vec *position = (const heads_vec *)a->position + part * W;
     heads_vec *shares = (heads_vec *)a->shares + sequence * T * W;
@@ -100,8 +101,8 @@ INLINE void forward_of(const int bfloat16, const Attention *a, int64_t sequence,
     }
 }
 
-INLINE void backward_of(const int bfloat16, const Attention *a, int64_t sequence, heads_vec *rows) {
-    const int64_t E = a->channels, T = a->frames, W = a->window, part = sequence / a->batch;
+INLINE void backward_of(const int bfloat16, const int64_t E, const Attention *a, int64_t sequence, heads_vec *rows) {
+    const int64_t T = a->frames, W = a->window, part = sequence / a->batch;
     const int64_t size = bfloat16 ? 2 : 4, whole = T * E * HEADS * size;
     heads_vec *gradients = rows + T * 3 * E, *given = gradients + T * 3 * E;
     heads_vec *position = (heads_vec *)a->position_gradient + sequence * W;
@@ -145,18 +146,22 @@ INLINE void backward_of(const int bfloat16, const Attention *a, int64_t sequence
 
 FASTEST
 static void forward_one(const Attention *a, int64_t sequence, heads_vec *rows) {
-    if (a->bfloat16)
-        forward_of(1, a, sequence, rows);
+    if (a->bfloat16 && a->channels == USUAL)
+        forward_of(1, USUAL, a, sequence, rows);
+    else if (a->bfloat16)
+        forward_of(1, a->channels, a, sequence, rows);
     else
-        forward_of(0, a, sequence, rows);
+        forward_of(0, a->channels, a, sequence, rows);
 }
 
 FASTEST
 static void backward_one(const Attention *a, int64_t sequence, heads_vec *rows) {
-    if (a->bfloat16)
-        backward_of(1, a, sequence, rows);
+    if (a->bfloat16 && a->channels == USUAL)
+        backward_of(1, USUAL, a, sequence, rows);
+    else if (a->bfloat16)
+        backward_of(1, a->channels, a, sequence, rows);
     else
-        backward_of(0, a, sequence, rows);
+        backward_of(0, a->channels, a, sequence, rows);
 }
 
 static int64_t run(const Attention *a, int64_t first, int64_t last, int back) {

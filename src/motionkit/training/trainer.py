@@ -176,7 +176,7 @@ def train(
         DatasetError: if the dataset does not fit the preset.
         ModelError: if the checkpoint is damaged or does not fit the options.
     """
-    run = _Run(Dataset(dataset_folder), Path(output), options, run_folder, device, on_event)
+    run = TrainingRun(Dataset(dataset_folder), Path(output), options, run_folder, device, on_event)
     if resume:
         run.resume()
     return run.go()
@@ -218,15 +218,17 @@ def _adamw(module: nn.Module, options: OptimizerOptions) -> torch.optim.AdamW:
         return torch.optim.AdamW(module.parameters(), **settings)
 
 
-class _Run:
+class TrainingRun:
+    """A run of train(), whose arguments it takes."""
+
     def __init__(
         self,
         dataset: Dataset,
         output: Path,
         options: TrainOptions,
-        run_folder: str | Path | None,
-        device: str,
-        on_event: Callable[[TrainEvent], None] | None,
+        run_folder: str | Path | None = None,
+        device: str = "auto",
+        on_event: Callable[[TrainEvent], None] | None = None,
     ) -> None:
         self.dataset, self.output, self.options = dataset, output, options
         self.folder = Path(run_folder) if run_folder else output.with_suffix(".run")
@@ -403,7 +405,7 @@ class _Run:
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.optimizer.clip_norm)
         if math.isfinite(float(norm)):
             self.optimizer.step()
-            self._update_average()
+            self.update_average()
         self.step += 1
         names = list(terms)
         stop = loss.new_tensor(float(self.asked_to_stop))  # all processes stop at the same step
@@ -417,7 +419,8 @@ class _Run:
         return dict(zip([*names, "total", "gradient"], means, strict=True))
 
     @torch.no_grad()
-    def _update_average(self) -> None:
+    def update_average(self) -> None:
+        """Let the running average follow the weights."""
         # At first the average follows quickly, so that it forgets the random initial weights.
         decay = min(self.options.optimizer.ema, (1.0 + self.step) / (10.0 + self.step))
         state = self.module.network.state_dict()

@@ -56,6 +56,10 @@ class WindowBlocks:
             self._begin(BlockStart(step, progress, weights))
         return self._coming.pop(0)
 
+    def drop(self) -> None:
+        """Drop the batches that have been made."""
+        self._coming = []
+
     @property
     def unfinished(self) -> BlockStart | None:
         """The start of a block whose batches are not all used; None between blocks."""
