@@ -25,7 +25,11 @@ if TYPE_CHECKING:
     from motionkit.control.path import Path2D, PathPart, make_path, read_path, shape_path
     from motionkit.data.dataset import Dataset
     from motionkit.data.preprocess import PreprocessOptions
+    from motionkit.editing.loop import make_loop
+    from motionkit.editing.root_motion import in_place, with_ground_root
     from motionkit.errors import MotionkitError
+    from motionkit.export.formats import read_motion as read
+    from motionkit.export.formats import write_motion as write
     from motionkit.export.onnx_export import export_onnx
     from motionkit.features.decode import decode_motion as decode
     from motionkit.features.encode import encode_motion as encode
@@ -63,7 +67,12 @@ _HOMES = {
     "shape_path": "control.path",
     "Dataset": "data.dataset",
     "PreprocessOptions": "data.preprocess",
+    "make_loop": "editing.loop",
+    "in_place": "editing.root_motion",
+    "with_ground_root": "editing.root_motion",
     "MotionkitError": "errors",
+    "read": "export.formats:read_motion",
+    "write": "export.formats:write_motion",
     "export_onnx": "export.onnx_export",
     "decode": "features.decode:decode_motion",
     "encode": "features.encode:encode_motion",
@@ -102,12 +111,15 @@ __all__ = [
     "export_onnx",
     "fine_tune_options",
     "follow_path",
+    "in_place",
     "kinematics",
     "load_model",
+    "make_loop",
     "make_path",
     "measure",
     "mirror",
     "preprocess",
+    "read",
     "read_bvh",
     "read_canonical",
     "read_path",
@@ -116,6 +128,8 @@ __all__ = [
     "synthesize",
     "train",
     "train_options",
+    "with_ground_root",
+    "write",
     "write_bvh",
     "write_view",
 ]

@@ -101,8 +101,8 @@ def test_faults_leave_no_file(synthesize, tmp_path: Path, words: list[str], comp
 
 
 def test_a_folder_in_the_place_of_the_file(synthesize, tmp_path: Path) -> None:
-    (tmp_path / "out").mkdir()
-    assert synthesize("--types", "idle:0.1", "-o", "out").failed_with("out: is a folder")
+    (tmp_path / "out.bvh").mkdir()
+    assert synthesize("--types", "idle:0.1", "-o", "out.bvh").failed_with("out.bvh: is a folder")
 
 
 @pytest.mark.parametrize("content", [b"", b"HIERARCHY\n" * 50, b"\x08\x00\x00\x00\x00\x00\x00\x00{}      "])

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import default_output, print_json, progress_bar
+from motionkit.cli.motion_options import RootMotion
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
     STDOUT,
@@ -25,7 +26,7 @@ from motionkit.cli.synthesis_options import (
 
 @click.command("follow-path")
 @click.argument("path")
-@output_option("BVH file to write; named after the path by default")
+@output_option("File to write; a BVH file named after the path by default")
 @click.option(
     "--types",
     default="walking",
@@ -50,10 +51,11 @@ def command(
     reference: str,
     ik: bool,
     fps: float | None,
+    root_motion: RootMotion,
     view: bool,
     as_json: bool,
 ) -> None:
-    """Make a character follow PATH and write BVH.
+    """Make a character follow PATH and write BVH or another format.
 
     PATH is a JSON or CSV file in metres, whose parts have points, a type and a speed (docs/paths.md), or a
     named shape: line, circle, figure-eight, square, pentagram, u-turn. The command prints the distance
@@ -83,7 +85,9 @@ def command(
     with progress_bar() as bar:
         task = bar.add_task("following", total=100)
         result = follow_path(model, target, options, lambda share: bar.update(task, completed=100 * share))
-    write_motion(file, result.motion)
+    times = [frames / model.fps for frames in result.part_frames]
+    bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
+    write_motion(file, root_motion.applied(result.motion), bands)
     metrics = motion_metrics(result.motion)
     parts = [
         {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
@@ -93,8 +97,6 @@ def command(
     if view:
         from motionkit.view.figure_data import Shown
 
-        times = [frames / model.fps for frames in result.part_frames]
-        bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
         shown = Shown(file.stem, result.motion, bands, target.points)
         page = write_and_open(page_file, [shown], as_json)
     if as_json:

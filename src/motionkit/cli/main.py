@@ -27,6 +27,8 @@ COMMANDS = {
     "metrics": "metrics",
     "evaluate": "evaluate",
     "mirror": "mirror",
+    "convert": "convert",
+    "loop": "loop",
     "view": "view",
     "play": "play",
     "export": "export",

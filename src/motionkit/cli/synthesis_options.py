@@ -5,13 +5,14 @@ from __future__ import annotations
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from motionkit.cli.common import json_option, remark, seed_option, stderr_console, stdout_console
+from motionkit.cli.motion_options import ENDINGS, checked_ending, root_options
 from motionkit.cli.showing import view_option
 
 if TYPE_CHECKING:
@@ -89,8 +90,9 @@ def synthesis_options(function: Callable) -> Callable:
         click.option(
             "--fps",
             type=click.FloatRange(1, 480),
-            help="Frame rate of the BVH file; the model's 60 by default.",
+            help="Frame rate of the file; the model's 60 by default.",
         ),
+        root_options,
         view_option,
         json_option,
     ]
@@ -100,9 +102,10 @@ def synthesis_options(function: Callable) -> Callable:
 
 
 def output_option(text: str) -> Callable:
-    """The -o option of commands that write BVH to a file or to standard output."""
+    """The -o option of commands that write a motion to a file or as BVH to standard output."""
     kind: Any = click.Path(path_type=Path)
-    return click.option("-o", "--output", type=kind, help=f"{text}; - writes to standard output.")
+    text = f"{text}. The ending chooses the format: {ENDINGS}; - writes BVH to standard output."
+    return click.option("-o", "--output", type=kind, callback=checked_ending, help=text)
 
 
 def check_stdout(output: Path | None, others: dict[str, bool]) -> None:
@@ -112,13 +115,16 @@ def check_stdout(output: Path | None, others: dict[str, bool]) -> None:
             raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
 
 
-def write_motion(path: Path, motion: Motion) -> None:
-    """Write BVH to a file or, for "-", to standard output; nothing is written if the motion is invalid."""
+def write_motion(path: Path, motion: Motion, types: Sequence[tuple[str, float]] = ()) -> None:
+    """Write a motion to a file or, for "-", as BVH to standard output; nothing is written if it is invalid."""
+    if path != STDOUT:
+        from motionkit.export.clip import Clip
+        from motionkit.export.formats import write_motion as write
+
+        write(path, Clip(motion, path.stem, types))
+        return
     from motionkit.motion.bvh import write_bvh
 
-    if path != STDOUT:
-        write_bvh(path, motion)
-        return
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "motion.bvh"
         write_bvh(made, motion)

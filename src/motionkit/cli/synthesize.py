@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from motionkit.cli.common import default_output, print_json, progress_bar, stdout_console
+from motionkit.cli.motion_options import RootMotion, seam_json, seam_words
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
     STDOUT,
@@ -25,6 +27,9 @@ from motionkit.cli.synthesis_options import (
 
 if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisResult
+    from motionkit.editing.loop import Loop
+
+LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
 
 
 @click.command("synthesize")
@@ -35,7 +40,7 @@ if TYPE_CHECKING:
     "Repeat it to give the characters of --count different types, in turn.",
 )
 @click.option("--list-types", is_flag=True, help="List the model's motion types and characters.")
-@output_option("BVH file to write; named after the types by default")
+@output_option("File to write; a BVH file named after the types by default")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 3600),
@@ -48,6 +53,12 @@ if TYPE_CHECKING:
     type=click.IntRange(1, 4096),
     help="Number of motions, made together, each with the next seed; the files are numbered.",
 )
+@click.option(
+    "--loop",
+    "loops",
+    is_flag=True,
+    help="Write the best cycle, closed, of one type; --seconds is a wish then. For gaits and dances.",
+)
 @synthesis_options
 def command(
     types: tuple[str, ...],
@@ -55,6 +66,7 @@ def command(
     output: Path | None,
     seconds: float | None,
     count: int,
+    loops: bool,
     model_path: Path | None,
     seed: int,
     character: str,
@@ -64,10 +76,11 @@ def command(
     reference: str,
     ik: bool,
     fps: float | None,
+    root_motion: RootMotion,
     view: bool,
     as_json: bool,
 ) -> None:
-    """Synthesize motion types in sequence and write BVH.
+    """Synthesize motion types in sequence and write BVH or another format.
 
     By default the command uses the bundled model and writes to the current folder. The same seed gives the
     same file; --count N --seed S gives the files of seeds S to S+N-1.
@@ -93,7 +106,10 @@ def command(
     count = max(count, len(types))
     check_stdout(output, {"--view": view, "--json": as_json, f"--count {count}": count > 1})
     model = open_model(model_path, reference)
-    plans = [parse_types(text, seconds, model.phase_seconds) for text in types]
+    length = loop_seconds(seconds) if loops else seconds
+    plans = [parse_types(text, length, model.phase_seconds) for text in types]
+    if loops and any(len(plan) > 1 for plan in plans):
+        raise click.UsageError("--loop takes one motion type, such as --types walking --loop")
     for part in (part for plan in plans for part in plan):
         model.type_id(part.type)
     base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
@@ -106,17 +122,21 @@ def command(
     with progress_bar() as bar:
         task = bar.add_task("synthesizing", total=frames)
         result = synthesize(model, plans, options, lambda done: bar.update(task, completed=done))
+    if loops:
+        result, cycles = _looped(result, seconds)
     made: list[dict[str, Any]] = []
     with progress_bar() as bar:
         for path, synthesis in zip(bar.track(files, description="writing"), result.motions, strict=True):
-            write_motion(path, synthesis.motion)
+            parts = [(part.type, part.seconds) for part in synthesis.types]
+            write_motion(path, root_motion.applied(synthesis.motion, cyclic=loops), parts)
             made.append(
                 {
                     "file": str(path),
                     "frames": len(synthesis.motion),
                     "fps": synthesis.motion.fps,
-                    "types": [[part.type, part.seconds] for part in synthesis.types],
+                    "types": [list(part) for part in parts],
                     "metrics": motion_metrics(synthesis.motion),
+                    **(seam_json(cycles[len(made)]) if loops else {}),
                 }
             )
     page = _view(base, made, result, as_json) if view else None
@@ -132,9 +152,29 @@ def command(
             f"wrote {shown_name(entry['file'])}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps",
         )
         out.print(f"  {metrics_line(entry['metrics'])}")
+        if loops:
+            out.print(f"  {seam_words(cycles[made.index(entry)])}")
     out.print(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second")
     if page:
         out.print(f"wrote {page}")
+
+
+def loop_seconds(wish: float | None) -> float:
+    """How long to synthesize for a loop: long enough for several cycles to choose from."""
+    return LOOP_SECONDS if wish is None else max(LOOP_SECONDS, 2.0 * wish + 2.0)
+
+
+def _looped(result: SynthesisResult, seconds: float | None) -> tuple[SynthesisResult, list[Loop]]:
+    """The best cycle of each motion, closed."""
+    from motionkit.control.script import TypePart
+    from motionkit.editing.loop import make_loop
+
+    cycles = [make_loop(one.motion, seconds) for one in result.motions]
+    motions = tuple(
+        replace(one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.motion.seconds),))
+        for one, cycle in zip(result.motions, cycles, strict=True)
+    )
+    return replace(result, motions=motions), cycles
 
 
 def _numbered(base: Path, number: int, count: int) -> Path:

@@ -115,7 +115,7 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     start, end = _good_span(cut)
     if end - start < len(motion):
         cut, pops = _mend(motion.cut(start, end))
-    shift, floor_notes = _floor_shift(cut)
+    shift, floor_notes = floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = np.array([0.0, shift, 0.0], cut.root_positions.dtype)
     report = CleaningReport(
@@ -373,7 +373,7 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
     return (*told, f"{more} more jumps left") if more else told
 
 
-def _floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
+def floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
     """cm to add to the root height so that standing toes are at TOE_HEIGHT, and notes."""
     legs = max(TOES) + 1  # hips and legs come first
     skeleton = motion.skeleton

@@ -1,1 +1,1 @@
-"""A model in, an ONNX graph for game engines out."""
+"""Motions and models in, files for other programs out: glTF, VRM animation, USD, tables, ONNX graphs."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
 
@@ -49,6 +49,26 @@ def load_canonical(
     return motion, [
         f"{Path(path).name}: legs of {leg:.3g} cm; if the file is not in cm, give its scale with --scale"
     ]
+
+
+def canonical_motion(motion: Motion, own_body: bool = False, scale: float | None = None) -> Motion:
+    """A motion of any human rig on the 23 canonical joints, in cm, at its own rate.
+
+    A motion that already has the 23 joints is taken to be in cm and keeps its proportions.
+
+    Args:
+        own_body: keep the bone lengths of other rigs too.
+        scale: cm per unit of other rigs; detected by default.
+
+    Raises:
+        SkeletonError: the rig cannot be retargeted.
+    """
+    order = _canonical_order(motion.skeleton)
+    if order is not None:
+        return _reordered(motion, order)
+    from motionkit.motion.retarget import retarget
+
+    return retarget(motion_to_bvh(motion), scale, own_body=own_body)[0]
 
 
 def _mapping_notes(name: str, report: RetargetReport) -> list[str]:

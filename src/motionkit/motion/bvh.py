@@ -122,15 +122,15 @@ def bvh_to_motion(bvh: BvhFile, scale: float = 1.0, fps: float | None = None) ->
 
 
 def motion_to_bvh(motion: Motion, channels: tuple[tuple[str, ...], ...] | None = None) -> BvhFile:
-    """Convert a motion to BVH channels: those given, or six for the root and ZYX rotations for other joints.
+    """Convert a motion to BVH channels: those given, or ZYX rotations, and positions of the joints that move.
 
     Angles are unwrapped over time, so that curves in an editor do not jump by 360 degrees.
     """
     if channels is None:
         turns = tuple(f"{axis}rotation" for axis in ROTATION_ORDER)
         moves = POSITION_CHANNELS
-        every = motion.local_positions is not None
-        channels = tuple(moves + turns if j == 0 or every else turns for j in range(len(motion.skeleton)))
+        moving = motion.moving_joints()
+        channels = tuple(moves + turns if j in moving else turns for j in range(len(motion.skeleton)))
     orders = ["".join(name[0] for name in names if name.endswith("rotation")) for names in channels]
     eulers = _unrolled_eulers(motion, orders)
     blocks: list[Array] = []

@@ -39,6 +39,13 @@ class Motion:
         """Duration, counting each frame as 1 / fps."""
         return len(self) / self.fps
 
+    def moving_joints(self) -> list[int]:
+        """The root, and the joints that do not stay at their offsets."""
+        if self.local_positions is None:
+            return [0]
+        away = np.abs(self.local_positions - self.skeleton.offsets).max(axis=(0, 2), initial=0.0)
+        return [0, *(joint for joint in np.flatnonzero(away > 1e-5).tolist() if joint > 0)]
+
     def cut(self, start: int, end: int) -> Motion:
         """Frames start to end (exclusive)."""
         local = None if self.local_positions is None else self.local_positions[start:end]

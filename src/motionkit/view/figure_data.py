@@ -177,12 +177,10 @@ def _leg(skeleton: Skeleton) -> float:
 
 def _moving(motion: Motion) -> dict[str, Any] | None:
     """Local positions of the joints that do not stay at their offsets."""
-    if motion.local_positions is None:
-        return None
-    places = motion.local_positions
-    away = np.abs(places - motion.skeleton.offsets).max(axis=(0, 2)) > 1e-5
-    joints = [j for j in np.flatnonzero(away).tolist() if j > 0]
-    return {"joints": joints, "places": pack(places[:, joints], "f4")} if joints else None
+    places, joints = motion.local_positions, motion.moving_joints()[1:]
+    return (
+        None if places is None or not joints else {"joints": joints, "places": pack(places[:, joints], "f4")}
+    )
 
 
 def _bands(shown: Shown, seconds: float) -> list[dict[str, Any]]:

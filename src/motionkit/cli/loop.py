@@ -1,0 +1,67 @@
+"""`motionkit loop`: the best cycle of a clip, closed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionkit.cli.common import default_output, json_option, print_json, say
+from motionkit.cli.motion_options import RootMotion, checked_ending, root_options, seam_json, seam_words
+from motionkit.cli.showing import view_option, write_and_open
+
+
+@click.command("loop")
+@click.argument("clip", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    callback=checked_ending,
+    help="File to write: .bvh, .glb, .vrma, .usda, .npz or .csv; CLIP-loop.bvh by default.",
+)
+@click.option(
+    "--seconds",
+    type=click.FloatRange(0.1, 3600),
+    help="Wished length in seconds; the nearest good cycle is taken, by default the shortest one.",
+)
+@root_options
+@view_option
+@json_option
+def command(
+    clip: Path, output: Path | None, seconds: float | None, root_motion: RootMotion, view: bool, as_json: bool
+) -> None:
+    """Cut the best cycle out of CLIP, a motion of any rig, and close it: its last frame meets its first.
+
+    Ends of a cycle are frames with like poses, velocities and contacts; what differs between them is spread over the
+    cycle. The command prints what the seam shows, beside two frames that follow each other within the cycle.
+    """
+    from motionkit.editing.loop import make_loop
+    from motionkit.errors import MotionkitError
+    from motionkit.export.formats import read_motion, write_motion
+    from motionkit.files import check_outputs
+
+    target = output or default_output(f"{clip.stem}-loop")
+    page_file = target.with_suffix(".html")
+    check_outputs([target, page_file] if view else [target], [clip])
+    motion = read_motion(clip)
+    try:
+        loop = make_loop(motion, seconds)
+    except MotionkitError as error:
+        raise MotionkitError(f"{clip}: {error}") from None
+    made = root_motion.applied(loop.motion, cyclic=True)
+    write_motion(target, made)
+    page = None
+    if view:
+        from motionkit.view.figure_data import Shown
+
+        page = write_and_open(page_file, [Shown(target.stem, made)], as_json)
+    length = (len(made) - 1) / made.fps
+    if as_json:
+        cut = {"start": loop.start, "end": loop.end, "seconds": length, "difference_cm": loop.difference}
+        print_json({"output": str(target), **cut, **seam_json(loop), **({"view": str(page)} if page else {})})
+        return
+    say(f"wrote {target}: frames {loop.start} to {loop.end} of {clip.name}, {length:.2f} s")
+    say(f"  {seam_words(loop)}")
+    if page:
+        say(f"wrote {page}")

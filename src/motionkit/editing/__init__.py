@@ -1,0 +1,1 @@
+"""A motion of any rig in, the same rig out: loops, root motion, repairs."""

@@ -1,0 +1,287 @@
+"""Loops: the best cycle of a clip, cut out and closed so that its last frame is its first, moved on.
+
+Two frames are ends of a cycle if poses, velocities and contacts are alike, seen from the root. What is left between
+them is spread over the whole clip, so that no frame shows it; the rest of the difference in velocity fades within
+a fraction of a second on both sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.arrays import Array, distances_between
+from motionkit.editing.upright import Upright
+from motionkit.errors import MotionkitError
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import (
+    expmap_to_quat,
+    quat_continuous,
+    quat_from_yaw,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+    quat_to_expmap,
+    rotate_ground,
+    wrap_angle,
+)
+
+SHORTEST = 0.4  # s; half a step looks like a cycle to no one
+COARSE = 1200  # frames of the first search; the best are sought again at the full rate
+VELOCITY_SECONDS = 0.08  # weight of velocities: a difference of 1 cm/s counts as one of 0.08 cm
+CONTACT_CM = 6.0  # one foot joint in contact at one end only counts as so many cm
+MOST_TURN = np.deg2rad(30.0)  # what a cycle may turn; it is straightened over the cycle
+# The ends of a cycle differ by at most this share of the usual difference between two frames, within these limits, cm.
+MOST_SHARE, LEAST_LIMIT, MOST_LIMIT = 0.3, 2.5, 8.0
+# Of cycles whose ends are as alike as this factor times the best, or differ by less than so many cm, the shortest is
+# taken.
+AS_GOOD, GOOD = 1.25, 3.0
+LIVELY = 0.6  # a cycle moves at least this share of what the clip moves
+WISH_TOLERANCE = 0.15  # share of the wished length within which the most alike ends decide
+FADE_SECONDS = 0.25
+STANDING_SPEED = 25.0  # cm/s; a cycle that goes slower than this ends where it began
+
+
+@dataclass(frozen=True)
+class Seam:
+    """What a loop shows where it begins again, beside two frames that follow each other within it.
+
+    Attributes:
+        distance: between the last frame and the first, cm, of the joint that moves most.
+        speed: difference of its velocities into the last and out of the first frame, cm/s.
+        frame_distance: largest distance between two following frames, cm.
+        frame_speed: largest difference of velocities between two following frames, cm/s.
+    """
+
+    distance: float
+    speed: float
+    frame_distance: float
+    frame_speed: float
+
+
+@dataclass(frozen=True, eq=False)
+class Loop:
+    """A closed cycle.
+
+    Attributes:
+        motion: the frames of the cycle; the last one is the first, moved on.
+        start, end: the frames of the clip it was made of, both included.
+        seam: what shows where it begins again.
+        difference: cm that the ends of the cycle differed by before, poses, velocities and contacts together.
+    """
+
+    motion: Motion
+    start: int
+    end: int
+    seam: Seam
+    difference: float
+
+
+def make_loop(motion: Motion, seconds: float | None = None) -> Loop:
+    """The best cycle of a motion of any rig, closed.
+
+    Args:
+        seconds: wished length; by default the shortest cycle that is as good as any.
+
+    Raises:
+        MotionkitError: the motion never repeats.
+    """
+    upright = Upright.of(motion)
+    start, end, difference = find_cycle(upright, seconds)
+    closed = _closed(upright, start, end)
+    return Loop(upright.back(closed), start, end, seam(closed), difference)
+
+
+def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
+    """First and last frame of the best cycle, and the difference of its ends in cm.
+
+    Raises:
+        MotionkitError: the motion never repeats.
+    """
+    fps, frames = upright.motion.fps, len(upright.motion)
+    least = max(3, round(SHORTEST * fps))
+    if frames <= least + 1:
+        raise MotionkitError(
+            f"the clip lasts {frames / fps:.2g} s, expected more than {SHORTEST:g} s to find a cycle in"
+        )
+    rows = _rows(upright)
+    stride = max(1, -(-frames // COARSE))
+    every = np.arange(0, frames, stride)
+    apart = distances_between(rows[every], rows[every])
+    usual = float(np.median(apart))
+    pairs = _allowed(upright, every, least)
+    if not bool(pairs.any()):
+        raise MotionkitError(
+            "the clip never repeats: no two frames face alike with the clip's movement between them"
+        )
+    limit = min(max(MOST_SHARE * usual, LEAST_LIMIT), MOST_LIMIT)
+    a, b = _chosen(np.where(pairs, apart, np.inf), every, fps, seconds, limit)
+    start, end, difference = _refined(rows, int(every[a]), int(every[b]), stride, least)
+    if difference > limit:
+        raise MotionkitError(
+            f"the clip never repeats: the ends of its best cycle differ by {difference:.1f} cm, "
+            f"expected at most {limit:.1f}"
+        )
+    return start, end, difference
+
+
+def _rows(upright: Upright) -> Array:
+    """Poses, velocities and contacts (T, C), so scaled that their distance is a mean over joints in cm."""
+    poses = upright.facing_positions.astype(np.float64)
+    frames, joints = poses.shape[:2]
+    track = upright.positions[:, 0, [0, 2]].astype(np.float64)
+    way = rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
+    speeds = np.gradient(poses, axis=0) * upright.motion.fps
+    # Feet that slide and a root that stops are seen less by poses: the way's velocity counts for all joints.
+    parts = [
+        poses.reshape(frames, -1) / np.sqrt(joints),
+        VELOCITY_SECONDS * speeds.reshape(frames, -1) / np.sqrt(joints),
+        VELOCITY_SECONDS * way,
+        CONTACT_CM / 2.0 * upright.contacts,
+    ]
+    return np.concatenate(parts, axis=1)
+
+
+def _allowed(upright: Upright, every: Array, least: int) -> Array:
+    """Which pairs of frames (N, N) may be ends: far enough apart, facing alike, with movement between them."""
+    fps = upright.motion.fps
+    speeds = np.linalg.norm(np.gradient(upright.facing_positions.astype(np.float64), axis=0), axis=-1).mean(
+        axis=1
+    )
+    moved = np.cumsum(speeds)[every]
+    lengths = every[None, :] - every[:, None]
+    heading = upright.heading[every].astype(np.float64)
+    turned = np.abs(wrap_angle(heading[None, :] - heading[:, None]))
+    mean = float(speeds.mean())
+    lively = moved[None, :] - moved[:, None] >= LIVELY * mean * lengths
+    return (lengths >= max(least, round(SHORTEST * fps))) & (turned <= MOST_TURN) & lively
+
+
+def _chosen(apart: Array, every: Array, fps: float, seconds: float | None, limit: float) -> tuple[int, int]:
+    """Indices of the ends of the best cycle, given the differences (N, N) of all allowed pairs."""
+    lengths = (every[None, :] - every[:, None]) / fps
+    best = float(apart.min())
+    good = apart <= max(AS_GOOD * best, min(0.5 * limit, GOOD))
+    if seconds is None:
+        shortest = float(lengths[good].min())
+        near = good & (lengths <= 1.1 * shortest)
+        return _least(np.where(near, apart, np.inf))
+    near = np.abs(lengths - seconds) <= WISH_TOLERANCE * seconds
+    if bool((apart[near] <= limit).any()):
+        return _least(np.where(near, apart, np.inf))
+    usable = apart <= limit
+    away = np.where(usable if bool(usable.any()) else np.isfinite(apart), np.abs(lengths - seconds), np.inf)
+    return _least(np.where(away <= float(away.min()) + 0.1 * seconds, apart, np.inf))
+
+
+def _least(values: Array) -> tuple[int, int]:
+    row, column = np.unravel_index(int(values.argmin()), values.shape)
+    return int(row), int(column)
+
+
+def _refined(rows: Array, start: int, end: int, stride: int, least: int) -> tuple[int, int, float]:
+    """The best ends within a stride of those of the first search."""
+    starts = np.arange(max(0, start - stride), min(len(rows), start + stride + 1))
+    ends = np.arange(max(0, end - stride), min(len(rows), end + stride + 1))
+    apart = distances_between(rows[starts], rows[ends])
+    apart[ends[None, :] - starts[:, None] < least] = np.inf
+    a, b = _least(apart)
+    return int(starts[a]), int(ends[b]), float(apart[a, b])
+
+
+def _closed(upright: Upright, start: int, end: int) -> Motion:
+    """The frames start to end (included), the last one made the first, moved on."""
+    source = upright.motion.cut(start, end + 1)
+    heading = upright.heading[start : end + 1].astype(np.float64)
+    steps = end - start
+    share = np.arange(steps + 1) / steps
+    fade = _fades(steps, upright.motion.fps)
+    # Seen from the heading, so that where a cycle goes and faces does not matter.
+    facing = quat_from_yaw(-heading)
+    rotations = source.local_rotations.astype(np.float64)
+    rotations[:, 0] = quat_multiply(facing, rotations[:, 0])
+    rotations = _closed_rotations(quat_normalize(quat_continuous(rotations)), share, fade)
+    turn = wrap_angle(heading[-1:] - heading[:1])[0]
+    rate = np.diff(heading) - turn / steps
+    straight = heading[0] + np.concatenate([[0.0], np.cumsum(rate)])
+    straight += fade @ np.array([rate[0] - rate[-1]])
+    heights = source.root_positions[:, 1:2].astype(np.float64)
+    place = _closed_way(
+        source.root_positions[:, [0, 2]].astype(np.float64), heading, straight, fade, upright.motion.fps
+    )
+    rotations[:, 0] = quat_multiply(quat_from_yaw(straight), rotations[:, 0])
+    heights = _closed_values(heights, share, fade)
+    roots = np.concatenate([place[:, :1], heights, place[:, 1:]], axis=1)
+    local = source.local_positions
+    if local is not None:
+        local = _closed_values(local.astype(np.float64), share, fade).astype(np.float32)
+    return replace(
+        source,
+        local_rotations=quat_continuous(quat_normalize(rotations)).astype(np.float32),
+        root_positions=roots.astype(np.float32),
+        local_positions=local,
+    )
+
+
+def _fades(steps: int, fps: float) -> Array:
+    """What to add (T, 1) for each unit by which the step after the first frame exceeds that before the last."""
+    frames = np.arange(steps + 1.0)
+    wide = max(2.0, min(FADE_SECONDS * fps, 0.4 * steps))
+    out = np.zeros(steps + 1)
+    for side in (frames, steps - frames):
+        out -= 0.5 * side * np.square(np.clip(1.0 - side / wide, 0.0, 1.0))
+    return out[:, None]
+
+
+def _closed_rotations(rotations: Array, share: Array, fade: Array) -> Array:
+    """Rotations (T, J, 4) whose last frame is the first."""
+    gap = quat_to_expmap(quat_multiply(rotations[0], quat_inverse(rotations[-1])))
+    spread = (share - 0.5)[:, None, None] * gap
+    out = quat_multiply(expmap_to_quat(spread), rotations)
+    into = quat_to_expmap(quat_multiply(out[-1], quat_inverse(out[-2])))
+    away = quat_to_expmap(quat_multiply(out[1], quat_inverse(out[0])))
+    out = quat_multiply(expmap_to_quat(fade[..., None] * (away - into)), out)
+    out[-1] = out[0]
+    return out
+
+
+def _closed_values(values: Array, share: Array, fade: Array) -> Array:
+    """Values (T, ...) whose last frame is the first."""
+    shape = (len(values), *[1] * (values.ndim - 1))
+    out = values + (share - 0.5).reshape(shape) * (values[0] - values[-1])
+    out = out + fade.reshape(shape) * ((out[1] - out[0]) - (out[-1] - out[-2]))
+    out[-1] = out[0]
+    return out
+
+
+def _closed_way(track: Array, heading: Array, straight: Array, fade: Array, fps: float) -> Array:
+    """The way (T, 2) with the same steps seen from a heading that turns otherwise, its first step like its last.
+
+    A way that hardly leads anywhere ends where it began.
+    """
+    middle, now = 0.5 * (heading[1:] + heading[:-1]), 0.5 * (straight[1:] + straight[:-1])
+    steps = rotate_ground(now - middle, np.diff(track, axis=0))
+    out = track[0] + np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    away = out[-1] - out[0]
+    if float(np.linalg.norm(away)) * fps / (len(track) - 1) < STANDING_SPEED:
+        out = out - np.arange(len(track))[:, None] / (len(track) - 1) * away
+    return out + fade * ((out[1] - out[0]) - (out[-1] - out[-2]))
+
+
+def seam(motion: Motion) -> Seam:
+    """What a loop in cm shows where it begins again: its last frame beside the first, moved on."""
+    _, positions = motion_kinematics(motion)
+    positions = positions.astype(np.float64)
+    cycle = (positions[-1, 0] - positions[0, 0]) * np.array([1.0, 0.0, 1.0])
+    again = np.concatenate([positions, positions[1:3] + cycle])
+    steps = np.diff(again, axis=0)
+    bends = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=-1) * motion.fps
+    last = len(positions) - 1
+    return Seam(
+        float(np.linalg.norm(positions[0] + cycle - positions[-1], axis=-1).max()),
+        float(bends[last - 1]),
+        float(np.linalg.norm(steps[:last], axis=-1).max()),
+        float(bends[: last - 1].max()),
+    )

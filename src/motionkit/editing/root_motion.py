@@ -1,0 +1,104 @@
+"""Root motion: a clip in place, or with a root bone on the floor that carries the way.
+
+Engines move a character by the root bone of its clips, or by themselves while the clip plays in place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.editing.upright import Upright, relative_rotation
+from motionkit.errors import SkeletonError
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_inverse, quat_rotate
+from motionkit.motion.skeleton import Skeleton
+
+ROOT = "Root"  # name of the bone on the floor
+SMOOTHING_SECONDS = 0.25  # of the way: steps sway about it, and the sway stays with the hips
+
+
+def ground_track(upright: Upright, cyclic: bool = False) -> Array:
+    """The way (T, 3) of a motion: smoothed x and z of the root in cm, and its heading in radians.
+
+    Args:
+        cyclic: the last frame is the first one, moved on; the way then has the same steps at both ends.
+    """
+    track = np.concatenate(
+        [upright.positions[:, 0, [0, 2]].astype(np.float64), upright.heading[:, None].astype(np.float64)],
+        axis=1,
+    )
+    out = track.copy()
+    out[:, :2] = _smoothed(track[:, :2], SMOOTHING_SECONDS * upright.motion.fps, cyclic)
+    return out
+
+
+def _smoothed(values: Array, sigma: float, cyclic: bool) -> Array:
+    """Gaussian smoothing (T, C); beyond the ends values go on cyclically, or by point reflection."""
+    frames = len(values)
+    radius = min(math.ceil(3 * sigma), frames - 1)
+    if radius < 1:
+        return values
+    if cyclic:
+        cycle = values[-1] - values[0]
+        before, after = values[-1 - radius : -1] - cycle, values[1 : radius + 1] + cycle
+    else:
+        before = 2.0 * values[0] - values[radius:0:-1]
+        after = 2.0 * values[-1] - values[-2 : -radius - 2 : -1]
+    padded = np.concatenate([before, values, after])
+    kernel = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    kernel /= kernel.sum()
+    return np.stack(
+        [np.convolve(padded[:, c], kernel, mode="valid") for c in range(values.shape[1])], axis=-1
+    )
+
+
+def in_place(motion: Motion, cyclic: bool = False) -> Motion:
+    """The motion without its way over the ground: the hips keep their height, sway and turns."""
+    upright = Upright.of(motion)
+    way = ground_track(upright, cyclic)[:, :2]
+    roots = upright.motion.root_positions.copy()
+    roots[:, [0, 2]] -= way.astype(roots.dtype)
+    return upright.back(replace(upright.motion, root_positions=roots))
+
+
+def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
+    """The motion with a new root joint on the floor that carries the way and the heading; the hips move below it.
+
+    Raises:
+        SkeletonError: the rig has a joint called Root already.
+    """
+    if ROOT in motion.skeleton.names:
+        raise SkeletonError(f"the rig has a joint called {ROOT} already; --root ground adds one")
+    upright = Upright.of(motion)
+    source = upright.motion
+    track = ground_track(upright, cyclic)
+    place = np.stack([track[:, 0], np.zeros(len(source)), track[:, 1]], axis=-1).astype(np.float32)
+    turn = quat_from_yaw(track[:, 2]).astype(np.float32)
+    skeleton = source.skeleton
+    hips = quat_rotate(quat_inverse(turn), source.root_positions - place)
+    usual = np.median(hips, axis=0).astype(np.float32)
+    offsets = np.concatenate([np.zeros((1, 3), np.float32), usual[None], skeleton.offsets[1:]])
+    still = np.broadcast_to(skeleton.offsets, (len(source), *skeleton.offsets.shape))
+    moved = still if source.local_positions is None else source.local_positions
+    rotations = source.local_rotations
+    out = Motion(
+        Skeleton(
+            (ROOT, *skeleton.names),
+            (-1, *(parent + 1 for parent in skeleton.parents)),
+            offsets,
+            {joint + 1: end for joint, end in skeleton.end_sites.items()},
+        ),
+        quat_continuous(
+            np.concatenate(
+                [turn[:, None], relative_rotation(turn, rotations[:, 0])[:, None], rotations[:, 1:]], axis=1
+            )
+        ),
+        place,
+        source.fps,
+        np.concatenate([place[:, None], hips[:, None], moved[:, 1:]], axis=1).astype(np.float32),
+    )
+    return upright.back(out)

@@ -1,0 +1,94 @@
+"""A motion of any rig in cm with Y up, what its canonical joints say of it, and the way back to its own units."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.cleaning import floor_shift
+from motionkit.errors import SkeletonError
+from motionkit.features.contacts import foot_contacts
+from motionkit.features.heading import heading_angles
+from motionkit.metrics.loading import canonical_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
+from motionkit.view.figure_data import in_metres
+
+CM_PER_METRE = 100.0
+# Z up from Y up: 90 degrees about X.
+_TO_Z_UP = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Upright:
+    """A motion in cm with Y up.
+
+    Attributes:
+        motion: the motion on its own joints.
+        scale: cm per unit of the motion it was made of.
+        z_up: whether that motion had Z up.
+    """
+
+    motion: Motion
+    scale: float
+    z_up: bool
+
+    @staticmethod
+    def of(motion: Motion) -> Upright:
+        """Bring a motion of any rig and unit into cm with Y up."""
+        metres, scale, note = in_metres(motion)
+        return Upright(metres.scaled(CM_PER_METRE), scale * CM_PER_METRE, note.endswith("Z up"))
+
+    def back(self, motion: Motion) -> Motion:
+        """A motion in cm with Y up, in the unit and with the up axis of the motion this was made of."""
+        out = motion.scaled(1.0 / self.scale)
+        if not self.z_up:
+            return out
+        rotations = out.local_rotations.copy()
+        turn = np.broadcast_to(_TO_Z_UP.astype(rotations.dtype), rotations[:, 0].shape)
+        rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
+        return replace(out, local_rotations=rotations, root_positions=quat_rotate(turn, out.root_positions))
+
+    @cached_property
+    def canonical(self) -> Motion | None:
+        """The motion on the canonical joints with its own bone lengths, in cm; None for rigs that are not human."""
+        try:
+            return canonical_motion(self.motion, own_body=True, scale=1.0)
+        except SkeletonError:
+            return None
+
+    @cached_property
+    def positions(self) -> Array:
+        """Positions (T, J, 3) in cm of the canonical joints, or of all joints of a rig that is not human."""
+        return motion_kinematics(self.canonical or self.motion)[1]
+
+    @cached_property
+    def heading(self) -> Array:
+        """Heading (T,) in radians; 0 throughout for rigs that are not human."""
+        if self.canonical is None:
+            return np.zeros(len(self.motion), np.float32)
+        return heading_angles(self.positions, self.motion.fps)
+
+    @cached_property
+    def facing_positions(self) -> Array:
+        """Positions (T, J, 3) in cm relative to the root's place on the ground and its heading."""
+        place = self.positions[:, :1] * np.array([1.0, 0.0, 1.0], np.float32)
+        return quat_rotate(quat_from_yaw(-self.heading)[:, None], self.positions - place)
+
+    @cached_property
+    def contacts(self) -> Array:
+        """Contacts (T, 4) of left foot, left toe, right foot, right toe; (T, 0) for rigs that are not human."""
+        if self.canonical is None:
+            return np.zeros((len(self.motion), 0), np.float32)
+        lift = np.array([0.0, floor_shift(self.canonical)[0], 0.0], np.float32)
+        return foot_contacts(self.positions + lift, self.motion.fps)
+
+
+def relative_rotation(above: Array, below: Array) -> Array:
+    """The rotation (..., 4) in the space of `above` of a global rotation `below`."""
+    return quat_multiply(quat_inverse(above), below)

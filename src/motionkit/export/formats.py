@@ -1,0 +1,89 @@
+"""The one table of motion formats: which endings are written and read, and by what.
+
+synthesize, follow-path, convert, the other commands that write a motion, and mk.write all go through it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+
+from motionkit.errors import MotionkitError
+from motionkit.export.clip import Clip, check_numbers
+from motionkit.motion.motion import Motion
+
+# Ending to the module of this room and the function in it.
+WRITERS: dict[str, str] = {
+    ".bvh": "formats:_write_bvh",
+    ".glb": "glb:write_glb",
+    ".vrma": "vrma:write_vrma",
+    ".usda": "usda:write_usda",
+    ".npz": "tables:write_npz",
+    ".csv": "tables:write_csv",
+}
+READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "read_glb:read_glb"}
+# Endings that are often asked for, and what to do instead.
+INSTEAD: dict[str, str] = {
+    ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/formats.md, FBX)",
+    ".gltf": "motionkit writes binary glTF only: use .glb",
+    ".vrm": "a .vrm is an avatar; write its animation as .vrma",
+    ".usd": "motionkit writes USD as text: use .usda",
+    ".usdc": "motionkit writes USD as text: use .usda",
+    ".usdz": "motionkit writes USD as text: use .usda",
+}
+
+
+def check_ending(path: str | Path) -> None:
+    """Raise MotionkitError if the ending of a file to write is not one of WRITERS."""
+    _find(WRITERS, path, "written")
+
+
+def write_motion(path: str | Path, motion: Motion | Clip) -> None:
+    """Write a motion in the format that the ending of path names, atomically.
+
+    Args:
+        path: ends in .bvh, .glb, .vrma, .usda, .npz or .csv.
+        motion: of any rig; in a .bvh file it keeps its unit, in others lengths become metres or centimetres.
+
+    Raises:
+        MotionkitError: an unknown ending, a motion with numbers that are not finite, or a place that cannot be written.
+        SkeletonError: a .vrma of a rig that is not human.
+    """
+    write = _find(WRITERS, path, "written")
+    clip = motion if isinstance(motion, Clip) else Clip(motion, Path(path).stem)
+    check_numbers(path, clip.motion)
+    write(path, clip)
+
+
+def read_motion(path: str | Path) -> Motion:
+    """The motion in a .bvh file, in its own unit, or of a skinned .glb file, in cm.
+
+    Raises:
+        MotionkitError: another ending, or a file that cannot be read; the message names the file.
+    """
+    motion: Motion = _find(READERS, path, "read")(path)
+    return motion
+
+
+def _find(table: dict[str, str], path: str | Path, done: str) -> Callable:
+    ending = Path(path).suffix.lower()
+    if ending not in table:
+        reason = INSTEAD.get(ending) if done == "written" else None
+        known = ", ".join(table)
+        raise MotionkitError(f"{path}: {reason or f'cannot be {done}: expected a name that ends in {known}'}")
+    module, _, name = table[ending].partition(":")
+    found: Callable = getattr(import_module(f"motionkit.export.{module}"), name)
+    return found
+
+
+def _write_bvh(path: str | Path, clip: Clip) -> None:
+    from motionkit.motion.bvh import write_bvh
+
+    write_bvh(path, clip.motion)
+
+
+def _read_bvh(path: str | Path) -> Motion:
+    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+
+    return bvh_to_motion(read_bvh(path))

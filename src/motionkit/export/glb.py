@@ -1,0 +1,115 @@
+"""Motions as binary glTF: a skeleton in a skin, the viewer's body, and one animation; metres, +Y up.
+
+Importers make bones only of the joints of a skin, so all joints are in it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.export.clip import (
+    Clip,
+    Figure,
+    joint_translations,
+    make_figure,
+    materials,
+    skin_weights,
+)
+from motionkit.export.gltf import INDICES, VERTICES, GltfDocument
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_continuous, quat_normalize
+
+
+def write_glb(path: str | Path, clip: Clip) -> None:
+    """Write a motion of any rig as a .glb file, atomically."""
+    document = GltfDocument()
+    figure = make_figure(clip.motion)
+    joints = add_figure(document, figure, clip.name)
+    add_animation(document, clip, figure.motion, joints)
+    document.write(path)
+
+
+def add_figure(document: GltfDocument, figure: Figure, name: str) -> list[int]:
+    """Add a scene of joints in a skin and the body; returns the joints' nodes."""
+    joints = add_joints(document, figure.motion, figure.rest)
+    skin = _add_skin(document, figure, joints)
+    body = document.add("nodes", {"name": "Body", "mesh": _add_mesh(document, figure), "skin": skin})
+    document.json |= {"scenes": [{"name": name, "nodes": [joints[0], body]}], "scene": 0}
+    return joints
+
+
+def add_joints(document: GltfDocument, motion: Motion, rest: Array) -> list[int]:
+    """Add a node for each joint with its local translation (J, 3) in the rest pose; returns their indices."""
+    skeleton = motion.skeleton
+    first = len(document.json.get("nodes", []))
+    for joint, name in enumerate(skeleton.names):
+        node: dict[str, Any] = {"name": name, "translation": _numbers(rest[joint])}
+        if children := skeleton.children(joint):
+            node["children"] = [first + child for child in children]
+        if joint in skeleton.end_sites:
+            node["extras"] = {"end_site": _numbers(np.array(skeleton.end_sites[joint]))}
+        document.add("nodes", node)
+    return [first + joint for joint in range(len(skeleton))]
+
+
+def add_animation(document: GltfDocument, clip: Clip, motion: Motion, joints: list[int]) -> None:
+    """Add the animation of a motion in metres: the rotations of all joints, the translations of those that move."""
+    times = document.accessor((np.arange(len(motion)) / motion.fps).astype(np.float32), "SCALAR", bounds=True)
+    extras = {"fps": motion.fps, "types": [[kind, seconds] for kind, seconds in clip.types]}
+    animation: dict[str, Any] = {"name": clip.name, "channels": [], "samplers": [], "extras": extras}
+
+    def channel(joint: int, path: str, values: Array, kind: str) -> None:
+        output = document.accessor(values.astype(np.float32), kind)
+        animation["samplers"].append({"input": times, "output": output, "interpolation": "LINEAR"})
+        target = {"node": joints[joint], "path": path}
+        animation["channels"].append({"sampler": len(animation["samplers"]) - 1, "target": target})
+
+    rotations = _xyzw(quat_continuous(quat_normalize(motion.local_rotations.astype(np.float64))))
+    translations = joint_translations(motion)
+    for joint in motion.moving_joints():
+        channel(joint, "translation", translations[:, joint], "VEC3")
+    for joint in range(len(joints)):
+        channel(joint, "rotation", rotations[:, joint], "VEC4")
+    document.add("animations", animation)
+
+
+def _add_skin(document: GltfDocument, figure: Figure, joints: list[int]) -> int:
+    # Matrices lie in the buffer column after column.
+    columns = figure.inverse_binds.transpose(0, 2, 1).astype(np.float32)
+    matrices = document.accessor(columns, "MAT4")
+    skin = {"name": "Skeleton", "joints": joints, "skeleton": joints[0], "inverseBindMatrices": matrices}
+    return document.add("skins", skin)
+
+
+def _add_mesh(document: GltfDocument, figure: Figure) -> int:
+    """Add the body, a primitive for each of its materials; returns the index of the mesh."""
+    surface = figure.surface
+    joints, weights = skin_weights(surface)
+    attributes = {
+        "POSITION": document.accessor(surface.points.astype(np.float32), "VEC3", VERTICES, bounds=True),
+        "NORMAL": document.accessor(figure.normals.astype(np.float32), "VEC3", VERTICES),
+        "JOINTS_0": document.accessor(joints, "VEC4", VERTICES),
+        "WEIGHTS_0": document.accessor(weights, "VEC4", VERTICES),
+    }
+    primitives = []
+    for name, color, triangles in materials(surface):
+        look = {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+        material = document.add("materials", {"name": name, "pbrMetallicRoughness": look})
+        corners = surface.triangles[triangles].reshape(-1).astype(np.uint32)
+        indices = document.accessor(corners, "SCALAR", INDICES)
+        primitives.append({"attributes": attributes, "indices": indices, "material": material})
+    return document.add("meshes", {"name": "Body", "primitives": primitives})
+
+
+def _xyzw(quat: Array) -> Array:
+    """Quaternions (..., 4) in glTF's order x, y, z, w."""
+    return np.roll(quat, -1, axis=-1)
+
+
+def _numbers(values: Array) -> list[float]:
+    """Numbers as float32 holds them, without the digits that float64 adds; -0 becomes 0."""
+    return [float(f"{value:.9g}") + 0.0 for value in values.astype(np.float32).tolist()]

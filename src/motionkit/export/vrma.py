@@ -1,0 +1,145 @@
+"""Motions as VRM animations (.vrma): binary glTF with VRMC_vrm_animation 1.0, for avatars of the VRM format.
+
+The rest pose of the file is a T-pose that faces +Z with its soles on the floor. Players read rotations relative to
+it, the hips' translation relative to its height, and nothing else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.export.clip import Clip
+from motionkit.export.glb import add_animation, add_joints
+from motionkit.export.gltf import GltfDocument
+from motionkit.metrics.loading import canonical_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import (
+    quat_between,
+    quat_continuous,
+    quat_identity,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+)
+from motionkit.motion.skeleton import (
+    JOINT_NAMES,
+    PARENTS,
+    STANDING_HEIGHTS,
+    Skeleton,
+    canonical_skeleton,
+    leg_length,
+)
+from motionkit.view.figure_data import in_metres
+
+EXTENSION = "VRMC_vrm_animation"
+CM = 0.01
+# Canonical joint to the bone of a VRM humanoid. Neck1 has none: the neck points to the head instead.
+BONES: dict[str, str] = {
+    "Hips": "hips", "LowerBack": "spine", "Spine": "chest", "Spine1": "upperChest", "Neck": "neck", "Head": "head",
+} | {
+    f"{side}{part}": f"{side.lower()}{bone}"
+    for side in ("Left", "Right")
+    for part, bone in (
+        ("UpLeg", "UpperLeg"), ("Leg", "LowerLeg"), ("Foot", "Foot"), ("ToeBase", "Toes"),
+        ("Shoulder", "Shoulder"), ("Arm", "UpperArm"), ("ForeArm", "LowerArm"), ("Hand", "Hand"),
+    )
+}  # fmt: skip
+_DOWN = np.array([0.0, -1.0, 0.0], np.float32)
+
+
+def write_vrma(path: str | Path, clip: Clip) -> None:
+    """Write a motion of a human rig as a .vrma file, atomically; raises SkeletonError for other rigs."""
+    motion = humanoid_motion(canonical_motion(in_metres(clip.motion)[0].scaled(1.0 / CM), own_body=True))
+    document = GltfDocument()
+    rest = motion.skeleton.offsets.copy()
+    rest[0, 1] = hips_height(motion.skeleton)
+    joints = add_joints(document, motion, rest)
+    bones = {BONES[name]: {"node": joints[i]} for i, name in enumerate(motion.skeleton.names)}
+    document.json |= {
+        "extensionsUsed": [EXTENSION],
+        "extensions": {EXTENSION: {"specVersion": "1.0", "humanoid": {"humanBones": bones}}},
+        "scenes": [{"name": clip.name, "nodes": [joints[0]]}],
+        "scene": 0,
+    }
+    add_animation(document, clip, motion, joints)
+    document.write(path)
+
+
+def joints_kept() -> list[int]:
+    """The canonical joints that a VRM humanoid has, by index."""
+    return [joint for joint, name in enumerate(JOINT_NAMES) if name in BONES]
+
+
+def humanoid_motion(motion: Motion) -> Motion:
+    """A canonical motion in cm on the bones of a VRM humanoid, in metres, whose rest pose is a T-pose."""
+    poses = _t_pose()
+    rotations, positions = motion_kinematics(motion)
+    neck, head = JOINT_NAMES.index("Neck"), JOINT_NAMES.index("Head")
+    rest = motion.skeleton.rest_positions()
+    along = quat_rotate(rotations[:, neck], np.broadcast_to(rest[head] - rest[neck], positions[:, 0].shape))
+    rotations = rotations.copy()
+    towards = quat_between(along, positions[:, head] - positions[:, neck])
+    rotations[:, neck] = quat_multiply(towards, rotations[:, neck])
+    turned = quat_multiply(rotations, np.broadcast_to(quat_inverse(poses), rotations.shape))
+    places = _posed(motion.skeleton, poses)
+    kept = joints_kept()
+    parents: list[int] = []
+    for joint in kept:
+        above = PARENTS[joint]
+        while above >= 0 and above not in kept:
+            above = PARENTS[above]
+        parents.append(above)
+    local = turned[:, kept].copy()
+    local[:, 1:] = quat_multiply(quat_inverse(turned[:, parents[1:]]), local[:, 1:])
+    offsets = np.stack(
+        [
+            places[j] - places[above] if above >= 0 else places[j]
+            for j, above in zip(kept, parents, strict=True)
+        ]
+    )
+    skeleton = Skeleton(
+        tuple(JOINT_NAMES[joint] for joint in kept),
+        tuple(kept.index(above) if above >= 0 else -1 for above in parents),
+        (offsets * CM).astype(np.float32),
+    )
+    return replace(
+        motion,
+        skeleton=skeleton,
+        local_rotations=quat_continuous(quat_normalize(local)),
+        root_positions=motion.root_positions * CM,
+        local_positions=None,
+    )
+
+
+def hips_height(skeleton: Skeleton) -> float:
+    """Height of the hips above the soles in the T-pose of a humanoid skeleton, in its unit (m)."""
+    places = skeleton.rest_positions()
+    canonical = canonical_skeleton()
+    ankle = STANDING_HEIGHTS[0] * CM * leg_length(skeleton) / (leg_length(canonical) * CM)
+    return float(ankle - places[skeleton.index("LeftFoot")][1])
+
+
+def _t_pose() -> Array:
+    """Global rotations (23, 4) that bring the canonical rest pose into the T-pose: legs straight down."""
+    poses = quat_identity((len(JOINT_NAMES),))
+    rest = canonical_skeleton().offsets
+    for side in ("Left", "Right"):
+        upright = quat_between(rest[JOINT_NAMES.index(f"{side}Leg")], _DOWN)
+        for part in ("UpLeg", "Leg", "Foot", "ToeBase"):
+            poses[JOINT_NAMES.index(f"{side}{part}")] = upright
+    return poses
+
+
+def _posed(skeleton: Skeleton, poses: Array) -> Array:
+    """Joint positions (23, 3) with global rotations (23, 4), the root at the origin."""
+    places = np.zeros_like(skeleton.offsets)
+    for joint, parent in enumerate(PARENTS):
+        if parent >= 0:
+            places[joint] = places[parent] + quat_rotate(poses[parent], skeleton.offsets[joint])
+    return places

@@ -1,0 +1,58 @@
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.export.formats import WRITERS, read_motion
+from motionkit.motion.bvh import write_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import JOINT_NAMES
+from synthetic_motions import make_walk
+
+
+@pytest.fixture(scope="module")
+def walk() -> Motion:
+    return make_walk(40)
+
+
+def positions(motion: Motion) -> np.ndarray:
+    return motion_kinematics(motion)[1]
+
+
+def test_convert(motionkit, walk: Motion, tmp_path: Path) -> None:
+    write_bvh(tmp_path / "a.bvh", walk)
+    assert motionkit("convert", "a.bvh", "a.glb").out == "wrote a.glb: 23 joints, 40 frames at 60 fps\n"
+    said = motionkit("convert", "a.glb", "b.bvh", "--fps", 30, "--json")
+    assert json.loads(said.out) == {
+        "file": "a.glb",
+        "output": "b.bvh",
+        "frames": 20,
+        "fps": 30.0,
+        "joints": 23,
+    }
+    back = read_motion(tmp_path / "b.bvh")
+    assert np.abs(positions(back) - positions(walk)[::2]).max() < 1e-2
+    assert motionkit("convert", "a.bvh", "a.fbx").code == 2
+    assert motionkit("convert", "a.csv", "b.bvh").failed_with("a.csv: cannot be read", ".bvh, .glb")
+    assert motionkit("convert", "a.bvh", "a.bvh").code == 2
+    assert motionkit("convert", "none.bvh", "c.glb").failed_with("none.bvh: no such file")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.bvh", "a.glb", "b.bvh"]
+
+
+def test_synthesize_and_follow_path_write_every_format(
+    motionkit, tiny_model_file: Path, tmp_path: Path
+) -> None:
+    for ending in WRITERS:
+        words = ("--types", "walking:0.2,idle:0.1", "--model", tiny_model_file, "-o", f"a{ending}")
+        assert motionkit("synthesize", *words).code == 0
+    assert np.load(tmp_path / "a.npz")["types"].tolist() == ["walking"] * 12 + ["idle"] * 6
+    words = ("follow-path", "line", "--size", 0.2, "--model", tiny_model_file, "-o", "b.glb")
+    assert motionkit(*words).code == 0
+    assert read_motion(tmp_path / "b.glb").skeleton.names == JOINT_NAMES
+    for name, words in (("c.fbx", "docs/formats.md"), ("v.html", ".bvh, .glb"), ("c", ".bvh, .glb")):
+        said = motionkit("synthesize", "--types", "walking", "--model", tiny_model_file, "-o", name)
+        assert said.code == 2 and words in said.err and not (tmp_path / name).exists()

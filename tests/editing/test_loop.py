@@ -1,0 +1,128 @@
+"""Cycles of made and recorded motion: found, closed, and refused where there is none."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.editing.loop import make_loop
+from motionkit.editing.upright import Upright
+from motionkit.errors import MotionkitError
+from motionkit.export.formats import read_motion, write_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_angle, quat_from_yaw, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import Skeleton
+from synthetic_motions import make_walk
+
+DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
+
+
+def turned(motion: Motion, yaw: float) -> Motion:
+    """The motion turned about the vertical as a whole."""
+    turn = quat_from_yaw(np.full(len(motion), yaw, np.float32))
+    rotations = motion.local_rotations.copy()
+    rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
+    return replace(motion, local_rotations=rotations, root_positions=quat_rotate(turn, motion.root_positions))
+
+
+def test_a_walk_loops_after_one_cycle() -> None:
+    walk = make_walk(300, turn=0.1)
+    loop = make_loop(walk)
+    assert loop.difference < 0.5
+    # The same cycle from anywhere: its length does not depend on heading or place.
+    other = make_loop(turned(walk, 2.0))
+    assert other.end - other.start == loop.end - loop.start == 60
+    again = make_loop(walk, seconds=2.0 * (len(loop.motion) - 1) / 60)
+    assert abs(len(again.motion) - 1 - 2 * (len(loop.motion) - 1)) <= 2
+
+
+@pytest.mark.parametrize("name", ["06_06", "16_26", "16_45", "35_01", "35_30"])
+def test_recorded_gaits_close_without_a_seam(name: str) -> None:
+    clip = read_motion(DATA / f"{name}.bvh")
+    loop = make_loop(clip)
+    assert 0.5 < (len(loop.motion) - 1) / 120 < 1.6
+    seam = loop.seam
+    assert seam.distance < 0.01 and seam.speed <= seam.frame_speed / 2
+    assert loop.motion.skeleton.same_hierarchy(clip.skeleton)
+    first, last = loop.motion.local_rotations[0], loop.motion.local_rotations[-1]
+    assert float(quat_angle(first, last).max()) < 1e-3
+    assert loop.motion.root_positions[0, 1] == pytest.approx(loop.motion.root_positions[-1, 1])
+    # What was changed is small: half of what the ends differed by, at most.
+    before = Upright.of(clip.cut(loop.start, loop.end + 1)).facing_positions
+    after = Upright.of(loop.motion).facing_positions
+    assert np.linalg.norm(after - before, axis=-1).mean(axis=1).max() < loop.difference
+
+
+def test_played_twice_a_loop_moves_on_as_within(tmp_path: Path) -> None:
+    """Speeds of joints over the seam, in a clip of two cycles, are no larger than elsewhere."""
+    loop = make_loop(read_motion(DATA / "16_45.bvh")).motion
+    cycle = (loop.root_positions[-1] - loop.root_positions[0]) * np.array([1, 0, 1], np.float32)
+    rotations = np.concatenate([loop.local_rotations, loop.local_rotations[1:]])
+    roots = np.concatenate([loop.root_positions, loop.root_positions[1:] + cycle])
+    _, at = motion_kinematics(replace(loop, local_rotations=rotations, root_positions=roots))
+    bends = np.linalg.norm(np.diff(at, n=2, axis=0), axis=-1)
+    seam = len(loop) - 2
+    assert bends[seam - 1 : seam + 2].max() <= bends[5 : seam - 5].max()
+
+
+def test_a_dance_in_place_ends_where_it_began() -> None:
+    """A body that sways, with a slow drift that a loop takes out."""
+    walk = make_walk(300, speed=0.0)
+    roots = walk.root_positions.copy()
+    roots[:, [0, 2]] = 0.05 * np.arange(300)[:, None]
+    loop = make_loop(replace(walk, root_positions=roots.astype(np.float32)))
+    way = loop.motion.root_positions[-1] - loop.motion.root_positions[0]
+    assert np.abs(way).max() < 1e-3
+
+
+def test_what_never_repeats_is_refused() -> None:
+    walk = make_walk(120)
+    fall = walk.local_rotations.copy()
+    lean = np.linspace(0.0, 1.5, 120, dtype=np.float32)
+    fall[:, 0] = quat_multiply(
+        np.stack([np.cos(lean / 2), np.sin(lean / 2), 0 * lean, 0 * lean], axis=-1), fall[:, 0]
+    )
+    with pytest.raises(MotionkitError, match="never repeats"):
+        make_loop(replace(walk, local_rotations=fall))
+    with pytest.raises(MotionkitError, match=r"lasts 0.33 s"):
+        make_loop(walk.cut(0, 20))
+
+
+def test_rigs_that_are_not_human_loop_too() -> None:
+    angles = np.linspace(0.0, 6 * np.pi, 181)
+    half = 0.3 * np.sin(angles)
+    rotations = np.zeros((181, 3, 4), np.float32)
+    rotations[..., 0] = 1.0
+    rotations[:, 1] = np.stack([np.cos(half), np.sin(half), 0 * half, 0 * half], axis=-1)
+    offsets = np.array([[0, 0, 0], [0, 50, 0], [0, 30, 0]], np.float32)
+    pole = Skeleton(("Pole", "Arm", "Tip"), (-1, 0, 1), offsets)
+    loop = make_loop(Motion(pole, rotations, np.zeros((181, 3), np.float32), 60.0))
+    assert len(loop.motion) - 1 == pytest.approx(60, abs=2)
+
+
+def test_the_command(motionkit, tmp_path: Path) -> None:
+    write_motion(tmp_path / "walk.bvh", make_walk(200))
+    said = motionkit("loop", "walk.bvh", "--root", "ground", "--in-place", "-o", "a.glb")
+    assert said.code == 0 and said.out.startswith("wrote a.glb: frames ") and "seam 0.00 cm" in said.out
+    made = read_motion(tmp_path / "a.glb")
+    assert made.skeleton.names[:2] == ("Root", "Hips")
+    assert np.abs(made.root_positions).max() < 0.5
+    value = json.loads(motionkit("loop", "walk.bvh", "--json", "--seconds", 1).out)
+    assert value["output"] == "walk-loop.bvh" and value["seam_cm"] <= value["frame_cm"]
+    write_motion(tmp_path / "short.bvh", make_walk(10))
+    assert motionkit("loop", "short.bvh").failed_with("short.bvh: the clip lasts 0.17 s")
+    assert not (tmp_path / "short-loop.bvh").exists()
+
+
+def test_synthesized_loops(motionkit, tmp_path: Path) -> None:
+    said = motionkit("synthesize", "--types", "walking", "--loop", "--seconds", 1, "--json", "-o", "w.bvh")
+    (made,) = json.loads(said.out)["motions"]
+    assert made["seam_cm"] <= made["frame_cm"] and made["seam_cm_s"] <= made["frame_cm_s"]
+    assert 50 < len(read_motion(tmp_path / "w.bvh")) < 90
+    said = motionkit("synthesize", "--types", "walking,running", "--loop")
+    assert said.code == 2 and "one motion type" in said.err

@@ -1,0 +1,81 @@
+"""Clips in place, and with a root joint on the floor."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.editing.root_motion import in_place, with_ground_root
+from motionkit.editing.upright import Upright
+from motionkit.errors import SkeletonError
+from motionkit.export.formats import read_motion, write_motion
+from motionkit.features.heading import heading_angles
+from motionkit.metrics.loading import canonical_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_multiply, quat_rotate, quat_to_expmap
+from synthetic_motions import make_walk
+
+CMU = Path(__file__).resolve().parents[2] / "examples" / "data" / "16_45.bvh"
+
+
+@pytest.fixture(scope="module", params=["canonical", "CMU", "Z up"])
+def clip(request: pytest.FixtureRequest) -> Motion:
+    """A walk in cm, a run of another rig and unit, and the run with Z up."""
+    if request.param == "canonical":
+        return make_walk(200)
+    run = read_motion(CMU)
+    if request.param == "CMU":
+        return run
+    turn = np.broadcast_to(np.array([0.5**0.5, 0.5**0.5, 0, 0], np.float32), (len(run), 4))
+    rotations = run.local_rotations.copy()
+    rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
+    return replace(run, local_rotations=rotations, root_positions=quat_rotate(turn, run.root_positions))
+
+
+def test_a_ground_root_moves_no_joint(clip: Motion) -> None:
+    made = with_ground_root(clip)
+    assert made.skeleton.names == ("Root", *clip.skeleton.names)
+    before, after = motion_kinematics(clip)[1], motion_kinematics(made)[1][:, 1:]
+    assert np.abs(after - before).max() < 2e-4 * np.abs(before).max()
+    upright = Upright.of(made).motion
+    assert np.abs(upright.root_positions[:, 1]).max() < 1e-3
+    turns = quat_to_expmap(upright.local_rotations[:, 0])
+    assert np.abs(turns[:, [0, 2]]).max() < 1e-3
+    facing = heading_angles(motion_kinematics(canonical_motion(clip))[1], clip.fps)
+    if clip.skeleton.names[0] == "Hips" and abs(float(np.unwrap(turns[:, 1])[0] - facing[0])) < 6.0:
+        assert np.abs(np.sin(turns[:, 1] - facing)).max() < 0.02
+
+
+def test_in_place_the_hips_stay_over_the_origin(clip: Motion) -> None:
+    made = Upright.of(in_place(clip)).motion
+    before = Upright.of(clip).motion
+    way = before.root_positions[:, [0, 2]]
+    assert np.linalg.norm(way[-1] - way[0]) > 60.0
+    assert np.abs(made.root_positions[:, [0, 2]]).max() < 8.0
+    assert np.abs(made.root_positions[:, 1] - before.root_positions[:, 1]).max() < 1e-2
+    assert np.abs(made.local_rotations[:, 1:] - before.local_rotations[:, 1:]).max() == 0.0
+
+
+def test_both_together_leave_the_root_at_the_origin(clip: Motion) -> None:
+    made = Upright.of(with_ground_root(in_place(clip))).motion
+    assert np.abs(made.root_positions).max() < 4.0
+
+
+def test_a_second_root_is_refused(clip: Motion) -> None:
+    with pytest.raises(SkeletonError, match="Root already"):
+        with_ground_root(with_ground_root(clip))
+
+
+def test_a_ground_root_survives_the_files(tmp_path: Path) -> None:
+    walk = make_walk(60)
+    made = with_ground_root(walk)
+    for ending in (".bvh", ".glb"):
+        write_motion(tmp_path / f"a{ending}", made)
+        back = read_motion(tmp_path / f"a{ending}")
+        assert back.skeleton.names == made.skeleton.names
+        assert np.abs(motion_kinematics(back)[1][:, 1:] - motion_kinematics(walk)[1]).max() < 1e-2
+    write_motion(tmp_path / "a.vrma", made)

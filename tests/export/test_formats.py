@@ -1,0 +1,377 @@
+"""Motion files of every format, read back by our own reader, by the standard library and by numpy."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import struct
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.export.clip import Clip, Figure, make_figure, skin_weights
+from motionkit.export.formats import WRITERS, read_motion, write_motion
+from motionkit.export.gltf import GltfDocument, GltfFile
+from motionkit.export.usda import joint_paths
+from motionkit.export.vrma import BONES, humanoid_motion
+from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_angle, quat_to_matrix
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from synthetic_motions import make_walk
+
+CMU = Path(__file__).resolve().parents[2] / "examples" / "data" / "16_45.bvh"
+
+
+@pytest.fixture(scope="module")
+def walk() -> Motion:
+    return make_walk(40)
+
+
+@pytest.fixture(scope="module")
+def cmu() -> Motion:
+    return bvh_to_motion(read_bvh(CMU)).cut(0, 60)
+
+
+@pytest.fixture
+def six_channels(walk: Motion) -> Motion:
+    """A walk whose hand slides along the forearm."""
+    local = np.tile(walk.skeleton.offsets, (len(walk), 1, 1))
+    local[:, JOINT_NAMES.index("LeftHand"), 0] += np.linspace(0.0, 5.0, len(walk), dtype=np.float32)
+    return replace(walk, local_positions=local)
+
+
+def positions(motion: Motion) -> np.ndarray:
+    return motion_kinematics(motion)[1]
+
+
+def test_a_glb_read_back_is_the_same_motion(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.glb", walk)
+    back = read_motion(tmp_path / "a.glb")
+    assert back.skeleton.same_hierarchy(walk.skeleton) and back.fps == walk.fps and len(back) == len(walk)
+    assert np.abs(positions(back) - positions(walk)).max() < 1e-3
+    assert float(quat_angle(back.local_rotations, walk.local_rotations).max()) < 1e-3
+    for joint, end in walk.skeleton.end_sites.items():
+        assert back.skeleton.end_sites[joint] == pytest.approx(end, abs=1e-4)
+
+
+def test_the_units_of_other_rigs_become_metres(cmu: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.glb", cmu)
+    back = read_motion(tmp_path / "a.glb")
+    assert back.skeleton.same_hierarchy(cmu.skeleton) and back.fps == 120
+    assert np.abs(positions(back) - positions(cmu) * 2.54 / 0.45).max() < 1e-2
+
+
+def test_joints_that_translate_keep_doing_so(six_channels: Motion, tmp_path: Path) -> None:
+    for ending in (".glb", ".bvh"):
+        write_motion(tmp_path / f"a{ending}", six_channels)
+        back = read_motion(tmp_path / f"a{ending}")
+        assert np.abs(positions(back) - positions(six_channels)).max() < 1e-2
+    assert (tmp_path / "a.bvh").read_text().count("CHANNELS 6") == 2
+    animation = GltfFile(tmp_path / "a.glb").items("animations")[0]
+    assert sum(channel["target"]["path"] == "translation" for channel in animation["channels"]) == 2
+
+
+def test_all_joints_are_in_the_skin_and_bind_to_the_mesh(cmu: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.glb", cmu)
+    file = GltfFile(tmp_path / "a.glb")
+    (skin,) = file.items("skins")
+    names = [file.items("nodes")[joint]["name"] for joint in skin["joints"]]
+    assert names == list(cmu.skeleton.names)
+    inverse = file.array(skin["inverseBindMatrices"], 16).reshape(-1, 4, 4).transpose(0, 2, 1)
+    figure = make_figure(cmu)
+    assert inverse == pytest.approx(figure.inverse_binds, abs=1e-5)
+    # The nodes are the rest pose, the soles on the floor.
+    nodes = [file.items("nodes")[joint] for joint in skin["joints"]]
+    assert not any("rotation" in node for node in nodes)
+    at = np.tile(np.eye(4), (len(names), 1, 1))
+    for joint, parent in enumerate(cmu.skeleton.parents):
+        at[joint, :3, 3] = nodes[joint]["translation"]
+        at[joint] = at[max(parent, 0)] @ at[joint] if joint else at[joint]
+    assert lowest(figure, at) == pytest.approx(0.0, abs=1e-4)
+
+
+def lowest(figure: Figure, joints: np.ndarray) -> float:
+    """Height of the lowest point of the body with the joints at global matrices (J, 4, 4)."""
+    return float(figure.surface.posed((joints @ figure.inverse_binds)[:, :3])[:, 1].min())
+
+
+def test_a_skin_moves_points_as_the_viewer_does(walk: Motion) -> None:
+    figure = make_figure(walk)
+    joints, weights = skin_weights(figure.surface)
+    assert weights.sum(axis=1) == pytest.approx(1.0, abs=1e-6)
+    assert not joints[weights == 0.0].any() and (weights >= 0.0).all()
+    for one, other in combinations(range(4), 2):
+        assert not ((joints[:, one] == joints[:, other]) & (weights[:, [one, other]] > 0.0).all(axis=1)).any()
+    rotations, places = motion_kinematics(figure.motion)
+    now = np.tile(np.eye(4), (len(walk.skeleton), 1, 1))
+    now[:, :3, :3], now[:, :3, 3] = quat_to_matrix(rotations[20]), places[20]
+    moves = now @ figure.inverse_binds
+    whole = np.concatenate([figure.surface.points, np.ones((len(joints), 1))], axis=1)
+    skinned = np.einsum("vk,vkij,vj->vi", weights, moves[joints], whole)[:, :3]
+    assert skinned == pytest.approx(figure.surface.posed(moves[:, :3]), abs=2e-4)
+
+
+def test_normals_point_outwards(walk: Motion) -> None:
+    figure = make_figure(walk)
+    surface, normals = figure.surface, figure.normals
+    assert np.linalg.norm(normals, axis=1) == pytest.approx(1.0)
+    corners = surface.points[surface.triangles]
+    faces = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    along = (faces[:, None] * normals[surface.triangles]).sum(axis=-1)
+    assert (along > 0.0).mean() > 0.99
+
+
+def test_the_layout_of_a_binary_file(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.glb", Clip(walk, "ein Gang", [("walking", 0.5)]))
+    data = (tmp_path / "a.glb").read_bytes()
+    magic, version, size = struct.unpack_from("<4sII", data)
+    assert (magic, version, size) == (b"glTF", 2, len(data))
+    length, kind = struct.unpack_from("<I4s", data, 12)
+    assert kind == b"JSON" and length % 4 == 0
+    value = json.loads(data[20 : 20 + length])
+    assert value["animations"][0]["name"] == "ein Gang"
+    assert value["animations"][0]["extras"] == {"fps": 60.0, "types": [["walking", 0.5]]}
+    assert value["buffers"] == [{"byteLength": len(data) - 28 - length}]
+    for view in value["bufferViews"]:
+        assert view["byteOffset"] % 4 == 0
+        assert view["byteOffset"] + view["byteLength"] <= value["buffers"][0]["byteLength"]
+
+
+def test_a_vrm_animation_is_a_t_pose_on_the_floor(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.vrma", walk)
+    file = GltfFile(tmp_path / "a.vrma")
+    about = file.json["extensions"]["VRMC_vrm_animation"]
+    assert about["specVersion"] == "1.0" and file.json["extensionsUsed"] == ["VRMC_vrm_animation"]
+    bones = {bone: value["node"] for bone, value in about["humanoid"]["humanBones"].items()}
+    assert set(bones) == set(BONES.values()) and len(bones) == 22
+    nodes = file.items("nodes")
+    assert not any("rotation" in node or "scale" in node for node in nodes)
+    above = {child: i for i, node in enumerate(nodes) for child in node.get("children", [])}
+
+    def place(bone: str) -> np.ndarray:
+        at, node = np.zeros(3), bones[bone]
+        while node is not None:
+            at, node = at + nodes[node]["translation"], above.get(node)
+        return at
+
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        leg = place(f"{side}Foot") - place(f"{side}UpperLeg")
+        assert leg / np.linalg.norm(leg) == pytest.approx([0.0, -1.0, 0.0], abs=1e-3)
+        arm = place(f"{side}Hand") - place(f"{side}UpperArm")
+        assert arm / np.linalg.norm(arm) == pytest.approx([sign, 0.0, 0.0], abs=1e-3)
+        toes = place(f"{side}Toes") - place(f"{side}Foot")
+        assert toes[2] > 0.1 and 0.09 < place(f"{side}Foot")[1] < 0.12
+    animation = file.items("animations")[0]
+    moving = [c["target"]["node"] for c in animation["channels"] if c["target"]["path"] == "translation"]
+    assert moving == [bones["hips"]]
+
+
+def test_a_humanoid_moves_as_the_canonical_body(walk: Motion) -> None:
+    made = humanoid_motion(walk)
+    at, then = positions(walk) / 100.0, positions(made)
+    for joint, name in enumerate(made.skeleton.names):
+        # The head is as far from the neck as in the rest pose: Neck1, which bends in between, is left out.
+        near = 0.02 if name == "Head" else 1e-5
+        assert np.abs(at[:, JOINT_NAMES.index(name)] - then[:, joint]).max() < near, name
+
+
+def test_usd_text(cmu: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.usda", cmu)
+    text = (tmp_path / "a.usda").read_text()
+    assert text.startswith("#usda 1.0\n") and text.count("{") == text.count("}")
+    for name in ("translations", "rotations", "scales"):
+        block = text.split(f"{name}.timeSamples = {{")[1].split("}")[0]
+        assert re.findall(r"^ +(\d+): ", block, re.MULTILINE) == [str(t) for t in range(60)]
+    joints = json.loads(text.split("uniform token[] joints = ")[1].split("\n")[0])
+    assert joints == joint_paths(cmu.skeleton) and len(joints) == len(cmu.skeleton)
+
+
+def test_usd_names_are_valid_and_differ() -> None:
+    skeleton = Skeleton(("mixamorig:Hips", "mixamorig Hips", "3 é", ""), (-1, 0, 1, 1), np.zeros((4, 3)))
+    paths = joint_paths(skeleton)
+    names = [path.rsplit("/", 1)[-1] for path in paths]
+    assert len(set(names)) == 4 and all(re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) for name in names)
+    assert paths[2].startswith(f"{paths[1]}/") and paths[1].startswith(f"{paths[0]}/")
+
+
+def test_arrays_and_tables_agree(cmu: Motion, tmp_path: Path) -> None:
+    clip = Clip(cmu, "run", [("running", 0.2), ("walking", 0.2)])
+    write_motion(tmp_path / "a.npz", clip)
+    write_motion(tmp_path / "a.csv", clip)
+    arrays = np.load(tmp_path / "a.npz")
+    assert arrays["joints"].tolist() == list(cmu.skeleton.names) and arrays["fps"] == 120
+    assert np.abs(arrays["positions"] - positions(cmu) * 2.54 / 0.45).max() < 1e-2
+    assert arrays["types"].tolist() == ["running"] * 24 + ["walking"] * 36
+    assert arrays["contacts"].shape == (60, 4) and 0 < arrays["contacts"].mean() < 1
+    with (tmp_path / "a.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 60 and rows[59]["seconds"] == f"{59 / 120:.6g}"
+    for joint, name in enumerate(cmu.skeleton.names):
+        table = [[float(row[f"{name}_{axis}"]) for axis in "xyz"] for row in rows]
+        assert table == pytest.approx(arrays["positions"][:, joint], rel=1e-4, abs=1e-3)
+        quats = [[float(row[f"{name}_q{axis}"]) for axis in "wxyz"] for row in rows]
+        assert quats == pytest.approx(arrays["rotations"][:, joint], abs=1e-4)
+    feet = [[int(row[f"{name}_contact"]) for name in arrays["contact_joints"]] for row in rows]
+    assert (feet == arrays["contacts"]).all() and rows[0]["type"] == "running"
+
+
+def test_rigs_that_are_not_human(make_motion: Callable[..., Motion], tmp_path: Path) -> None:
+    """A crane: three joints that nothing names; written everywhere but as an animation of a humanoid."""
+    offsets = np.array([[0, 0, 0], [0, 60, 0], [0, 80, 10]], np.float32)
+    crane = make_motion(20, skeleton=Skeleton(("Base", "Boom", "Hook"), (-1, 0, 1), offsets, {2: (0, 9, 0)}))
+    for ending in WRITERS:
+        if ending == ".vrma":
+            with pytest.raises(SkeletonError):
+                write_motion(tmp_path / "a.vrma", crane)
+            continue
+        write_motion(tmp_path / f"a{ending}", crane)
+    assert not (tmp_path / "a.vrma").exists()
+    assert np.load(tmp_path / "a.npz")["contacts"].shape == (0, 4)
+    back = read_motion(tmp_path / "a.glb")
+    assert float(quat_angle(back.local_rotations, crane.local_rotations).max()) < 1e-3
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+def test_one_frame_and_upper_case(walk: Motion, tmp_path: Path, ending: str) -> None:
+    write_motion(tmp_path / f"A{ending.upper()}", walk.cut(3, 4))
+    assert [path.name for path in tmp_path.iterdir()] == [f"A{ending.upper()}"]
+
+
+@pytest.mark.parametrize("ending", WRITERS)
+@pytest.mark.parametrize("broken", ["rotation", "position", "rate", "empty"])
+def test_a_broken_motion_leaves_no_file(walk: Motion, tmp_path: Path, ending: str, broken: str) -> None:
+    rotations, roots = walk.local_rotations.copy(), walk.root_positions.copy()
+    rotations[3, 4] = np.nan if broken == "rotation" else rotations[3, 4]
+    roots[3, 1] = np.inf if broken == "position" else roots[3, 1]
+    motion = replace(
+        walk, local_rotations=rotations, root_positions=roots, fps=0.0 if broken == "rate" else 60.0
+    )
+    with pytest.raises(MotionkitError, match="not written") as fault:
+        write_motion(tmp_path / f"a{ending}", motion.cut(0, 0) if broken == "empty" else motion)
+    assert "\n" not in str(fault.value) and not list(tmp_path.iterdir())
+
+
+def changed(path: Path, change: Callable[[dict], object], data: bytes = b"") -> Path:
+    """The file with its JSON changed, written beside it."""
+    file = GltfFile(path)
+    change(file.json)
+    document = GltfDocument(file.json, bytearray(data or file.data))
+    target = path.with_name("changed.glb")
+    document.write(target)
+    return target
+
+
+def animate(value: dict, path: str) -> None:
+    value["animations"][0]["channels"][3]["target"]["path"] = path
+
+
+def loop_nodes(value: dict) -> None:
+    value["nodes"][4]["children"] = [1]
+
+
+FAULTS: list[tuple[Callable[[dict], object], str]] = [
+    (lambda v: v.pop("skins"), "has no skin"),
+    (lambda v: v.pop("animations"), "has no animation"),
+    (lambda v: animate(v, "weights"), "morph targets"),
+    (lambda v: animate(v, "colour"), "'colour'"),
+    (lambda v: v["nodes"][2].update(scale=[2, 2, 2]), "LeftLeg is scaled"),
+    (
+        lambda v: v["nodes"][2].update(matrix=[2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 2, 0, 0, 0, 0, 1]),
+        "matrix of LeftLeg",
+    ),
+    (lambda v: v["nodes"][2].update(translation=[0, "x", 0]), "expected 3 numbers"),
+    (lambda v: v["nodes"][2].update(rotation=[0, 0, 0, 0]), "unit quaternion"),
+    (lambda v: v.update(extensions={"VRM": {}}), "VRM 0.x"),
+    (lambda v: v["skins"][0].update(joints=[0, 99]), r"nodes\[99\]"),
+    (lambda v: v["skins"][0].update(joints="all"), "no index"),
+    (lambda v: v["accessors"][-1].update(count=10**9), "beyond the buffer"),
+    (lambda v: v["accessors"][-1].update(componentType=5122), "expected floats"),
+    (lambda v: v["accessors"][-1].update(bufferView=10**6), "bufferViews"),
+    (
+        lambda v: v["animations"][0]["samplers"][2].update(input=v["animations"][0]["samplers"][2]["output"]),
+        "expected",
+    ),
+    (lambda v: v["animations"][0]["channels"][2].update(sampler=999), "sampler 999"),
+    (lambda v: v.update(nodes=3), "no list of objects"),
+    (loop_nodes, "own ancestor|roots"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), FAULTS, ids=[said for _, said in FAULTS])
+def test_what_a_glb_may_not_hold(
+    walk: Motion, tmp_path: Path, change: Callable[[dict], object], said: str
+) -> None:
+    write_motion(tmp_path / "a.glb", walk)
+    with pytest.raises(MotionkitError, match=said) as fault:
+        read_motion(changed(tmp_path / "a.glb", change))
+    assert "changed.glb: " in str(fault.value) and "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "said"),
+    [
+        (b"", "no binary glTF"),
+        (b"HIERARCHY ROOT Hips and more", "no binary glTF"),
+        (struct.pack("<4sIIII", b"glTF", 1, 20, 0, 0), "is glTF 1"),
+        (struct.pack("<4sIII4s", b"glTF", 2, 20, 100, b"JSON"), "middle of a chunk"),
+        (struct.pack("<4sIII4s", b"glTF", 2, 20, 0, b"BIN\0"), "no JSON chunk"),
+        (struct.pack("<4sIII4s", b"glTF", 2, 24, 4, b"JSON") + b"[1] ", "is no object"),
+        (struct.pack("<4sIII4s", b"glTF", 2, 24, 4, b"JSON") + b"\xff\xff\xff\xff", "not UTF-8"),
+    ],
+)
+def test_what_is_no_glb(tmp_path: Path, data: bytes, said: str) -> None:
+    (tmp_path / "a.glb").write_bytes(data)
+    with pytest.raises(MotionkitError, match=said):
+        read_motion(tmp_path / "a.glb")
+
+
+def test_cut_and_damaged_files_are_faults_of_one_line(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.glb", walk.cut(0, 4))
+    data = (tmp_path / "a.glb").read_bytes()
+    random = np.random.default_rng(0)
+    length = struct.unpack_from("<I", data, 12)[0]
+    for number in range(150):
+        wrong = bytearray(data)
+        for _ in range(random.integers(1, 4)):
+            wrong[random.integers(12, 20 + length)] = random.integers(32, 127)
+        broken = bytes(wrong) if number % 3 else data[: random.integers(0, len(data))]
+        (tmp_path / "b.glb").write_bytes(broken)
+        try:
+            read_motion(tmp_path / "b.glb")
+        except MotionkitError as fault:
+            assert "\n" not in str(fault)
+
+
+def test_rest_poses_with_rotations_are_straightened(walk: Motion, tmp_path: Path) -> None:
+    """Other programs give bones a rest rotation: all nodes turned about X, children counter-turned."""
+    write_motion(tmp_path / "a.glb", walk)
+    half = np.sqrt(0.5)
+
+    def turn(value: dict) -> None:
+        root = value["skins"][0]["joints"][0]
+        value["nodes"].append({"name": "Armature", "rotation": [half, 0, 0, half], "children": [root]})
+        value["scenes"][0]["nodes"][0] = len(value["nodes"]) - 1
+
+    back = read_motion(changed(tmp_path / "a.glb", turn))
+    assert back.skeleton.names[0] == "Armature" and len(back.skeleton) == 24
+    turned = positions(back)[:, 1:]
+    at = positions(walk)
+    assert np.stack([turned[..., 0], turned[..., 2], -turned[..., 1]], -1) == pytest.approx(
+        np.stack([at[..., 0], at[..., 1], at[..., 2]], -1), abs=1e-2
+    )
+
+
+@pytest.mark.parametrize("name", ["a.fbx", "a.gltf", "a.txt", "a", "a.usd", "a.vrm"])
+def test_endings_that_are_not_written(walk: Motion, tmp_path: Path, name: str) -> None:
+    with pytest.raises(MotionkitError) as fault:
+        write_motion(tmp_path / name, walk)
+    assert "\n" not in str(fault.value) and not list(tmp_path.iterdir())
+    assert (".glb" in str(fault.value)) or (".usda" in str(fault.value)) or (".vrma" in str(fault.value))

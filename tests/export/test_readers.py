@@ -1,0 +1,236 @@
+"""Written files in the programs that read them: glTF validator, pygltflib, USD, pandas, Blender, three.js.
+
+Each program is optional (tests/export/js/README.md; MOTIONKIT_BPY is a Python that has bpy).
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from motionkit.arrays import Array
+from motionkit.export.clip import Clip, make_figure
+from motionkit.export.formats import write_motion
+from motionkit.export.glb import add_figure
+from motionkit.export.gltf import GltfDocument
+from motionkit.export.vrma import BONES, humanoid_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import JOINT_NAMES
+from synthetic_motions import make_cartwheel, make_walk
+from view.conftest import browser, open_page  # noqa: F401
+
+pytestmark = pytest.mark.formats
+
+HERE = Path(__file__).parent
+JS = HERE / "js"
+JOINT, SECONDS = "LeftHand", 0.75
+
+
+def lacking(what: str) -> NoReturn:
+    """Skip, or fail where these checks must run."""
+    if os.environ.get("MOTIONKIT_FORMATS_TESTS") == "required":
+        pytest.fail(f"{what}, and MOTIONKIT_FORMATS_TESTS=required")
+    pytest.skip(what)
+
+
+def module(name: str, package: str) -> ModuleType:
+    """A package of the extra formats."""
+    try:
+        return import_module(name)
+    except ImportError:
+        lacking(f"{package} is not installed; pip install 'motionkit[formats]'")
+
+
+@pytest.fixture(scope="module")
+def motion() -> Motion:
+    """A cartwheel, which turns the body over."""
+    return make_cartwheel(90)
+
+
+@pytest.fixture(scope="module")
+def place(motion: Motion) -> Array:
+    """Where JOINT is at SECONDS, m."""
+    return motion_kinematics(motion)[1][round(SECONDS * motion.fps), JOINT_NAMES.index(JOINT)] / 100.0
+
+
+@pytest.fixture(scope="module")
+def files(motion: Motion, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with the cartwheel in every format."""
+    folder = tmp_path_factory.mktemp("formats")
+    for ending in ("bvh", "glb", "vrma", "usda", "npz", "csv"):
+        write_motion(folder / f"a.{ending}", Clip(motion, "cartwheel", [("cartwheel", 1.5)]))
+    return folder
+
+
+def write_avatar(path: Path, motion: Motion) -> None:
+    """A VRM 1.0 avatar: the body of a motion in its T-pose."""
+    person = humanoid_motion(motion)
+    still = Motion(
+        person.skeleton, quat_identity((1, len(person.skeleton))), np.zeros((1, 3), np.float32), 60.0
+    )
+    document = GltfDocument()
+    joints = add_figure(document, make_figure(still), "avatar")
+    bones = {BONES[name]: {"node": joints[i]} for i, name in enumerate(person.skeleton.names)}
+    meta = {"name": "test", "authors": ["motionkit"], "licenseUrl": "https://vrm.dev/licenses/1.0/"}
+    vrm = {"specVersion": "1.0", "meta": meta, "humanoid": {"humanBones": bones}}
+    document.json |= {"extensionsUsed": ["VRMC_vrm"], "extensions": {"VRMC_vrm": vrm}}
+    document.write(path)
+
+
+# ---- Python packages ----
+
+
+def test_pygltflib_reads_the_skin_and_the_animation(files: Path, motion: Motion) -> None:
+    gltf = module("pygltflib", "pygltflib").GLTF2().load(str(files / "a.glb"))
+    assert len(gltf.skins[0].joints) == len(motion.skeleton) and len(gltf.animations[0].channels) == 24
+    times = gltf.accessors[gltf.animations[0].samplers[0].input]
+    assert times.count == len(motion) and times.max[0] == pytest.approx((len(motion) - 1) / 60)
+
+
+def test_usd_moves_the_joints(files: Path, place: Array, motion: Motion) -> None:
+    module("pxr.Usd", "usd-core")
+    from pxr import Usd, UsdGeom, UsdSkel
+
+    stage = Usd.Stage.Open(str(files / "a.usda"))
+    assert UsdGeom.GetStageMetersPerUnit(stage) == 1.0 and UsdGeom.GetStageUpAxis(stage) == "Y"
+    assert stage.GetEndTimeCode() == len(motion) - 1 and stage.GetTimeCodesPerSecond() == 60
+    cache, root = UsdSkel.Cache(), UsdSkel.Root(stage.GetPrimAtPath("/Motion"))
+    cache.Populate(root, Usd.PrimDefaultPredicate)
+    query = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Motion/Skeleton")))
+    assert query.HasBindPose() and query.HasRestPose()
+    joint = [str(path).rsplit("/", 1)[-1] for path in query.GetJointOrder()].index(JOINT)
+    found = query.ComputeJointSkelTransforms(SECONDS * 60)[joint].ExtractTranslation()
+    assert list(found) == pytest.approx(place, abs=1e-4)
+    (binding,) = cache.ComputeSkelBindings(root, Usd.PrimDefaultPredicate)
+    assert [str(target.GetPrim().GetPath()) for target in binding.GetSkinningTargets()] == ["/Motion/Body"]
+
+
+def test_pandas_reads_the_table(files: Path, place: Array, motion: Motion) -> None:
+    table = module("pandas", "pandas").read_csv(files / "a.csv")
+    assert len(table) == len(motion) and set(table["type"]) == {"cartwheel"}
+    row = table[table["frame"] == round(SECONDS * 60)]
+    found = row[[f"{JOINT}_x", f"{JOINT}_y", f"{JOINT}_z"]].to_numpy()[0] / 100.0
+    assert found == pytest.approx(place, abs=1e-4)
+
+
+# ---- Node ----
+
+
+@pytest.fixture(scope="module")
+def node() -> str:
+    """Node, with the packages of tests/export/js installed and built."""
+    path = shutil.which("node")
+    if path is None or not (JS / "node_modules" / "gltf-validator").is_dir() or not (JS / "build").is_dir():
+        lacking("Node or its packages are missing: npm ci && npm run build in tests/export/js")
+    return path
+
+
+def test_the_khronos_validator_finds_nothing(
+    files: Path, node: str, make_motion: Callable[..., Motion], tmp_path: Path
+) -> None:
+    from motionkit.editing.root_motion import with_ground_root
+
+    write_motion(tmp_path / "root.glb", with_ground_root(make_walk(60)))
+    write_motion(tmp_path / "one.glb", make_walk(60).cut(0, 1))
+    write_avatar(tmp_path / "avatar.vrm", make_walk(2))
+    paths = [files / "a.glb", files / "a.vrma", *sorted(tmp_path.iterdir())]
+    done = subprocess.run(
+        [node, "validate.mjs", *map(str, paths)], cwd=JS, capture_output=True, text=True, timeout=60
+    )
+    reports = json.loads(done.stdout)
+    assert len(reports) == 5
+    for report in reports:
+        assert (report["errors"], report["warnings"]) == (0, 0), report
+        told = {message["code"] for message in report["messages"]}
+        assert told <= {"UNSUPPORTED_EXTENSION", "NODE_EMPTY"}, report
+
+
+def text_of(path: Path) -> str:
+    """A file in base64."""
+    return base64.b64encode(path.read_bytes()).decode()
+
+
+@pytest.fixture(scope="module")
+def page(node: str, open_page: Callable[..., Any], tmp_path_factory: pytest.TempPathFactory) -> Any:  # noqa: F811
+    """A page in Chromium with three.js and the VRM loaders."""
+    file = tmp_path_factory.mktemp("page") / "page.html"
+    script = (JS / "build" / "page.js").read_text("utf-8").replace("</script", "<\\/script")
+    end = "<script>document.documentElement.dataset.ready = 1</script>"
+    file.write_text(
+        f"<!doctype html><html><body style='margin:0'><script>{script}</script>{end}</body></html>"
+    )
+    return open_page(file.as_uri())
+
+
+def test_three_js_plays_a_glb(page: Any, files: Path, place: Array, motion: Motion) -> None:
+    found = page.evaluate("(file) => checks.open(file)", text_of(files / "a.glb"))
+    assert found["bones"] == len(motion.skeleton) and found["skinned"] == 5
+    assert found["duration"] == pytest.approx((len(motion) - 1) / 60, abs=1e-4)
+    (at,) = page.evaluate("([time, names]) => checks.places(time, names)", [SECONDS, [JOINT]])
+    assert at == pytest.approx(place, abs=1e-3)
+
+
+def test_a_vrm_animation_moves_an_avatar_of_another_size(
+    page: Any, files: Path, tmp_path: Path, motion: Motion
+) -> None:
+    person = humanoid_motion(motion)
+    write_avatar(tmp_path / "avatar.vrm", make_walk(2).scaled(1.2))
+    page.evaluate(
+        "([file, avatar]) => checks.open(file, avatar)",
+        [text_of(files / "a.vrma"), text_of(tmp_path / "avatar.vrm")],
+    )
+    truth = motion_kinematics(person)[1] * 1.2
+    bones = [BONES[name] for name in person.skeleton.names]
+    for seconds in (0.0, SECONDS, 1.25):
+        places = np.array(page.evaluate("([time, names]) => checks.places(time, names)", [seconds, bones]))
+        wanted = truth[round(seconds * 60)]
+        assert np.abs(places - wanted).max() < 0.02, seconds
+
+
+# ---- Blender ----
+
+
+def blender(*words: object) -> str:
+    """The output of a script that a Python with bpy runs."""
+    python = os.environ.get("MOTIONKIT_BPY")
+    if not python:
+        lacking("MOTIONKIT_BPY names no Python that has bpy")
+    done = subprocess.run([python, *map(str, words)], capture_output=True, text=True, timeout=170)
+    assert done.returncode == 0, done.stderr + done.stdout
+    return done.stdout
+
+
+def test_blender_imports_bones_frames_and_places(files: Path, place: Array, motion: Motion) -> None:
+    paths = [files / f"a.{ending}" for ending in ("bvh", "glb", "usda")]
+    lines = blender(HERE / "blender_check.py", JOINT, SECONDS, *paths).splitlines()
+    found = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
+    assert len(found) == 3
+    for one in found:
+        assert (one["bones"], one["frames"]) == (len(motion.skeleton), len(motion)), one
+        assert one["place"] == pytest.approx(place, abs=2e-3), one
+        assert one["skinned"] == (0 if one["file"].endswith(".bvh") else 1), one
+
+
+def test_the_fbx_recipe(files: Path, place: Array, motion: Motion, tmp_path: Path) -> None:
+    """The script of docs/formats.md makes an FBX that Blender reads back."""
+    page = (HERE.parents[1] / "docs" / "formats.md").read_text("utf-8")
+    script = page.split("```python title=glb_to_fbx.py\n")[1].split("```")[0]
+    (tmp_path / "glb_to_fbx.py").write_text(script)
+    blender(tmp_path / "glb_to_fbx.py", files / "a.glb", tmp_path / "a.fbx")
+    lines = blender(HERE / "blender_check.py", JOINT, SECONDS, tmp_path / "a.fbx").splitlines()
+    (found,) = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
+    assert (found["bones"], found["frames"]) == (len(motion.skeleton), len(motion))
+    assert found["place"] == pytest.approx(place, abs=5e-3)
