@@ -5,6 +5,7 @@ They use no Python API, so one wheel per system serves every Python 3. Without a
 not know vector extensions, motionkit installs all the same and numpy does the work.
 """
 
+import shutil
 import sys
 
 from setuptools import Extension, setup
@@ -16,17 +17,30 @@ FLAGS = ["-O3", "-fopenmp-simd", "-fno-math-errno", "-fno-trapping-math", "-Wno-
 # The frame is to be what numpy makes of it.
 UNFUSED = ["-O3", "-ffp-contract=off", "-fno-math-errno"]
 
+# What clang-cl, Clang for MSVC, is told for these.
+MSVC_FLAGS = {
+    "-O3": "/clang:-O3",
+    "-fopenmp-simd": "/clang:-fopenmp-simd",
+    "-fno-math-errno": "/clang:-fno-math-errno",
+    "-fno-trapping-math": "/clang:-fno-trapping-math",
+    "-ffp-contract=off": "/clang:-ffp-contract=off",
+    "-Wno-psabi": "-Wno-psabi",
+}
+
 ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")
 
 
-def kernel(name: str, sources: list[str], flags: list[str], headers: list[str]) -> Extension:
-    """A library that is left out where it cannot be compiled."""
+def kernel(
+    name: str, sources: list[str], flags: list[str], headers: list[str], functions: list[str]
+) -> Extension:
+    """A library that is left out where it cannot be compiled; functions are those that Python calls."""
     windows = sys.platform == "win32"
     return Extension(
         f"motionkit.{name}",
         [f"src/motionkit/{source}" for source in sources],
         depends=[f"src/motionkit/{header}" for header in headers],
-        extra_compile_args=[] if windows else flags,
+        extra_compile_args=[MSVC_FLAGS[flag] for flag in flags] if windows else flags,
+        export_symbols=functions,
         libraries=[] if windows else ["m"],
         optional=True,
     )
@@ -43,6 +57,15 @@ class BuildLibraries(build_ext):
         """No PyInit function."""
         return ext.export_symbols
 
+    def build_extensions(self) -> None:
+        """With MSVC compile by clang-cl, since MSVC itself has no vector extensions."""
+        if self.compiler.compiler_type == "msvc":
+            self.compiler.initialize()
+            clang = shutil.which("clang-cl") or shutil.which("clang-cl", path=r"C:\Program Files\LLVM\bin")
+            if clang is not None:
+                self.compiler.cc = clang
+        super().build_extensions()
+
 
 class AnyPythonWheel(bdist_wheel):
     """A wheel for every Python 3 on one kind of system."""
@@ -55,13 +78,26 @@ class AnyPythonWheel(bdist_wheel):
 setup(
     cmdclass={"build_ext": BuildLibraries, "bdist_wheel": AnyPythonWheel},
     ext_modules=[
-        kernel("inference._step_kernel", ["inference/step_kernel.c"], FLAGS, ["models/vectors.h"]),
-        kernel("models._attention_kernel", ["models/attention_kernel.c"], FLAGS, ["models/vectors.h"]),
+        kernel(
+            "inference._step_kernel",
+            ["inference/step_kernel.c"],
+            FLAGS,
+            ["models/vectors.h"],
+            ["step_kernel_version", "scratch_size", "step"],
+        ),
+        kernel(
+            "models._attention_kernel",
+            ["models/attention_kernel.c"],
+            FLAGS,
+            ["models/vectors.h"],
+            ["attention_kernel_version", "attention_forward", "attention_backward"],
+        ),
         kernel(
             "inference._frame_kernel",
             ["inference/frame_kernel.c", "inference/foot_kernel.c"],
             UNFUSED,
             ["inference/frame_kernel.h", "inference/kernel_math.h"],
+            ["frame_kernel_version", "draw_frames", "pose_frames"],
         ),
     ],
 )

@@ -2,15 +2,20 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 from motionkit import __version__
 from motionkit.cli.main import COMMANDS
+from motionkit.inference.frame_kernel import frame_library
+from motionkit.inference.step_kernel import kernel_library
+from motionkit.models.bundled import BUNDLED_MODEL
 
 # Slow imports that --help must avoid.
 HEAVY = ("torch", "numpy", "rich", "bvhio", "safetensors", "PIL")
@@ -59,6 +64,49 @@ def test_the_console_script_is_the_package() -> None:
     command = [str(script)] if script.exists() else [sys.executable, "-m", "motionkit"]
     done = subprocess.run([*command, "--version"], capture_output=True, text=True, timeout=50)
     assert done.returncode == 0 and __version__ in done.stdout
+
+
+def test_the_version_says_what_the_installation_computes_with() -> None:
+    code = (
+        "import sys; sys.modules['torch'] = None; sys.argv = ['motionkit', '--version']; "
+        "from motionkit.cli.main import main; main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=50)
+    told = dict(line.split(": ", 1) for line in done.stdout.splitlines()[1:])
+    assert list(told) == ["kernels", "torch", "model"] and done.returncode == 0
+    loaded = [name for name, there in (("step", kernel_library()), ("frame", frame_library())) if there]
+    assert all(name in told["kernels"] for name in loaded) and ("none" in told["kernels"]) <= (not loaded)
+    assert told["torch"] == version("torch")
+    assert told["model"].startswith(f"{BUNDLED_MODEL.name}, 23 types")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("motionkit fol", ["follow-path"]),
+        ("motionkit view --no", ["--no-open"]),
+        ("motionkit ", list(COMMANDS)),
+    ],
+)
+def test_the_shell_completes_commands_and_options(words: str, expected: list[str]) -> None:
+    place = {"COMP_WORDS": words, "COMP_CWORD": str(words.count(" ")), "_MOTIONKIT_COMPLETE": "bash_complete"}
+    command = "import sys; sys.argv = ['motionkit']; from motionkit.cli.main import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", command], capture_output=True, text=True, timeout=50, env=os.environ | place
+    )
+    assert [line.removeprefix("plain,") for line in done.stdout.splitlines()] == expected
+
+
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
+def test_what_a_shell_is_to_read(shell: str) -> None:
+    command = "import sys; sys.argv = ['motionkit']; from motionkit.cli.main import main; main()"
+    asked = os.environ | {"_MOTIONKIT_COMPLETE": f"{shell}_source"}
+    done = subprocess.run(
+        [sys.executable, "-c", command], capture_output=True, text=True, timeout=50, env=asked
+    )
+    assert f"_MOTIONKIT_COMPLETE={shell}_complete" in done.stdout
+    if reader := shutil.which(shell):
+        assert subprocess.run([reader, "-n"], input=done.stdout, text=True, timeout=50).returncode == 0
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,8 @@ from typing import Any
 
 import click
 
-from motionkit import __version__
 from motionkit.cli.common import STOPPED, remark
+from motionkit.cli.version import version_option
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import postpone
 
@@ -59,7 +59,7 @@ class CommandGroup(click.Group):
 
 
 @click.group(cls=CommandGroup, context_settings={"help_option_names": ["-h", "--help"]})
-@click.version_option(__version__, prog_name="motionkit")
+@version_option
 def cli() -> None:
     """Human motion: train a model on BVH files, control it and write BVH.
 

@@ -1,0 +1,66 @@
+"""What `motionkit --version` says: the release, and what an installation computes with."""
+
+from __future__ import annotations
+
+from importlib.metadata import PackageNotFoundError, version
+
+import click
+
+from motionkit import __version__
+
+
+def version_text() -> str:
+    """The release, the C kernels that load, torch and the bundled model, a line each; imports no torch."""
+    from motionkit.inference.frame_kernel import frame_library
+    from motionkit.inference.step_kernel import kernel_library
+
+    libraries = {
+        "step": kernel_library,
+        "frame": frame_library,
+    }  # that of training needs torch to be imported
+    loaded = [name for name, library in libraries.items() if library() is not None]
+    return "\n".join(
+        [
+            f"motionkit, version {__version__}",
+            f"kernels: {', '.join(loaded) or 'none, numpy does the work'}",
+            f"torch: {_torch()}",
+            f"model: {_model()}",
+        ]
+    )
+
+
+def _torch() -> str:
+    try:
+        return version("torch")
+    except PackageNotFoundError:
+        return "none, which is needed to train only"
+
+
+def _model() -> str:
+    from motionkit.errors import MotionkitError
+    from motionkit.models.bundled import BUNDLED_MODEL
+    from motionkit.models.checkpoint import read_header
+
+    if not BUNDLED_MODEL.is_file():
+        return "none, give --model"
+    try:
+        types = read_header(BUNDLED_MODEL)["types"]
+    except MotionkitError as error:
+        return str(error)
+    return f"{BUNDLED_MODEL.name}, {len(types)} types, {BUNDLED_MODEL.stat().st_size / 1e6:.1f} MB"
+
+
+def _show(context: click.Context, option: click.Parameter, wanted: bool) -> None:
+    if wanted and not context.resilient_parsing:
+        click.echo(version_text())
+        context.exit()
+
+
+version_option = click.option(
+    "--version",
+    is_flag=True,
+    is_eager=True,
+    expose_value=False,
+    callback=_show,
+    help="Show the release, the kernels, torch and the model, and exit.",
+)
