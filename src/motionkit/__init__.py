@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from motionkit.control.path import Path2D, PathPart, make_path, read_path, shape_path
     from motionkit.data.dataset import Dataset
     from motionkit.data.preprocess import PreprocessOptions
+    from motionkit.editing.fix import fix_motion
     from motionkit.editing.loop import make_loop
     from motionkit.editing.root_motion import in_place, with_ground_root
     from motionkit.errors import MotionkitError
@@ -67,6 +68,7 @@ _HOMES = {
     "shape_path": "control.path",
     "Dataset": "data.dataset",
     "PreprocessOptions": "data.preprocess",
+    "fix_motion": "editing.fix",
     "make_loop": "editing.loop",
     "in_place": "editing.root_motion",
     "with_ground_root": "editing.root_motion",
@@ -110,6 +112,7 @@ __all__ = [
     "evaluate",
     "export_onnx",
     "fine_tune_options",
+    "fix_motion",
     "follow_path",
     "in_place",
     "kinematics",

@@ -23,14 +23,15 @@ def command(source: Path, target: Path, fps: float | None, root_motion: RootMoti
     body and animation), .vrma (VRM animation, human rigs only), .usda (UsdSkel), .npz or .csv. Lengths become metres
     (.glb, .vrma, .usda) or centimetres (.npz, .csv), with Y up; from .bvh to .bvh they stay as they are.
     """
-    from motionkit.export.formats import read_motion, write_motion
+    from motionkit.export.formats import read_clip, write_motion
     from motionkit.files import check_outputs
     from motionkit.motion.motion import resample
 
     check_outputs([target], [source])
-    motion = root_motion.applied(read_motion(source))
+    clip = read_clip(source)
+    motion = root_motion.applied(clip.motion)
     motion = motion if fps is None else resample(motion, fps)
-    write_motion(target, motion)
+    write_motion(target, clip.with_motion(motion))
     if as_json:
         facts = {"frames": len(motion), "fps": motion.fps, "joints": len(motion.skeleton)}
         print_json({"file": str(source), "output": str(target), **facts})

@@ -38,19 +38,19 @@ def command(
     """
     from motionkit.editing.loop import make_loop
     from motionkit.errors import MotionkitError
-    from motionkit.export.formats import read_motion, write_motion
+    from motionkit.export.formats import read_clip, write_motion
     from motionkit.files import check_outputs
 
     target = output or default_output(f"{clip.stem}-loop")
     page_file = target.with_suffix(".html")
     check_outputs([target, page_file] if view else [target], [clip])
-    motion = read_motion(clip)
+    source = read_clip(clip)
     try:
-        loop = make_loop(motion, seconds)
+        loop = make_loop(source.motion, seconds)
     except MotionkitError as error:
         raise MotionkitError(f"{clip}: {error}") from None
     made = root_motion.applied(loop.motion, cyclic=True)
-    write_motion(target, made)
+    write_motion(target, source.with_motion(made))
     page = None
     if view:
         from motionkit.view.figure_data import Shown

@@ -29,6 +29,7 @@ COMMANDS = {
     "mirror": "mirror",
     "convert": "convert",
     "loop": "loop",
+    "fix": "fix",
     "view": "view",
     "play": "play",
     "export": "export",

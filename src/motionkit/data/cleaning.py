@@ -8,6 +8,7 @@ docs/cleaning.md has the measurements behind the constants.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -63,7 +64,8 @@ JUMP_LEFT = math.radians(60.0)
 
 # Flips: hip and ankle stay, but knee and toes jump to the other side of the line between them and return some frames
 # later. A limb is (upper, middle, end).
-LIMBS = tuple(
+Limb = tuple[int, int, int]
+LIMBS: tuple[Limb, ...] = tuple(
     (JOINT_NAMES.index(side + upper), JOINT_NAMES.index(side + middle), JOINT_NAMES.index(side + end))
     for side in ("Left", "Right")
     for upper, middle, end in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
@@ -111,10 +113,10 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     Returns:
         The repaired motion and a report.
     """
-    cut, pops = _mend(motion)  # first, so that a pop near an end is not mistaken for a break
+    cut, pops = mend(motion)  # first, so that a pop near an end is not mistaken for a break
     start, end = _good_span(cut)
     if end - start < len(motion):
-        cut, pops = _mend(motion.cut(start, end))
+        cut, pops = mend(motion.cut(start, end))
     shift, floor_notes = floor_shift(cut)
     notes = floor_notes + _jumps_left(cut, start)
     up = np.array([0.0, shift, 0.0], cut.root_positions.dtype)
@@ -124,9 +126,14 @@ def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     return replace(cut, root_positions=cut.root_positions + up), report
 
 
-def _mend(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion without flips and pops, and the repaired frames and joints."""
-    unflipped, flips = _mend_flips(motion)
+def mend(motion: Motion, limbs: Sequence[Limb] = LIMBS) -> tuple[Motion, list[tuple[int, str]]]:
+    """The motion without flips and pops, and the repaired frames and joints.
+
+    Args:
+        motion: of any rig, in cm with Y up.
+        limbs: upper, middle and end joint of the legs and arms; those of the canonical skeleton by default.
+    """
+    unflipped, flips = _mend_flips(motion, limbs)
     mended, pops = _mend_pops(unflipped)
     return mended, flips + pops
 
@@ -232,7 +239,7 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
             rotations[frame : frame + span, joint] = _bridge(
                 rotations[frame - 1, joint], rotations[frame + span, joint], span
             )
-            mended.extend((frame + i, JOINT_NAMES[joint]) for i in range(span))
+            mended.extend((frame + i, motion.skeleton.names[joint]) for i in range(span))
         if pops:
             steps = _angle(rotations[:-1], rotations[1:])
     for frame in _root_pops(places):
@@ -282,7 +289,7 @@ def _step_at(steps: Array, frames: Array, joints: Array) -> Array:
     return np.where(inside, steps[np.clip(frames, 0, len(steps) - 1), joints], np.float32(0.0))
 
 
-def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
+def _mend_flips(motion: Motion, limbs: Sequence[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
     """Repair flipped knees and elbows; returns the motion and the repaired frames and upper joints.
 
     The limb is rotated about the line from its first to its last joint, which both stay in place, to the
@@ -290,7 +297,7 @@ def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """
     rotations = motion.local_rotations.copy()
     mended: list[tuple[int, str]] = []
-    for upper, middle, end in LIMBS:
+    for upper, middle, end in limbs:
         for first, last in _flipped_spans(rotations[:, upper], rotations[:, end], motion.fps):
             span, count = slice(first, last + 1), last + 1 - first
             wanted = _bridge(rotations[first - 1, upper], rotations[last + 1, upper], count)
@@ -301,7 +308,7 @@ def _mend_flips(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
             swing = _twist(quat_multiply(wanted, quat_inverse(rotations[span, upper])), line)
             rotations[span, upper] = quat_multiply(swing, rotations[span, upper])
             rotations[span, end] = _bridge(rotations[first - 1, end], rotations[last + 1, end], count)
-            mended.extend((frame, JOINT_NAMES[upper]) for frame in range(first, last + 1))
+            mended.extend((frame, motion.skeleton.names[upper]) for frame in range(first, last + 1))
     if not mended:
         return motion, []
     return replace(motion, local_rotations=quat_continuous(rotations)), mended

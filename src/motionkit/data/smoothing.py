@@ -20,19 +20,24 @@ DEGREE = 3
 
 
 @lru_cache
-def _kernel() -> Array:
-    """Weights (WINDOW,) that give the value of the fitted cubic in the middle."""
-    place = np.arange(WINDOW, dtype=np.float64) - WINDOW // 2
+def _kernel(window: int) -> Array:
+    """Weights (window,) that give the value of the fitted cubic in the middle."""
+    place = np.arange(window, dtype=np.float64) - window // 2
     powers = place[:, None] ** np.arange(DEGREE + 1, dtype=np.float64)
     return np.linalg.pinv(powers)[0]
 
 
-def smooth(values: Array) -> Array:
+def window_at(fps: float) -> int:
+    """Frames of the filter at another rate, odd, that pass the same frequencies as WINDOW at 60 fps; at least 5."""
+    return max(5, 2 * round((WINDOW / 2 * fps / 60.0) - 0.5) + 1)
+
+
+def smooth(values: Array, window: int = WINDOW) -> Array:
     """Filter values (T, ...) over time; beyond the ends they are continued by point reflection.
 
     Sequences shorter than half a window are returned unchanged.
     """
-    half = WINDOW // 2
+    half = window // 2
     frames = len(values)
     if frames <= half:
         return values
@@ -40,11 +45,11 @@ def smooth(values: Array) -> Array:
     before = 2.0 * wide[:1] - np.flip(wide[1 : half + 1], 0)
     after = 2.0 * wide[-1:] - np.flip(wide[-half - 1 : -1], 0)
     padded = np.concatenate([before, wide, after])
-    out = sum(weight * padded[i : i + frames] for i, weight in enumerate(_kernel().tolist()))
+    out = sum(weight * padded[i : i + frames] for i, weight in enumerate(_kernel(window).tolist()))
     assert isinstance(out, np.ndarray)
     return out.astype(values.dtype)
 
 
-def smooth_rotations(rotations: Array) -> Array:
+def smooth_rotations(rotations: Array, window: int = WINDOW) -> Array:
     """Filter rotations (T, ..., 4) by component and normalise them again."""
-    return normalized(smooth(quat_continuous(rotations)))
+    return normalized(smooth(quat_continuous(rotations), window))

@@ -17,6 +17,7 @@ from motionkit.metrics.loading import canonical_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import Skeleton
 from motionkit.view.figure_data import in_metres
 
 CM_PER_METRE = 100.0
@@ -32,21 +33,27 @@ class Upright:
         motion: the motion on its own joints.
         scale: cm per unit of the motion it was made of.
         z_up: whether that motion had Z up.
+        rig: the skeleton of that motion; None where there is no way back to it.
     """
 
     motion: Motion
-    scale: float
-    z_up: bool
+    scale: float = 1.0
+    z_up: bool = False
+    rig: Skeleton | None = None
 
     @staticmethod
     def of(motion: Motion) -> Upright:
         """Bring a motion of any rig and unit into cm with Y up."""
         metres, scale, note = in_metres(motion)
-        return Upright(metres.scaled(CM_PER_METRE), scale * CM_PER_METRE, note.endswith("Z up"))
+        return Upright(
+            metres.scaled(CM_PER_METRE), scale * CM_PER_METRE, note.endswith("Z up"), motion.skeleton
+        )
 
     def back(self, motion: Motion) -> Motion:
         """A motion in cm with Y up, in the unit and with the up axis of the motion this was made of."""
         out = motion.scaled(1.0 / self.scale)
+        if self.rig is not None and motion.skeleton.names == self.rig.names:
+            out = replace(out, skeleton=self.rig)  # as it was, to the last digit
         if not self.z_up:
             return out
         rotations = out.local_rotations.copy()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,11 +27,26 @@ class Clip:
         motion: of any rig, unit and up axis.
         name: what the file calls it.
         types: motion types and their seconds in sequence; empty if unknown.
+        channels: of each joint in the BVH file the motion was read from, to be kept in a BVH file; None for the usual.
     """
 
     motion: Motion
     name: str = "motion"
     types: Sequence[tuple[str, float]] = ()
+    channels: tuple[tuple[str, ...], ...] | None = None
+
+    def with_motion(self, motion: Motion) -> Clip:
+        """The same with an edited motion; the channels are kept if they hold it."""
+        return replace(self, motion=motion, channels=self.channels if self._holds(motion) else None)
+
+    def _holds(self, motion: Motion) -> bool:
+        """Whether the channels can hold a motion: three rotations for each joint, and places for those that move."""
+        if self.channels is None or motion.skeleton.names != self.motion.skeleton.names:
+            return False
+        moving = set(motion.moving_joints())
+        kinds = [[name[1:] for name in names] for names in self.channels]
+        turns = all(names.count("rotation") == 3 for names in kinds)
+        return turns and all(names.count("position") == 3 for j, names in enumerate(kinds) if j in moving)
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ WRITERS: dict[str, str] = {
     ".npz": "tables:write_npz",
     ".csv": "tables:write_csv",
 }
-READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "read_glb:read_glb"}
+READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "formats:_read_glb"}
 # Endings that are often asked for, and what to do instead.
 INSTEAD: dict[str, str] = {
     ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/formats.md, FBX)",
@@ -62,8 +62,13 @@ def read_motion(path: str | Path) -> Motion:
     Raises:
         MotionkitError: another ending, or a file that cannot be read; the message names the file.
     """
-    motion: Motion = _find(READERS, path, "read")(path)
-    return motion
+    return read_clip(path).motion
+
+
+def read_clip(path: str | Path) -> Clip:
+    """The motion in a file with its name and, from a .bvh file, its channels; raises as read_motion does."""
+    clip: Clip = _find(READERS, path, "read")(path)
+    return clip
 
 
 def _find(table: dict[str, str], path: str | Path, done: str) -> Callable:
@@ -78,12 +83,20 @@ def _find(table: dict[str, str], path: str | Path, done: str) -> Callable:
 
 
 def _write_bvh(path: str | Path, clip: Clip) -> None:
-    from motionkit.motion.bvh import write_bvh
+    from motionkit.motion.bvh import motion_to_bvh, write_bvh
 
-    write_bvh(path, clip.motion)
+    write_bvh(path, clip.motion if clip.channels is None else motion_to_bvh(clip.motion, clip.channels))
 
 
-def _read_bvh(path: str | Path) -> Motion:
+def _read_bvh(path: str | Path) -> Clip:
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
 
-    return bvh_to_motion(read_bvh(path))
+    bvh = read_bvh(path)
+    clip = Clip(bvh_to_motion(bvh), Path(path).stem, channels=bvh.channels)
+    return clip.with_motion(clip.motion)
+
+
+def _read_glb(path: str | Path) -> Clip:
+    from motionkit.export.read_glb import read_glb
+
+    return Clip(read_glb(path), Path(path).stem)

@@ -1,0 +1,197 @@
+"""Repairs a clip of any rig: glitches, trembling, floor and foot sliding; joints, lengths and unit stay as they are.
+
+Pops and trembling are mended on the rig's own joints. Floor and feet are those of the canonical joints, to which a
+human rig is retargeted with its own bone lengths; what foot locking turns there, the rig's joints turn in the world.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.cleaning import Limb, floor_shift, mend
+from motionkit.data.smoothing import smooth, smooth_rotations, window_at
+from motionkit.editing.upright import Upright, relative_rotation
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.metrics.report import evaluate_motion
+from motionkit.metrics.smoothness import mean_jerk
+from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rig_names import RigMap, map_rig
+from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multiply, quat_normalize
+from motionkit.motion.skeleton import JOINT_NAMES
+
+LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
+SIDES = ("Left", "Right")
+# Metrics of the table, and what they are called there.
+MEASURED: dict[str, str] = {
+    "floor-height": "height of standing feet",
+    "penetration-max": "deepest below the floor",
+    "afs": "foot sliding (AFS)",
+    "skate-ratio": "share of standing toes that slide",
+    "jerk": "jerk",
+}
+
+
+@dataclass(frozen=True)
+class Repairs:
+    """Which repairs to make."""
+
+    glitches: bool = True
+    trembling: bool = True
+    floor: bool = True
+    sliding: bool = True
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """One row of the table: what was measured, before and after (None where it cannot be), and its unit."""
+
+    name: str
+    before: float | None
+    after: float | None
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Fixed:
+    """A repaired motion.
+
+    Attributes:
+        motion: on the same joints, in the same unit and with the same up axis.
+        table: what was measured before and after.
+        glitches: (frame, joint) of every mended pop and flip.
+        notes: what could not be done.
+    """
+
+    motion: Motion
+    table: tuple[Measurement, ...]
+    glitches: tuple[tuple[int, str], ...]
+    notes: tuple[str, ...]
+
+
+def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
+    """Repair a motion of any rig; for rigs that are not human, floor and feet stay as they are.
+
+    Raises:
+        MotionkitError: the motion has fewer than two frames.
+    """
+    repairs = repairs or Repairs()
+    if len(motion) < 2:
+        raise MotionkitError(f"expected at least 2 frames to repair, found {len(motion)}")
+    source = Upright.of(motion)
+    made, rig = source.motion, _rig(source.motion)
+    notes: tuple[str, ...] = ()
+    limbs = _limbs(made, rig)
+    mended, glitches = mend(made, limbs)
+    made = mended if repairs.glitches else made
+    if repairs.trembling:
+        made = _steadied(made)
+    if repairs.floor or repairs.sliding:
+        made, notes = _on_the_floor(made, rig, repairs)
+    left = mend(made, limbs)[1]
+    table = _table(source, Upright(made), (float(len(glitches)), float(len(left))))
+    return Fixed(source.back(made), table, tuple(glitches) if repairs.glitches else (), notes)
+
+
+def _rig(motion: Motion) -> RigMap | None:
+    try:
+        return map_rig(motion.skeleton)
+    except SkeletonError:
+        return None
+
+
+def _limbs(motion: Motion, rig: RigMap | None) -> list[Limb]:
+    """Upper, middle and end joints of legs and arms that follow each other directly."""
+    out: list[Limb] = []
+    for side in SIDES if rig is not None else ():
+        for names in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand")):
+            joints = [rig.places.get(side + name) for name in names] if rig is not None else []
+            upper, middle, end = joints
+            if upper is None or middle is None or end is None:
+                continue
+            if motion.skeleton.parents[middle] == upper and motion.skeleton.parents[end] == middle:
+                out.append((upper, middle, end))
+    return out
+
+
+def _steadied(motion: Motion) -> Motion:
+    """The motion without trembling."""
+    window = window_at(motion.fps)
+    local = motion.local_positions
+    return replace(
+        motion,
+        local_rotations=smooth_rotations(motion.local_rotations, window),
+        root_positions=smooth(motion.root_positions, window),
+        local_positions=None if local is None else smooth(local, window),
+    )
+
+
+def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple[Motion, tuple[str, ...]]:
+    """The motion with its floor at zero, feet locked while they touch it, and notes."""
+    upright = Upright(motion)
+    canonical = upright.canonical
+    if canonical is None or rig is None:
+        return motion, ("the rig is not a known human one: floor and feet were left as they are",)
+    shift, notes = floor_shift(canonical)
+    up = np.array([0.0, shift, 0.0], np.float32)
+    raised = replace(motion, root_positions=motion.root_positions + up)
+    if repairs.sliding:
+        before = replace(canonical, root_positions=canonical.root_positions + up)
+        raised = _moved_like(raised, rig, before, lock_feet(before, upright.contacts))
+    if not repairs.floor:
+        raised = replace(raised, root_positions=raised.root_positions - up)
+    return raised, notes
+
+
+def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
+    """Turn the legs of a rig in the world, and move its root, as the canonical body was from before to after."""
+    old, _ = motion_kinematics(before)
+    new, _ = motion_kinematics(after)
+    turns: dict[int, Array] = {}
+    for name in (side + part for side in SIDES for part in LEG_PARTS):
+        joint = JOINT_NAMES.index(name)
+        for place in {rig.places.get(name), rig.turns.get(name)} - {None}:
+            assert place is not None
+            turns[place] = quat_multiply(new[:, joint], quat_inverse(old[:, joint]))
+    moved = replace(
+        motion, root_positions=motion.root_positions + after.root_positions - before.root_positions
+    )
+    return turned_in_world(moved, turns)
+
+
+def turned_in_world(motion: Motion, turns: dict[int, Array]) -> Motion:
+    """Turn some joints by rotations (T, 4) of the world; joints below them that are not named follow.
+
+    Args:
+        turns: joint index to what its global rotation is multiplied by.
+    """
+    rotations, _ = motion_kinematics(motion)
+    local = motion.local_rotations.copy()
+    now = list(np.moveaxis(rotations, 1, 0))
+    for joint, parent in enumerate(motion.skeleton.parents):
+        if joint in turns:
+            now[joint] = quat_multiply(turns[joint], rotations[:, joint])
+            local[:, joint] = now[joint] if parent < 0 else relative_rotation(now[parent], now[joint])
+        elif parent >= 0:
+            now[joint] = quat_multiply(now[parent], local[:, joint])
+    return replace(motion, local_rotations=quat_continuous(quat_normalize(local)))
+
+
+def _table(before: Upright, after: Upright, glitches: tuple[float, float]) -> tuple[Measurement, ...]:
+    rows = [Measurement("glitches", *glitches, "")]
+    if before.canonical is None or after.canonical is None:
+        values = [
+            mean_jerk(motion_kinematics(each.motion)[1], each.motion.fps).value for each in (before, after)
+        ]
+        return (*rows, Measurement(MEASURED["jerk"], values[0], values[1], "m/s^3"))
+    reports = [evaluate_motion(each) for each in (before.canonical, after.canonical)]
+    for name, words in MEASURED.items():
+        pair = [next((row.motion for row in report.rows if row.id == name), None) for report in reports]
+        first, last = pair
+        if first is not None and last is not None:
+            rows.append(Measurement(words, first.value, last.value, first.unit))
+    return tuple(rows)

@@ -1,0 +1,132 @@
+"""Repairs of recorded clips that were damaged on purpose, one fault each."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.editing.fix import Fixed, Repairs, fix_motion
+from motionkit.editing.upright import Upright
+from motionkit.errors import MotionkitError
+from motionkit.export.formats import read_motion
+from motionkit.motion.bvh import read_bvh
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import expmap_to_quat, quat_multiply
+from motionkit.motion.skeleton import Skeleton
+
+DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
+NONE = Repairs(glitches=False, trembling=False, floor=False, sliding=False)
+
+
+@pytest.fixture(scope="module")
+def clip() -> Motion:
+    """A recorded walk in its own rig and unit, 120 fps."""
+    return read_motion(DATA / "35_30.bvh")
+
+
+def positions(motion: Motion) -> np.ndarray:
+    """In cm, Y up."""
+    return motion_kinematics(Upright.of(motion).motion)[1]
+
+
+def row(fixed: Fixed, name: str) -> tuple[float, float]:
+    """The values of a row of the table before and after."""
+    (found,) = (row for row in fixed.table if name in row.name)
+    assert found.before is not None and found.after is not None
+    return found.before, found.after
+
+
+def test_without_repairs_nothing_changes(clip: Motion) -> None:
+    fixed = fix_motion(clip, NONE)
+    assert np.abs(positions(fixed.motion) - positions(clip)).max() < 1e-3
+    assert all(row.before == pytest.approx(row.after, rel=1e-3, abs=1e-3) for row in fixed.table)
+
+
+def test_a_pop_is_bridged(clip: Motion) -> None:
+    joint = clip.skeleton.names.index("LeftForeArm")
+    rotations = clip.local_rotations.copy()
+    rotations[100, joint] = quat_multiply(
+        rotations[100, joint], expmap_to_quat(np.array([0.0, 1.2, 0.0], np.float32))
+    )
+    fixed = fix_motion(replace(clip, local_rotations=rotations), replace(NONE, glitches=True))
+    assert (100, "LeftForeArm") in fixed.glitches
+    before, after = row(fixed, "glitches")
+    assert before > after == 0.0
+    gaps = np.linalg.norm(positions(fixed.motion) - positions(clip), axis=-1)
+    assert gaps.max() < 1.0
+
+
+def test_trembling_is_filtered(clip: Motion) -> None:
+    noise = 0.01 * np.random.default_rng(0).standard_normal((*clip.local_rotations.shape[:2], 3))
+    shaken = quat_multiply(clip.local_rotations, expmap_to_quat(noise.astype(np.float32)))
+    fixed = fix_motion(replace(clip, local_rotations=shaken), replace(NONE, trembling=True))
+    before, after = row(fixed, "jerk")
+    assert after < before / 3
+    calm = fix_motion(clip, replace(NONE, trembling=True)).motion
+    assert np.abs(positions(calm) - positions(clip)).max() < 3.0
+
+
+def test_the_floor_comes_to_zero(clip: Motion) -> None:
+    high = replace(clip, root_positions=clip.root_positions + np.array([0.0, 5.0, 0.0], np.float32))
+    fixed = fix_motion(high, replace(NONE, floor=True))
+    before, after = row(fixed, "height of standing feet")
+    assert before > 20.0 and 2.0 < after < 6.0
+    moved = positions(fixed.motion) - positions(high)
+    assert np.ptp(moved[..., 1]) < 1e-2 and np.abs(moved[..., [0, 2]]).max() < 1e-2
+
+
+@pytest.mark.parametrize("floor", [True, False])
+def test_feet_are_held_on_the_rig_itself(clip: Motion, floor: bool) -> None:
+    """A walk whose root drifts forward, so that standing feet slide."""
+    drift = np.linspace(0.0, 4.0, len(clip), dtype=np.float32)[:, None] * np.array(
+        [0.0, 0.0, 1.0], np.float32
+    )
+    slid = replace(clip, root_positions=clip.root_positions + drift)
+    fixed = fix_motion(slid, replace(NONE, sliding=True, floor=floor))
+    before, after = row(fixed, "AFS")
+    assert after < 0.8 * before
+    offsets = fixed.motion.skeleton.offsets
+    assert (
+        np.array_equal(offsets, clip.skeleton.offsets) and fixed.motion.skeleton.names == clip.skeleton.names
+    )
+    arms = clip.skeleton.names.index("LeftArm")
+    assert np.abs(fixed.motion.local_rotations[:, arms] - clip.local_rotations[:, arms]).max() < 1e-5
+    # The feet are the canonical ones: where they were held there, the rig's own ankles and toes are.
+    for name in ("LeftFoot", "RightToeBase"):
+        own = positions(fixed.motion)[:, clip.skeleton.names.index(name)]
+        canonical = Upright.of(fixed.motion).canonical
+        assert canonical is not None
+        there = motion_kinematics(canonical)[1][:, canonical.skeleton.names.index(name)]
+        assert np.linalg.norm(own - there, axis=-1).max() < 1.5
+
+
+def test_rigs_that_are_not_human_keep_their_floor(make_motion: Callable[..., Motion]) -> None:
+    offsets = np.array([[0, 0, 0], [0, 60, 0], [0, 80, 10]], np.float32)
+    crane = make_motion(60, skeleton=Skeleton(("Base", "Boom", "Hook"), (-1, 0, 1), offsets))
+    fixed = fix_motion(crane)
+    assert "not a known human" in fixed.notes[0]
+    assert np.abs(positions(fixed.motion) - positions(crane)).max() < 1.0
+
+
+def test_one_frame_is_refused(clip: Motion) -> None:
+    with pytest.raises(MotionkitError, match="at least 2 frames"):
+        fix_motion(clip.cut(0, 1))
+
+
+def test_the_command(motionkit, tmp_path: Path) -> None:
+    source = DATA / "35_30.bvh"
+    said = motionkit("fix", source, "--no-trembling", "--view", "-o", "a.bvh")
+    assert said.code == 0 and "foot sliding (AFS)" in said.out and (tmp_path / "a.html").is_file()
+    before, after = read_bvh(source), read_bvh(tmp_path / "a.bvh")
+    assert before.channels == after.channels and before.skeleton.names == after.skeleton.names
+    assert len(before.values) == len(after.values) and before.fps == after.fps
+    value = json.loads(motionkit("fix", source, "--json").out)
+    assert value["output"] == "35_30-fixed.bvh"
+    assert {"name", "before", "after", "unit"} == set(value["table"][0])
+    assert motionkit("fix", "none.bvh").failed_with("none.bvh: no such file")
