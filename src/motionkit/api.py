@@ -293,13 +293,16 @@ def evaluate(
     model: MotionModel | None = None,
     only: Sequence[str] = (),
     settings: EvaluationSettings | None = None,
+    jobs: int = 1,
 ) -> Scoreboard:
     """The scoreboard of a model against the recordings of a dataset folder (docs/evaluation.md).
 
     Args:
         model: the bundled model by default.
         only: names of the sections to measure; all by default.
-        settings: how much is measured; 20 roll-outs of each type by default.
+        settings: how much is measured, on which split, with or without reference recordings; the test split, 20
+            roll-outs of each type by default.
+        jobs: processes that roll out; the result does not depend on them.
 
     Raises:
         ControlError: for an unknown section.
@@ -308,4 +311,4 @@ def evaluate(
     from motionkit.data.dataset import Dataset
     from motionkit.evaluation.scoreboard import evaluate_model
 
-    return evaluate_model(model or load_model(), Dataset(dataset), settings, only)
+    return evaluate_model(model or load_model(), Dataset(dataset), settings, only, jobs=jobs)

@@ -32,6 +32,20 @@ def test_faults_leave_no_report(evaluate, tmp_path: Path, words: list[str], comp
     assert not list(tmp_path.iterdir())
 
 
+def test_splits_are_not_mixed(evaluate, motionkit, tiny_model_file: Path, dataset_folder: Path) -> None:
+    words = ("evaluate", tiny_model_file, dataset_folder, "--only", "stability", "--quick")
+    for split, seed in (("test", 5), ("validation", 1000)):
+        said = motionkit(*words, "--split", split, "--seed", seed)
+        assert (
+            said.code == 2
+            and f"does not belong to the {split} split" in said.err
+            and "Traceback" not in said.err
+        )
+    value = json.loads(evaluate("--only", "reconstruction", "--split", "validation", "--json").out)
+    assert value["split"] == "validation" and value["seed"] == 0
+    assert "has no validation clips" in value["sections"][0]["notes"][0]
+
+
 def test_wrong_files_and_names(
     motionkit, tmp_path: Path, tiny_model_file: Path, dataset_folder: Path
 ) -> None:

@@ -76,7 +76,7 @@ def test_byte_order_mark_and_crlf_are_fine(tmp_path: Path) -> None:
         ("a.bvh,0,-2,idle,,,,", "expected start_frame < end_frame"),
         ("a.bvh,0,9,idle,,0,,", "expected fps between 1 and 1000, found 0"),
         ("a.bvh,0,9,idle,,nan,,", "fps"),
-        ("a.bvh,0,9,idle,,,valid,", "expected train, test or nothing for split, found 'valid'"),
+        ("a.bvh,0,9,idle,,,valid,", "expected train, validation, test or nothing for split, found 'valid'"),
         (",0,9,idle,,,,", "expected a file name"),
         ("a.bvh,3,20,idle,,,,", "overlap"),
         ("a.bvh,0,-1,idle,,,,\na.bvh,50,60,idle,,,,", "overlap"),

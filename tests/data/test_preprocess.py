@@ -173,8 +173,46 @@ def test_whole_clips_are_held_out_where_the_labels_do_not_say(tmp_path: Path) ->
     preprocess([tmp_path / "clips"], tmp_path / "out", ONE_JOB)
     by_file = clips_by_file(Dataset(tmp_path / "out"))
     splits = Counter(clips[0].split for clips in by_file.values())
-    assert splits == {"train": 5, "test": 1}
+    assert splits == {"train": 4, "validation": 1, "test": 1}
     assert all(len({c.split for c in clips}) == 1 for clips in by_file.values())
+    assert all(len(clips) == 2 if clips[0].split == "train" else 1 for clips in by_file.values()), (
+        "twins train"
+    )
+
+
+def test_validation_is_held_out_file_by_file_and_type_by_type(tmp_path: Path) -> None:
+    (tmp_path / "clips").mkdir()
+    rows = ["file,start_frame,end_frame,type,split"]
+    for i in range(5):
+        write_bvh(tmp_path / "clips" / f"walk_{i}.bvh", make_walk(120, phase=float(i)))
+        rows += [f"walk_{i}.bvh,0,50,walking,train", f"walk_{i}.bvh,60,110,walking,train"]
+    for i in range(3):
+        write_bvh(tmp_path / "clips" / f"idle_{i}.bvh", make_idle(60, phase=float(i)))
+        rows.append(f"idle_{i}.bvh,0,-1,idle,train")
+    (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows) + "\n", "utf-8")
+
+    def splits(folder: str, *files: Path, **options: bool) -> dict[str, set[str]]:
+        preprocess(
+            list(files) or [tmp_path / "clips"], tmp_path / folder, PreprocessOptions(jobs=1, **options)
+        )
+        found = clips_by_file(Dataset(tmp_path / folder))
+        return {name: {clip.split for clip in clips} for name, clips in found.items()}
+
+    chosen = splits("out")
+    held = [name for name, split in chosen.items() if split == {"validation"}]
+    assert len(held) == 1 and held[0].startswith("walk"), "both its clips, and none of a type of three files"
+    assert all(split == {"train"} for name, split in chosen.items() if name not in held)
+    data = Dataset(tmp_path / "out")
+    assert {clip.mirrored for clip in data.select("validation")} == {False} and len(
+        data.select("validation")
+    ) == 2
+    assert splits("all", validation=False) == {name: {"train"} for name in chosen}
+    # The choice does not depend on other types, and labels that name validation clips have the last word.
+    (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows[:11]) + "\n", "utf-8")
+    assert [name for name, split in splits("fewer").items() if split == {"validation"}] == held
+    named = "\n".join(row.replace("train", "validation") if "walk_3" in row else row for row in rows)
+    (tmp_path / "clips" / "labels.csv").write_text(named + "\n", "utf-8")
+    assert [name for name, split in splits("named").items() if split == {"validation"}] == ["walk_3.bvh"]
 
 
 def test_a_type_with_one_clip_trains_on_it_and_tests_on_its_mirror_image(tmp_path: Path) -> None:

@@ -1,36 +1,21 @@
 from __future__ import annotations
 
-import numpy as np
+from dataclasses import replace
 
-from motionkit.control.script import TypePart
-from motionkit.control.synthesize import SynthesisOptions, synthesize
-from motionkit.evaluation.accuracy import Judge, measure_accuracy
+import numpy as np
+import pytest
+
+from motionkit.evaluation.accuracy import accuracy_section, measure_accuracy
 from motionkit.evaluation.body import Body, body_of
-from motionkit.evaluation.real import RealMotion
-from motionkit.evaluation.rolling import Plan, roll_plans
+from motionkit.evaluation.detectors import DETECTORS
+from motionkit.evaluation.judge import Judge
+from motionkit.evaluation.real import MotionProfile, RealMotion
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.inference.rollout import Noise
 from motionkit.models.model import MotionModel
-from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from synthetic_motions import make_idle, make_walk
 
-
-def test_a_batch_moves_as_synthesize_does(tiny_model: MotionModel) -> None:
-    parts = [TypePart("idle", 0.2), TypePart("walking", 0.4)]
-    still = Noise("mean")
-    found = roll_plans(tiny_model, [Plan(tuple(parts), 0), Plan(tuple(parts), 0)], still)
-    alone = synthesize(tiny_model, parts, SynthesisOptions(ik=False, noise=still)).motions[0].motion
-    for each in found:
-        assert np.allclose(each.body.positions, motion_kinematics(alone)[1], atol=1e-2)
-        assert np.array_equal(each.motion(tiny_model).root_positions, each.body.positions[:, 0])
-
-
-def test_plans_differ_in_what_is_asked(tiny_model: MotionModel) -> None:
-    plans = [Plan((TypePart(kind, 0.3),), choice) for kind in ("walking", "cartwheel") for choice in (0, 1)]
-    found = roll_plans(tiny_model, plans, Noise("mean"))
-    assert len(found) == 4 and {len(p.body) for p in found} == {18}
-    assert not np.allclose(found[0].body.positions, found[2].body.positions)
+from .conftest import TINY
 
 
 def test_lasting_types_must_last_and_others_occur_once(real: RealMotion) -> None:
@@ -49,8 +34,32 @@ def test_lasting_types_must_last_and_others_occur_once(real: RealMotion) -> None
     assert judge.performs("cartwheel", wheel) and not judge.performs("cartwheel", body_of(stand))
 
 
-def test_every_type_is_commanded_with_every_seed(tiny_model: MotionModel, real: RealMotion) -> None:
-    settings = EvaluationSettings(seeds=2, accuracy_seconds=1.5)
+def test_a_type_without_a_detector_must_move_as_fast_as_its_recordings(
+    real: RealMotion, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delitem(DETECTORS, "walking")
+    judge = Judge(real)
+    profile = real.profile("walking")
+    assert profile is not None and profile.judges and judge.knows("walking")
+    monkeypatch.setattr(MotionProfile, "shows", lambda self, body, distances: True)
+    body = body_of(make_walk(300, turn=0.0))
+    ratio = judge.speed_ratio("walking", body)
+    assert ratio == pytest.approx(body.joint_speed() / profile.joint_speed)
+    assert judge.performs("walking", body) == (0.7 <= ratio <= 1.4)
+    assert not judge.performs("walking", body_of(make_walk(300, turn=0.0, swing=0.05)))
+
+
+def test_one_recording_judges_no_type(real: RealMotion, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(DETECTORS, "cartwheel")
+    assert len(real.of_type("cartwheel", "train")) == 1
+    profile = real.profile("cartwheel")
+    assert profile is not None and not profile.judges
+    assert not Judge(real).knows("cartwheel") and not Judge(real).knows("unheard-of")
+
+
+def test_every_type_is_commanded_with_every_seed(
+    make_trial, tiny_model: MotionModel, real: RealMotion
+) -> None:
     lengths = []
 
     class OnlyWalking(Judge):
@@ -58,8 +67,20 @@ def test_every_type_is_commanded_with_every_seed(tiny_model: MotionModel, real: 
             lengths.append(len(body))
             return kind == "walking"
 
-    found = measure_accuracy(tiny_model, OnlyWalking(real), settings, ("walking", "cartwheel"))
+    settings = EvaluationSettings(seeds=2, accuracy_seconds=1.5)
+    found = measure_accuracy(make_trial(settings, OnlyWalking(real)), ("walking", "cartwheel"))
     assert [each.type for each in found] == ["walking", "cartwheel"]
-    assert lengths == 4 * [round(1.5 * tiny_model.fps)], "only what follows the command is judged"
+    assert lengths == 8 * [round(1.5 * tiny_model.fps)], (
+        "only what follows the command is judged, raw motion too"
+    )
     assert [(each.rollouts, each.shown, each.share) for each in found] == [(2, 2, 1.0), (2, 0, 0.0)]
     assert found[0].training_clips == 2 and found[1].training_clips == 1
+
+
+def test_a_column_has_the_model_without_references(make_trial) -> None:
+    section = accuracy_section(make_trial(), lambda share: None)
+    columns = section.tables[0].columns
+    assert "without references" in columns and "raw" in columns
+    assert any("without reference recordings" in goal.what for goal in section.goals)
+    alone = accuracy_section(make_trial(replace(TINY, reference="none")), lambda share: None)
+    assert "without references" not in alone.tables[0].columns

@@ -1,12 +1,15 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
-from motionkit.evaluation.accuracy import Judge, calibrate
+from motionkit.evaluation.accuracy import calibrate
 from motionkit.evaluation.body import body_of
+from motionkit.evaluation.judge import Judge
 from motionkit.evaluation.real import RealMotion
 from motionkit.features.decode import decode_motion
 from synthetic_motions import make_walk, placed
@@ -60,6 +63,33 @@ def test_calibration_counts_every_stretch_for_its_own_type(real: RealMotion) -> 
     assert found["cartwheel"].share == 1.0 and found["cartwheel"].windows == len(real.of_type("cartwheel"))
     assert "walking" not in found["walking"].others
     assert "idle" not in found["walking"].others
+
+
+def test_a_type_whose_mirror_image_trains_is_not_missing(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wheel = next(clip for clip in dataset.clips if "wheel" in clip.name and not clip.mirrored)
+    others = [clip for clip in dataset.clips if "wheel" not in clip.name]
+    swapped = (replace(wheel, split="test"), replace(wheel, split="train", mirrored=True))
+    monkeypatch.setattr(dataset, "clips", (*others, *swapped))
+    found = RealMotion(dataset).of_type("cartwheel")
+    assert sorted(stretch.split for stretch in found) == ["test", "train"]
+    assert RealMotion(dataset).profile("cartwheel") is not None
+    left = [stretch.body.positions[:, 15, 0] - stretch.body.positions[:, 19, 0] for stretch in found]
+    assert np.allclose(np.abs(left[0]), np.abs(left[1]), atol=1e-2)
+
+
+def test_test_clips_are_not_read_for_validation(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    held = [clip.name for clip in dataset.clips if clip.split == "test"]
+    assert {s.name for s in RealMotion(dataset).stretches} >= set(held)
+    monkeypatch.setattr(
+        dataset,
+        "clips",
+        tuple(replace(c, split="validation") if "walk_02" in c.name else c for c in dataset.clips),
+    )
+    seen = RealMotion(dataset, "validation")
+    assert not {s.name for s in seen.stretches} & set(held)
+    assert seen.of_type("walking", "validation") and seen.held_out == "validation"
 
 
 def test_a_dataset_without_training_clips_is_refused(dataset: Dataset, monkeypatch) -> None:

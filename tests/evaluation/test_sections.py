@@ -10,12 +10,11 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation.body import body_of
-from motionkit.evaluation.paths import path_trials, paths_section
+from motionkit.evaluation.limits import acceleration_limit, turn_limit
+from motionkit.evaluation.paths import leaning, path_trials, paths_section, speed_trials, steered_types
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.reconstruction import held_out_clips, reconstruction_section
 from motionkit.evaluation.response import commands, response_seconds
-from motionkit.evaluation.settings import QUICK
-from motionkit.evaluation.smoothness import fastest_turn, recorded_limit
 from motionkit.evaluation.stability import (
     DRIFT_LIMIT,
     foot_height,
@@ -24,11 +23,15 @@ from motionkit.evaluation.stability import (
     random_plan,
     stability_section,
 )
+from motionkit.evaluation.trial import Trial
+from motionkit.evaluation.variety import variety_section
+from motionkit.evaluation.visible import visible_section
+from motionkit.metrics.leaps import fastest_turn
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from synthetic_motions import make_idle, make_walk
 
-TINY = replace(QUICK, seeds=1, stability_seconds=0.5, mixed_seconds=0.5, reconstruction_seconds=0.6)
+from .conftest import TINY
 
 
 def quiet(share: float) -> None:
@@ -46,18 +49,60 @@ def test_paths_are_as_long_as_they_say() -> None:
     assert [part.type for part in mixed.parts][:3] == ["jumping-r", "jumping-l", "running"]
 
 
-def test_every_path_of_known_types_is_measured(
-    tiny_model: MotionModel, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_every_path_of_known_types_is_measured(make_trial, monkeypatch: pytest.MonkeyPatch) -> None:
     wanted = [trial for trial in path_trials() if trial.name.startswith(("line", "running"))]
-    monkeypatch.setattr("motionkit.evaluation.paths.path_trials", lambda: wanted)
-    monkeypatch.setattr("motionkit.evaluation.paths.PATIENCE", -0.3)  # leaves less than 3 s
-    section = paths_section(tiny_model, TINY, quiet)
-    assert [row[0] for row in section.tables[0].rows] == [trial.name for trial in wanted]
-    for row, goal in zip(section.tables[0].rows, section.goals, strict=True):
-        _, mean, largest, finished, _ = row
+    asked = [trial for trial in speed_trials() if "0.7" in trial.name or "→" in trial.name]
+    monkeypatch.setattr("motionkit.evaluation.paths.path_trials", lambda *kinds: wanted)
+    monkeypatch.setattr("motionkit.evaluation.paths.speed_trials", lambda *kinds: asked)
+    monkeypatch.setattr("motionkit.control.follow.PATIENCE", -0.2)  # leaves less than 3 s
+    section = paths_section(make_trial(), quiet)
+    first, second = section.tables
+    assert [row[0] for row in first.rows] == [trial.name for trial in wanted]
+    for row, goal in zip(first.rows, section.goals, strict=False):
+        _, mean, largest, _, finished, _ = row
         assert goal.value == mean and 0.0 < mean <= largest  # the model hardly moves, but not along the path
         assert finished == "0 of 1" and goal.note == "finished 0 of 1"
+    assert [row[0] for row in second.rows] == [trial.name for trial in asked]
+    off = next(goal for goal in section.goals if "speed off by" in goal.what)
+    assert off.value is not None and not off.reached  # it hardly moves
+
+
+def test_gaits_to_follow_paths_with_need_no_names(tiny_model: MotionModel) -> None:
+    assert steered_types(tiny_model) in (None, ("walking", "running"), ("walking", "walking"))
+    gait = tiny_model.types["walking"].gait
+    assert gait is not None
+    slow, fast = replace(gait, speed=90.0, facing=0.0), replace(gait, speed=320.0, facing=0.0)
+    base = replace(tiny_model.types["walking"], steered=True)
+    own = replace(
+        tiny_model,
+        types={
+            "stroll": replace(base, gait=slow),
+            "sprint": replace(base, gait=fast),
+            "kick": replace(base, steered=False),
+        },
+    )
+    assert steered_types(own) == ("stroll", "sprint")
+    assert steered_types(replace(own, types={"kick": own.types["kick"]})) is None
+
+
+def test_speed_trials_ask_for_their_speeds() -> None:
+    for trial in speed_trials():
+        assert [part.speed for part in trial.path.parts] == [speed * 100.0 for speed in trial.speeds], (
+            trial.name
+        )
+
+
+def test_a_body_that_leans_into_a_curve_is_seen() -> None:
+    upright = make_walk(240, turn=0.8, speed=200.0)
+    lean, needed = leaning(body_of(upright))
+    assert abs(lean) < 4.0 and needed == pytest.approx(math.degrees(math.atan2(0.8 * 2.0, 9.81)), abs=0.5)
+    assert leaning(body_of(make_walk(240, turn=0.0))) == (0.0, 0.0)
+    body = body_of(upright)
+    sine, cosine = np.sin(body.heading), np.cos(body.heading)  # the curve goes to the left, +X at heading 0
+    left = np.stack([cosine, np.zeros_like(sine), -sine], axis=-1)[:, None]
+    above = body.positions[..., 1:2] * math.tan(math.radians(10.0))
+    tilted = replace(body, positions=(body.positions + left * above).astype(np.float32))
+    assert leaning(tilted)[0] == pytest.approx(lean + 10.0, abs=2.0)
 
 
 def test_a_response_must_hold() -> None:
@@ -106,8 +151,9 @@ def test_random_plans_fill_the_time_and_repeat(tiny_model: MotionModel) -> None:
     assert plan == random_plan(tiny_model, kinds, 20.0, 3) != random_plan(tiny_model, kinds, 20.0, 4)
 
 
-def test_stability_measures_every_type_and_random_changes(tiny_model: MotionModel, real: RealMotion) -> None:
-    section = stability_section(tiny_model, real, TINY, quiet)
+def test_stability_measures_every_type_and_random_changes(make_trial, tiny_model: MotionModel) -> None:
+    section = stability_section(make_trial(), quiet)
+    assert [table.title.rpartition(": ")[2] for table in section.tables[1:]] == ["raw", "without references"]
     rows, columns = section.tables[0].rows, section.tables[0].columns
     heights = [row[columns.index("foot height − real, cm")] for row in rows]
     assert None not in heights[:-1]
@@ -119,34 +165,96 @@ def test_stability_measures_every_type_and_random_changes(tiny_model: MotionMode
 
 
 def test_reconstruction_scores_ground_truth_baselines_and_model(
-    tiny_model: MotionModel, dataset: Dataset, real: RealMotion
+    make_trial, tiny_model: MotionModel, dataset: Dataset
 ) -> None:
-    section = reconstruction_section(tiny_model, dataset, real, TINY, quiet)
+    section = reconstruction_section(make_trial(), quiet)
     rows = {(row[0], row[1]): row[2:] for row in section.tables[0].rows}
     truth, still = rows["all", "ground truth"], rows["all", "last frame"]
     # Equal to itself: SSIM 1, no joint error, no distance from its path.
-    assert truth[2:] == (1.0, 1.0, 0.0, 0.0)
+    assert truth[3:] == (1.0, 1.0, 0.0, 0.0)
     assert still[0] == pytest.approx(0.0, abs=1e-3) and truth[0] > 1.0
     late, later = rows["all", "3 frames late"], rows["all", "20 frames late"]
-    assert 1.0 > late[3] > later[3] and 0.0 < late[4] < later[4]
-    for variant in ("nearest clip", "model"):
-        assert rows["all", variant][4] > 0.0 and rows["all", variant][5] > 0.0
+    assert 1.0 > late[4] > later[4] and 0.0 < late[5] < later[5]
+    for variant in ("nearest clip", "model", "raw network", "without references"):
+        assert rows["all", variant][5] > 0.0 and rows["all", variant][6] > 0.0
+    against = {goal.what: goal for goal in section.goals if "nearest clip" in goal.what}
+    mpjpe = against["mpjpe against the nearest clip"]
+    assert mpjpe.highest == rows["all", "nearest clip"][5] and mpjpe.value == rows["all", "model"][5]
+    assert against["ssim-window against the nearest clip"].lowest == rows["all", "nearest clip"][4]
     assert len(held_out_clips(tiny_model, dataset, 0.6)) == 1
 
 
-def test_reconstruction_without_held_out_clips_says_so(
-    tiny_model: MotionModel, dataset: Dataset, real: RealMotion, monkeypatch: pytest.MonkeyPatch
+def test_reconstruction_without_clips_says_why(
+    make_trial, dataset: Dataset, tiny_model: MotionModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(dataset, "clips", tuple(c for c in dataset.clips if c.split == "train"))
-    section = reconstruction_section(tiny_model, dataset, real, TINY, quiet)
-    assert not section.tables and not section.goals and "no held-out clips" in section.notes[0]
+    def note() -> str:
+        section = reconstruction_section(make_trial(), quiet)
+        assert not section.tables and not section.goals
+        return section.notes[0]
+
+    held_out = [clip for clip in dataset.clips if clip.split == "test"]
+    monkeypatch.setattr("motionkit.evaluation.reconstruction.SHORTEST_REST", 10_000)
+    assert "none of the 1 test clips has 10087 frames" in note()
+    monkeypatch.undo()
+    kinds = {name: kind for name, kind in tiny_model.types.items() if name != "walking"}
+    few = Trial(replace(tiny_model, types=kinds), dataset, make_trial().judge, TINY)
+    assert "types that the model does not have: walking" in reconstruction_section(few, quiet).notes[0]
+    assert (
+        held_out
+        and "has no validation clips"
+        in (reconstruction_section(make_trial(replace(TINY, split="validation")), quiet).notes[0])
+    )
+
+
+def test_visible_faults_are_found_in_the_default_output(make_trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    trial = make_trial()
+    takes = trial.alone(quiet)
+    assert trial.alone(quiet) is takes, "roll-outs are made once"
+    clean = visible_section(trial, quiet)
+    goals = {goal.what: goal for goal in clean.goals}
+    assert goals["roll-outs whose body flips in one frame"].value == 0.0
+    columns = clean.tables[0].columns
+    before = {row[0]: row for row in clean.tables[0].rows}["walking"]
+    takes["walking"][0].default.positions[30:, 2] += np.array([0.0, 0.0, 25.0], np.float32)
+    turned = takes["running"][1].default.rotations
+    turned[40:, 0] = turned[40:, 0][:, [2, 3, 0, 1]]  # by half a turn
+    broken = visible_section(trial, quiet)
+    goals = {goal.what: goal for goal in broken.goals}
+    assert goals["roll-outs whose body flips in one frame"].value == 1.0
+    rate = columns.index("leaps a minute")
+    assert not goals["leaps of knees and elbows a minute, worst type"].reached
+    rows = {row[0]: row for row in broken.tables[0].rows}
+    assert rows["walking"][rate] == pytest.approx(before[rate] + 1 / (2 * 1.3 / 60.0), rel=0.01)
+    assert rows["walking"][columns.index("raw")] == before[columns.index("raw")]
+    assert rows["running"][columns.index("flipped")] == 1
+
+
+def test_variety_finds_seeds_that_do_the_same(make_trial, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motionkit.evaluation.variety.LONG_SECONDS", 0.6)
+    section = variety_section(make_trial(), quiet)
+    columns, rows = section.tables[0].columns, {row[0]: row for row in section.tables[0].rows}
+    apart = columns.index("seeds apart, cm")
+    assert 0.0 < rows["walking"][apart] < 0.5 * rows["walking"][columns.index("recordings apart, cm")]
+    goal = next(goal for goal in section.goals if "times as far apart" in goal.what)
+    assert not goal.reached and "walking" in goal.note
+    assert rows["cartwheel"][columns.index("recordings to the nearest other, cm")] is None, (
+        "it has one recording"
+    )
+    assert all(0.0 < row[columns.index("recordings drawn on")] <= 1.0 for row in rows.values())
 
 
 def test_the_fastest_joint_is_found(real: RealMotion) -> None:
     motion = make_idle(60)
     rotations = motion.local_rotations.copy()
     rotations[30, 4] = np.array([math.cos(0.5), math.sin(0.5), 0.0, 0.0], np.float32)
-    speed, joint = fastest_turn(body_of(Motion(motion.skeleton, rotations, motion.root_positions, 60.0)))
-    assert joint == "LeftToeBase" and speed == pytest.approx(math.degrees(1.0) * 60.0, rel=0.05)
-    limit, largest = recorded_limit(real)
+    turn = fastest_turn(rotations)
+    assert turn.parameters["joint"] == "LeftToeBase"
+    assert turn.value == pytest.approx(math.degrees(1.0) * 60.0, rel=0.05)
+    limit, largest = turn_limit(real)
     assert 0.0 < limit <= largest
+
+
+def test_the_limit_of_acceleration_is_that_of_the_types(real: RealMotion) -> None:
+    walking, everything = acceleration_limit(real, {"walking"}), acceleration_limit(real)
+    assert walking is not None and everything is not None and 0.0 < walking <= everything * 1.001
+    assert acceleration_limit(real, {"unheard-of"}) is None

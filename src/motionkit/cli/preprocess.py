@@ -74,6 +74,12 @@ SHOWN_SKIPS = 20
     "own takes the mean rotations of the data.",
 )
 @click.option("--strict", is_flag=True, help="Stop at the first file that cannot be used.")
+@click.option(
+    "--validation/--no-validation",
+    default=True,
+    show_default=True,
+    help="Hold out a tenth of the training files of types with at least four, to choose settings on.",
+)
 @json_option
 def command(
     data: tuple[Path, ...],
@@ -88,12 +94,14 @@ def command(
     smooth: bool,
     references: str,
     strict: bool,
+    validation: bool,
     as_json: bool,
 ) -> None:
     """Turn BVH files and folders of them (DATA) into a dataset for training.
 
     Every skeleton is mapped onto 23 joints, scaled to cm, resampled to 60 fps, cleaned, and written as
-    276 features per frame, with mirror images and a train/test split. Links to folders are followed.
+    276 features per frame, with mirror images and a split into training, validation and test clips. Links to
+    folders are followed.
     Unusable files are skipped and listed; the dataset then holds the others and the exit code is 1.
     """
     from motionkit.data.preprocess import PreprocessOptions, preprocess
@@ -101,7 +109,7 @@ def command(
 
     rotations = reference_rotations(references, layout)
     options = PreprocessOptions(
-        labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth, rotations
+        labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth, rotations, validation
     )
     with progress_bar() as bar:
         tasks: dict[str, Any] = {}
@@ -142,7 +150,15 @@ def _print(report: PreprocessReport) -> None:
     from rich.table import Table
 
     table = Table(title=f"{report.folder}: {report.seconds / 60:.1f} minutes at 60 fps")
-    for name in ("type", "clips", "mirrored", "train min", "test clips", "test min"):
+    for name in (
+        "type",
+        "clips",
+        "mirrored",
+        "train min",
+        "val. min",
+        "test clips",
+        "test min",
+    ):
         table.add_column(name, justify="left" if name == "type" else "right")
     for kind, row in report.types.items():
         table.add_row(
@@ -150,6 +166,7 @@ def _print(report: PreprocessReport) -> None:
             f"{row['clips']:.0f}",
             f"{row['mirrored']:.0f}",
             f"{row['train_seconds'] / 60:.2f}",
+            f"{row['validation_seconds'] / 60:.2f}",
             f"{row['test_clips']:.0f}",
             f"{row['test_seconds'] / 60:.2f}",
         )

@@ -123,7 +123,7 @@ def _is_clip(value: object, clip_type: type, bodies: int) -> bool:
         and isinstance(value["subject"], str)
         and _whole(value["start"], 0, MAX_ROWS)
         and _whole(value["frames"], 1, MAX_ROWS)
-        and value["split"] in ("train", "test")
+        and value["split"] in ("train", "validation", "test")
         and _whole(value["body"], 0, bodies - 1)
         and isinstance(value.get("mirrored", False), bool)
     )

@@ -230,7 +230,7 @@ class Dataset:
         )
 
     def select(self, split: str) -> list[Clip]:
-        """The clips of a split, "train" or "test"."""
+        """The clips of a split, "train", "validation" or "test"."""
         return [clip for clip in self.clips if clip.split == split]
 
     def clip_types(self, clip: Clip) -> Array:

@@ -17,14 +17,14 @@ from motionkit.files import files_below, read_text
 MAX_FRAME = 10**9
 MAX_NAME = 100
 REQUIRED_COLUMNS = ("file", "start_frame", "end_frame", "type")
-SPLITS = ("train", "test", "")
+SPLITS = ("train", "validation", "test", "")
 
 
 @dataclass(frozen=True)
 class Segment:
     """A stretch of one type: frames start to end (exclusive; -1 means the end) at the file's own rate.
 
-    split is "train", "test" or "" (undecided); fps replaces a wrong rate in the file's header.
+    split is "train", "validation", "test" or "" (undecided); fps replaces a wrong rate in the file's header.
     """
 
     start: int
@@ -196,7 +196,9 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
     if type_fault(kind):
         raise DatasetError(f"{path}:{line}: expected a motion type, found {type_fault(kind)}")
     if split not in SPLITS:
-        raise DatasetError(f"{path}:{line}: expected train, test or nothing for split, found {split[:40]!r}")
+        raise DatasetError(
+            f"{path}:{line}: expected train, validation, test or nothing for split, found {split[:40]!r}"
+        )
     first, last = start or 0, -1 if end is None else end
     if first < 0 or (last != -1 and last <= first):
         raise DatasetError(f"{path}:{line}: expected start_frame < end_frame, found {first} and {last}")

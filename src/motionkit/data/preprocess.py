@@ -47,6 +47,8 @@ from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skel
 FPS = 60.0
 MIN_CLIP_FRAMES = 16
 TEST_SHARE = 0.15  # of the clips of a type, if the labels have no split
+# Of the files with training clips of a type, at least one; a type of fewer files spares none.
+VALIDATION_SHARE, VALIDATION_FILES = 0.1, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +69,7 @@ class PreprocessOptions:
     strict: bool = False
     smooth: bool = True
     reference_rotations: Array | None = None
+    validation: bool = True
 
 
 @dataclass
@@ -302,12 +305,7 @@ def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, i
                 open_runs[longest[2]].append((i, r))
     out: dict[tuple[int, int], str] = {}
     for kind in sorted(open_runs):
-        keys = sorted(
-            open_runs[kind],
-            key=lambda k: hashlib.sha256(
-                f"{prepared[k[0]].report.name}{k[1]}".encode("utf-8", "surrogateescape")
-            ).digest(),
-        )
+        keys = sorted(open_runs[kind], key=lambda k: _hashed(f"{prepared[k[0]].report.name}{k[1]}"))
         if len(keys) == 1:
             i, r = keys[0]
             same = all(mirrored_type(shown) == shown for _, _, shown in prepared[i].runs[r][2])
@@ -316,6 +314,34 @@ def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, i
         held = max(1, round(TEST_SHARE * len(keys)))
         out.update({key: "test" if n < held else "train" for n, key in enumerate(keys)})
     return out
+
+
+def _hold_out_validation(prepared: list[_Prepared], splits: dict[tuple[int, int], str]) -> None:
+    """Take clips for validation out of the training clips, type by type; changes splits.
+
+    All training clips of a type in one file go together, because parts of one take are alike. Files are picked by a
+    hash of their names, so the choice does not change with the order of files or with other types. Nothing is done if
+    the labels name validation clips.
+    """
+    if any(run[3] == "validation" for item in prepared for run in item.runs):
+        return
+    files: dict[str, dict[int, list[tuple[int, int]]]] = defaultdict(lambda: defaultdict(list))
+    for i, item in enumerate(prepared):
+        for r, (_, _, spans, split, _) in enumerate(item.runs):
+            if (split or splits[i, r]) == "train":
+                longest = max(spans, key=lambda s: s[1] - s[0])
+                files[longest[2]][i].append((i, r))
+    for kind in sorted(files):
+        if len(files[kind]) < VALIDATION_FILES:
+            continue
+        order = sorted(files[kind], key=lambda i: _hashed(f"validation {kind} {prepared[i].report.name}"))
+        for i in order[: max(1, round(VALIDATION_SHARE * len(order)))]:
+            splits.update(dict.fromkeys(files[kind][i], "validation"))
+
+
+def _hashed(text: str) -> bytes:
+    """A number that depends on a text alone, to pick clips by."""
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).digest()
 
 
 # ---- pass two: encode and write ----
@@ -332,6 +358,8 @@ def _pass_two(
     reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     splits = _decide_splits(prepared, options.mirror)
+    if options.validation:
+        _hold_out_validation(prepared, splits)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)
     if len(types) > MAX_TYPES:
         raise DatasetError(f"{len(types)} motion types, expected at most {MAX_TYPES}")
@@ -356,7 +384,9 @@ def _pass_two(
                 ):
                     writers[name].append(values)
                 name = f"{item.report.name}:{r}" if len(item.runs) > 1 else item.report.name
-                clip = Clip(name, row, frames, split or splits[index, r], subject, bodies.index(item.body))
+                clip = Clip(
+                    name, row, frames, splits.get((index, r), split), subject, bodies.index(item.body)
+                )
                 twins = _with_twin(clip, spans, types, options.mirror)
                 clips.extend(twins)
                 _add_moments(twins, data, kinds, layout, moments, trajectory_moments)
@@ -529,9 +559,17 @@ def _plain(scaling: Scaling) -> dict[str, list[float]]:
 def _type_table(
     clips: list[Clip], types_array: np.ndarray, types: Sequence[str]
 ) -> dict[str, dict[str, float]]:
-    """For each type: number of clips, mirrored clips and test clips, and seconds of recordings in train and test."""
+    """For each type: number of clips, mirrored, validation and test clips, and seconds of recordings in each split."""
     table = {
-        k: {"clips": 0, "mirrored": 0, "test_clips": 0, "train_seconds": 0.0, "test_seconds": 0.0}
+        k: {
+            "clips": 0,
+            "mirrored": 0,
+            "validation_clips": 0,
+            "test_clips": 0,
+            "train_seconds": 0.0,
+            "validation_seconds": 0.0,
+            "test_seconds": 0.0,
+        }
         for k in types
     }
     trained: set[int] = set()  # first rows of counted clips: a clip and its twin are one recording
@@ -549,9 +587,9 @@ def _type_table(
             else:
                 row = table[name]
                 row["clips"] += 1
-            if clip.split == "test":
-                row["test_clips"] += 1
-                row["test_seconds"] += float(count) / FPS
+            if clip.split != "train":
+                row[f"{clip.split}_clips"] += 1
+                row[f"{clip.split}_seconds"] += float(count) / FPS
             elif not counted:
                 row["train_seconds"] += float(count) / FPS
     return table

@@ -8,62 +8,17 @@ from dataclasses import dataclass
 from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import DETECTORS, HOLD, LEAST_WINDOW, detection_windows
-from motionkit.evaluation.real import PROFILE_SECONDS, RealMotion
-from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, neutral_types, roll_plans
-from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.evaluation.judge import GRACE, LIVELY, Judge
+from motionkit.evaluation.report import Cell, Goal, Section, Table
+from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, Take, neutral_types
+from motionkit.evaluation.trial import Trial
 from motionkit.models.model import MotionModel
 
-GRACE = 1.0  # seconds after a command that count as the transition
 MEASURED_CONFUSION = 0.05  # the report leaves out smaller shares of other types
 # Target share of roll-outs for a type with several training clips, and for one with a single clip.
 TARGET_MANY, TARGET_ONE = 0.95, 0.8
 TARGET_REAL = 0.95  # target share of the recorded windows of a type
-# Limits of mean joint speed relative to the recordings, for types judged by their motion profile.
-LIVELY = (0.7, 1.4)
-
-
-class Judge:
-    """Decides whether motion shows a type: by the type's detector, else by the motion profile of its recordings."""
-
-    def __init__(self, real: RealMotion) -> None:
-        self.real = real
-
-    def knows(self, kind: str) -> bool:
-        """Whether a type has a detector or a motion profile."""
-        return kind in DETECTORS or (kind in self.real.types and self.real.profile(kind) is not None)
-
-    def window(self, kind: str) -> float:
-        """Length of a type's detection windows in seconds; 0 for a type that is performed once."""
-        return DETECTORS[kind].window if kind in DETECTORS else PROFILE_SECONDS
-
-    def description(self, kind: str) -> str:
-        """Return the detector in words."""
-        profile = None if kind in DETECTORS else self.real.profile(kind)
-        return DETECTORS[kind].description if profile is None else profile.description()
-
-    def shows(self, kind: str, body: Body, without: int = -1) -> bool:
-        """Whether a window shows a type. Poses of clip number `without` are left out of the comparison."""
-        if kind in DETECTORS:
-            return DETECTORS[kind].shows(body)
-        profile = self.real.profile(kind)
-        assert profile is not None
-        return profile.shows(body, self.real.pose_distances(body, without).mean(axis=0))
-
-    def share(self, kind: str, body: Body) -> float:
-        """Return the share of a motion's windows that show a type."""
-        windows = detection_windows(body, self.window(kind))
-        return sum(self.shows(kind, window) for window in windows) / len(windows)
-
-    def performs(self, kind: str, body: Body) -> bool:
-        """Whether the motion after a command performs the commanded type.
-
-        A type that is performed once must be detected at least once. Any other type must be detected in
-        a share HOLD of the windows, counted from GRACE seconds after the command.
-        """
-        if self.window(kind) == 0.0:
-            return self.shows(kind, body)
-        return self.share(kind, body.cut(round(GRACE * body.fps), len(body))) >= HOLD
+TARGET_ALONE = 16  # target number of types shown without reference recordings
 
 
 @dataclass(frozen=True)
@@ -127,26 +82,38 @@ def calibrate(judge: Judge, kinds: tuple[str, ...]) -> list[Calibration]:
     ]
 
 
-def accuracy_section(
-    model: MotionModel, judge: Judge, settings: EvaluationSettings, progress: Progress
-) -> Section:
+def accuracy_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: run the detectors on recordings and on the model's roll-outs."""
-    kinds = tuple(kind for kind in model.types if judge.knows(kind))
-    found = measure_accuracy(model, judge, settings, kinds, progress)
-    real = {c.type: c for c in calibrate(judge, kinds)}
-    rows = []
+    kinds = tuple(kind for kind in trial.model.types if trial.judge.knows(kind))
+    bare = trial.without_references
+    share = 1.0 if bare is None else 0.5
+    found = measure_accuracy(trial, kinds, lambda done: progress(share * done))
+    alone = {} if bare is None else {
+        each.type: each for each in measure_accuracy(trial, kinds, lambda done: progress(0.5 + 0.5 * done), bare)
+    }  # fmt: skip
+    real = {c.type: c for c in calibrate(trial.judge, kinds)}
+    rows: list[tuple[Cell, ...]] = []
     for each in found:
-        own = real[each.type]
-        rows.append((each.type, each.training_clips, each.share, each.joint_speed, own.share, own.windows))
-    columns = (
-        "type",
-        "training clips",
+        own, none = real[each.type], alone.get(each.type)
+        row: tuple[Cell, ...] = (each.type, each.training_clips, each.share, each.raw_share, each.joint_speed)
+        if bare is not None:
+            row += (None if none is None else none.share, None if none is None else none.joint_speed)
+        rows.append((*row, own.share, own.windows))
+    columns: tuple[str, ...] = ("type", "training clips", "accuracy", "raw", "joint speed / real")
+    if bare is not None:
+        columns += ("without references", "joint speed / real, without")
+    columns += ("real windows detected", "real windows")
+    return Section(
         "accuracy",
-        "joint speed / real",
-        "real windows detected",
-        "real windows",
+        "Action accuracy",
+        [Table("Action accuracy per type", columns, rows), _detectors(trial.judge, kinds, real)],
+        _goals(found, list(alone.values()), real),
+        _notes(trial, kinds),
     )
-    detectors = [
+
+
+def _detectors(judge: Judge, kinds: tuple[str, ...], real: dict[str, Calibration]) -> Table:
+    rows = [
         (
             kind,
             f"{judge.window(kind):g} s" if judge.window(kind) else "once",
@@ -156,32 +123,43 @@ def accuracy_section(
         )
         for kind in kinds
     ]
-    unknown = [kind for kind in model.types if kind not in kinds]
-    notes = [
-        f"{settings.seeds} roll-outs per type: {NEUTRAL_SECONDS:g} s of {' or '.join(neutral_types(model))}, then "
-        f"{settings.accuracy_seconds:g} s of the type; accuracy: share of roll-outs in which the type is detected",
-        f"a lasting type must be detected in {HOLD:.0%} of its windows, counted from {GRACE:g} s after the command; "
-        "a type that is performed once must be detected at least once",
-        "real windows: the same detectors on recordings of at least half a window, compared with poses of other "
-        "clips only",
-    ]
-    if unknown:
-        notes.append(f"not measured, because the dataset has no recordings: {', '.join(unknown)}")
-    detector_columns = (
+    columns = (
         "type",
         "window",
         "detector",
         "detected in real windows of other types",
         "real clips it misses",
     )
-    tables = [
-        Table("Action accuracy per type", columns, rows),
-        Table("Detectors", detector_columns, detectors),
+    return Table("Detectors", columns, rows)
+
+
+def _notes(trial: Trial, kinds: tuple[str, ...]) -> list[str]:
+    model, settings = trial.model, trial.settings
+    notes = [
+        f"{settings.seeds} roll-outs per type: {NEUTRAL_SECONDS:g} s of {' or '.join(neutral_types(model))}, then "
+        f"{settings.accuracy_seconds:g} s of the type, as synthesize makes them by default; accuracy: share of "
+        "roll-outs in which the type is detected; raw: the same with feet not locked; without references: the same "
+        "with --reference none",
+        f"a lasting type must be detected in {HOLD:.0%} of its windows, counted from {GRACE:g} s after the command; "
+        "a type that is performed once must be detected at least once; a type without a detector of its own must also "
+        f"move at {LIVELY[0]:g} to {LIVELY[1]:g} times the joint speed of its recordings",
+        "real windows: the same detectors on recordings of at least half a window, compared with poses of other "
+        "clips only",
     ]
-    return Section("accuracy", "Action accuracy", tables, _goals(found, real), notes)
+    unknown = [kind for kind in model.types if kind not in kinds]
+    missing = [kind for kind in unknown if kind not in trial.recorded_types]
+    thin = [kind for kind in unknown if kind in trial.recorded_types]
+    if missing:
+        notes.append(f"not measured, because the dataset has no recordings: {', '.join(missing)}")
+    if thin:
+        notes.append(
+            "not measured, because no detector is known and one recording cannot be compared with another: "
+            f"{', '.join(thin)}"
+        )
+    return notes
 
 
-def _goals(found: list[TypeAccuracy], real: dict[str, Calibration]) -> list[Goal]:
+def _goals(found: list[TypeAccuracy], alone: list[TypeAccuracy], real: dict[str, Calibration]) -> list[Goal]:
     goals = []
     for each in found:
         target = TARGET_ONE if each.training_clips == 1 else TARGET_MANY
@@ -190,6 +168,14 @@ def _goals(found: list[TypeAccuracy], real: dict[str, Calibration]) -> list[Goal
         if each.type not in DETECTORS:
             limits = f"{LIVELY[0]:g} to {LIVELY[1]:g}"
             goals.append(Goal(f"joint speed of {each.type} / real", each.joint_speed, limits, *LIVELY))
+    if alone:
+        shown = [
+            each for each in alone if each.share >= (TARGET_ONE if each.training_clips == 1 else TARGET_MANY)
+        ]
+        failing = [each.type for each in alone if each not in shown]
+        what = f"types shown without reference recordings, of {len(alone)}"
+        note = f"not shown: {', '.join(failing)}" if failing else ""
+        goals.append(Goal(what, float(len(shown)), f"≥ {TARGET_ALONE}", TARGET_ALONE, None, note))
     shares = {kind: own.share for kind, own in real.items() if own.share is not None}
     failing = [kind for kind, share in shares.items() if share < TARGET_REAL]
     if shares:
@@ -218,6 +204,7 @@ class TypeAccuracy:
         type: the name of the type.
         rollouts: number of roll-outs.
         shown: number of roll-outs in which the type is detected.
+        raw_shown: the same for the raw network output.
         joint_speed: mean joint speed divided by that of the recordings; None without recordings.
         training_clips: number of training clips of the type.
     """
@@ -225,6 +212,7 @@ class TypeAccuracy:
     type: str
     rollouts: int
     shown: int
+    raw_shown: int
     joint_speed: float | None
     training_clips: int
 
@@ -233,25 +221,31 @@ class TypeAccuracy:
         """Share of the roll-outs in which the type is detected."""
         return self.shown / self.rollouts
 
+    @property
+    def raw_share(self) -> float:
+        """The same for the raw network output."""
+        return self.raw_shown / self.rollouts
+
 
 def measure_accuracy(
-    model: MotionModel,
-    judge: Judge,
-    settings: EvaluationSettings,
+    trial: Trial,
     kinds: tuple[str, ...] | None = None,
     progress: Progress | None = None,
+    model: MotionModel | None = None,
 ) -> list[TypeAccuracy]:
     """Command every type in turn, from standing and from walking, and count how often it is performed.
 
     Each roll-out performs a neutral type for NEUTRAL_SECONDS and is then commanded its own type for
-    settings.accuracy_seconds, with the phase and the reference poses of `synthesize`.
+    settings.accuracy_seconds.
 
     Args:
         kinds: the types to measure; all types of the model if None.
+        model: another model to roll out, such as the one without reference recordings.
     """
+    model, judge, settings = model or trial.model, trial.judge, trial.settings
     kinds = tuple(k for k in (kinds or model.types) if judge.knows(k))
     neutral = neutral_types(model)
-    seeds = settings.seeds
+    seeds = trial.seeds(settings.seeds)
     plans = [
         Plan(
             (
@@ -261,23 +255,28 @@ def measure_accuracy(
             seed,
         )
         for kind in kinds
-        for seed in range(seeds)
+        for seed in seeds
     ]
-    performed = roll_plans(model, plans, settings.noise, settings.seed, progress)
+    rolled = trial.roll(plans, progress, model)
     skip = round(NEUTRAL_SECONDS * model.fps)
-    out = []
-    for number, kind in enumerate(kinds):
-        bodies = [p.body.cut(skip, len(p.body)) for p in performed[number * seeds : (number + 1) * seeds]]
-        profile = judge.real.profile(kind) if kind in judge.real.types else None
-        speeds = [body.cut(round(GRACE * body.fps), len(body)).joint_speed() for body in bodies]
-        clips = {s.clip for s in judge.real.of_type(kind, "train")}
-        out.append(
-            TypeAccuracy(
-                kind,
-                seeds,
-                sum(judge.performs(kind, body) for body in bodies),
-                sum(speeds) / len(speeds) / profile.joint_speed if profile else None,
-                len(clips),
-            )
+    count = len(seeds)
+    return [
+        _accuracy(
+            judge, kind, [take.cut(skip, len(take.default)) for take in rolled[i * count : (i + 1) * count]]
         )
-    return out
+        for i, kind in enumerate(kinds)
+    ]
+
+
+def _accuracy(judge: Judge, kind: str, takes: list[Take]) -> TypeAccuracy:
+    bodies = [take.default for take in takes]
+    ratios = [judge.speed_ratio(kind, body.cut(round(GRACE * body.fps), len(body))) for body in bodies]
+    known = [ratio for ratio in ratios if ratio is not None]
+    return TypeAccuracy(
+        kind,
+        len(takes),
+        sum(judge.performs(kind, body) for body in bodies),
+        sum(judge.performs(kind, take.raw) for take in takes),
+        sum(known) / len(known) if known else None,
+        len({s.clip for s in judge.real.of_type(kind, "train")}),
+    )

@@ -1,53 +1,100 @@
-"""Path following (paper 5.2): the distance of the root from each path, for several characters."""
+"""Path following (paper 5.2): distance from each path, and the speed and braking of those who follow it."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import Array
-from motionkit.control.follow import PathFollower
-from motionkit.control.path import METRE, SHAPES, SPACING, Path2D, PathPart, make_path, shape_path
-from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
+from motionkit.arrays import spans
+from motionkit.control.path import METRE, SHAPES, Path2D, PathPart, make_path, shape_path
+from motionkit.evaluation.body import SPEED_SPAN, Body
+from motionkit.evaluation.limits import REAL_SHARE, acceleration_limit, accelerations
+from motionkit.evaluation.report import Cell, Goal, Section, Table
+from motionkit.evaluation.rolling import Progress, Walk, roll_paths
 from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.features.control import Controls
+from motionkit.evaluation.trial import Trial
+from motionkit.evaluation.visible import flips
+from motionkit.features.contacts import foot_contacts
+from motionkit.metrics.leaps import leaps
+from motionkit.metrics.touch import hover_share, planted_share
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
 
-PATIENCE = 1.6  # times the expected duration, after which a character gives up
+SPEED_SHARE = 0.15  # by which the speed may differ from the asked one
+STOPPED = 0.15  # m/s; a root slower than this stands
+STOP_SECONDS = 2.0
 
 
 @dataclass(frozen=True)
 class PathTrial:
-    """A path with its name and its target: the largest mean distance in cm."""
+    """A path with its name and its target: the largest mean distance in cm; speeds are those asked for in m/s."""
 
     name: str
     path: Path2D
     target: float
+    speeds: tuple[float, ...] = ()
 
 
-def path_trials() -> list[PathTrial]:
-    """Return the paths of the scoreboard."""
+def path_trials(walking: str = "walking", running: str = "running") -> list[PathTrial]:
+    """Return the paths of the scoreboard at usual speeds, walked and run by the named types."""
     corner = SHAPES["pentagram"](6.0 * METRE)[:3]
     return [
-        PathTrial("line 10 m, walking", shape_path("line", 10.0, ["walking"], None), 0.8),
-        PathTrial("circle r = 3 m, walking", shape_path("circle", 3.0, ["walking"], None), 0.8),
-        PathTrial("circle r = 6 m, running", shape_path("circle", 6.0, ["running"], None), 2.0),
-        PathTrial("figure-eight r = 2 m, walking", shape_path("figure-eight", 2.0, ["walking"], None), 0.8),
-        PathTrial("pentagram corner (144°), running", make_path([PathPart(corner, "running")]), 2.0),
-        PathTrial("U-turn, walking", shape_path("u-turn", 6.0, ["walking"], None), 0.8),
+        PathTrial(f"line 10 m, {walking}", shape_path("line", 10.0, [walking], None), 0.8),
+        PathTrial(f"circle r = 3 m, {walking}", shape_path("circle", 3.0, [walking], None), 0.8),
+        PathTrial(f"circle r = 6 m, {running}", shape_path("circle", 6.0, [running], None), 2.0),
+        PathTrial(f"figure-eight r = 2 m, {walking}", shape_path("figure-eight", 2.0, [walking], None), 0.8),
+        PathTrial(f"pentagram corner (144°), {running}", make_path([PathPart(corner, running)]), 2.0),
+        PathTrial(f"U-turn, {walking}", shape_path("u-turn", 6.0, [walking], None), 0.8),
         PathTrial(
-            "running → cartwheel → running", _line(("running", 6), ("cartwheel", 3), ("running", 6)), 2.0
+            f"{running} → cartwheel → {running}", _line((running, 6), ("cartwheel", 3), (running, 6)), 2.0
         ),
         PathTrial(
-            "jumping-r → jumping-l → running → jumping-l → jumping-r",
-            _line(("jumping-r", 4), ("jumping-l", 4), ("running", 6), ("jumping-l", 4), ("jumping-r", 4)),
+            f"jumping-r → jumping-l → {running} → jumping-l → jumping-r",
+            _line(("jumping-r", 4), ("jumping-l", 4), (running, 6), ("jumping-l", 4), ("jumping-r", 4)),
             2.0,
         ),
     ]
+
+
+def speed_trials(walking: str = "walking", running: str = "running") -> list[PathTrial]:
+    """Return paths from 0.3 to 5 m/s, and one that brakes."""
+    trials = []
+    for speed, kind in (
+        (0.3, walking),
+        (0.7, walking),
+        (1.3, walking),
+        (2.0, running),
+        (3.5, running),
+        (5.0, running),
+    ):
+        length = max(4.0, 5.0 * speed)
+        path = shape_path("line", length, [kind], speed)
+        trials.append(PathTrial(f"line {length:g} m at {speed:g} m/s, {kind}", path, 2.0, (speed,)))
+    circle = shape_path("circle", 6.0, [running], 5.0)
+    trials.append(PathTrial(f"circle r = 6 m at 5 m/s, {running}", circle, 5.0, (5.0,)))
+    parts = [
+        PathPart(np.array([[0.0, 0.0], [0.0, 8.0 * METRE]]), running, 3.6 * METRE),
+        PathPart(np.array([[0.0, 14.0 * METRE]]), walking, 1.0 * METRE),
+    ]
+    trials.append(PathTrial(f"{running} at 3.6 m/s → {walking} at 1 m/s", make_path(parts), 2.0, (3.6, 1.0)))
+    return trials
+
+
+def steered_types(model: MotionModel) -> tuple[str, str] | None:
+    """Return the types to walk and to run paths with: by name, else the slowest and fastest gait that goes ahead.
+
+    None for a model without gaits.
+    """
+    gaits = {
+        name: kind.gait.speed
+        for name, kind in model.types.items()
+        if kind.steered and not kind.stands and kind.gait is not None and abs(kind.gait.facing) < np.pi / 4
+    }
+    if not gaits:
+        return None
+    slowest, fastest = min(gaits, key=lambda k: gaits[k]), max(gaits, key=lambda k: gaits[k])
+    return ("walking" if "walking" in gaits else slowest), ("running" if "running" in gaits else fastest)
 
 
 def _line(*parts: tuple[str, float]) -> Path2D:
@@ -60,54 +107,33 @@ def _line(*parts: tuple[str, float]) -> Path2D:
     return make_path(out)
 
 
-class _Walker:
-    """A controller of one character on a path; it remembers when the end was reached."""
-
-    def __init__(self, model: MotionModel, trial: PathTrial) -> None:
-        self.follower = PathFollower(model, trial.path)
-        self.limit = int((PATIENCE * self.follower.expected_seconds + 3.0) * model.fps)
-        self.frames, self.finished = 0, False
-        self._asked: Controls | None = None
-
-    def __call__(self, frame: int, ground: Array) -> Controls:
-        if self._asked is not None and self.over:  # waits for the other characters
-            return self._asked
-        self._asked = self.follower(frame, ground)
-        self.frames = frame + 1
-        self.finished = self.follower.arc >= self.follower.path.length - SPACING
-        return self._asked
-
-    @property
-    def over(self) -> bool:
-        """Whether the character reached the end or gave up."""
-        return self.finished or self.frames >= self.limit
-
-
-def paths_section(model: MotionModel, settings: EvaluationSettings, progress: Progress) -> Section:
-    """Measure the section: mean and largest distance from each path, and how often its end was reached."""
-    trials = [t for t in path_trials() if {p.type for p in t.path.parts} <= set(model.types)]
-    table_columns = ("path", "mean distance, cm", "largest distance, cm", "finished", "seconds")
-    if not trials:
-        note = "not measured: every path needs a type the model does not have"
-        return Section("paths", "Path following", [], [], [note])
-    found = follow_trials(model, trials, settings, progress)
-    rows, goals = [], []
-    for trial, followed in zip(trials, found, strict=True):
-        mean, finished = followed.mean, followed.finished
-        ends = f"{finished} of {settings.repeats}"
-        rows.append((trial.name, mean, followed.largest, ends, followed.seconds))
-        note = "" if finished == settings.repeats else f"finished {ends}"
-        goals.append(
-            Goal(f"{trial.name}: mean distance, cm", mean, f"≤ {trial.target:g}", None, trial.target, note)
-        )
-    notes = [
-        f"{settings.repeats} characters per path, each type at its usual speed; distance: from the root to the nearest "
-        "point of the path (path-mean, path-max), over all frames until the end; mean over characters, and the largest",
-        f"a character gives up after {PATIENCE:g} times the expected time plus 3 s",
-    ]
-    return Section(
-        "paths", "Path following", [Table("Distance from the path", table_columns, rows)], goals, notes
+def paths_section(trial: Trial, progress: Progress) -> Section:
+    """Measure the section: distance from each path, how often its end was reached, speed, braking and feet."""
+    model, settings = trial.model, trial.settings
+    gaits = steered_types(model)
+    usual, asked = ([], []) if gaits is None else (path_trials(*gaits), speed_trials(*gaits))
+    usual, asked = (
+        [t for t in trials if {p.type for p in t.path.parts} <= set(model.types)] for trials in (usual, asked)
     )
+    if not usual:
+        return Section(
+            "paths", "Path following", notes=["not measured: the model has no gait to follow a path with"]
+        )
+    tasks = [(t.path, seed) for t in (*usual, *asked) for seed in trial.seeds(settings.repeats)]
+    walks = roll_paths(model, tasks, settings.noise, trial.each, progress)
+    groups = [walks[i : i + settings.repeats] for i in range(0, len(walks), settings.repeats)]
+    first, goals = _distances(usual, groups[: len(usual)])
+    second, more = _speeds(trial, asked, groups[len(usual) :])
+    notes = [
+        f"{settings.repeats} characters per path, as follow-path makes them by default; raw: feet not locked; "
+        "distance: from the root to the nearest point of the path (path-mean, path-max), over all frames until the "
+        "end; mean over characters, and the largest",
+        "speed: mean over each part without its first and last second; acceleration: largest of the root over the "
+        f"ground, between velocities over 0.2 s, against what {REAL_SHARE:.1%} of the recorded frames of the path's "
+        "types stay below; steps: planted toes that begin, a second; leaning: of the line from ankles to neck towards "
+        "the inside of the curve, mean; needed: the lean at which gravity balances the curve",
+    ]
+    return Section("paths", "Path following", [first, second], goals + more, notes)
 
 
 @dataclass(frozen=True)
@@ -117,12 +143,14 @@ class Followed:
     Attributes:
         mean: mean distance from the path in cm, over characters.
         largest: the largest distance in cm.
+        raw: the mean distance of the raw network output.
         finished: characters that reached the end.
         seconds: mean time until the end, or until a character gave up.
     """
 
     mean: float
     largest: float
+    raw: float
     finished: int
     seconds: float
 
@@ -130,42 +158,128 @@ class Followed:
 def follow_trials(
     model: MotionModel, trials: list[PathTrial], settings: EvaluationSettings, progress: Progress
 ) -> list[Followed]:
-    """Let settings.repeats characters follow each path, all at once."""
-    walkers = [_Walker(model, trial) for trial in trials for _ in range(settings.repeats)]
-    characters = [
-        Driven(walker.follower.path.parts[0].type, walker, _start(walker.follower)) for walker in walkers
-    ]
-    performed = roll_controlled(
-        model,
-        characters,
-        max(walker.limit for walker in walkers),
-        settings.noise,
-        settings.seed,
-        progress,
-        lambda: all(walker.over for walker in walkers),
+    """Let settings.repeats characters follow each path."""
+    seeds = range(settings.first_seed, settings.first_seed + settings.repeats)
+    tasks = [(trial.path, seed) for trial in trials for seed in seeds]
+    walks = roll_paths(model, tasks, settings.noise, progress=progress)
+    size = settings.repeats
+    return [_followed(trial, walks[i * size : (i + 1) * size]) for i, trial in enumerate(trials)]
+
+
+def _followed(trial: PathTrial, walks: list[Walk]) -> Followed:
+    default, raw = (
+        [trajectory_distance(body.positions[:, 0, [0, 2]], trial.path.points) for body in bodies]
+        for bodies in zip(*((walk.take.default, walk.take.raw) for walk in walks), strict=True)
     )
-    out = []
-    for number, trial in enumerate(trials):
-        mine = range(number * settings.repeats, (number + 1) * settings.repeats)
-        distances = [
-            trajectory_distance(
-                performed[i].body.positions[: walkers[i].frames, 0, [0, 2]], trial.path.points
-            )
-            for i in mine
-        ]
-        out.append(
-            Followed(
-                float(np.mean([distance.mean for distance in distances])),
-                max(distance.max for distance in distances),
-                sum(walkers[i].finished for i in mine),
-                float(np.mean([walkers[i].frames / model.fps for i in mine])),
-            )
-        )
+    return Followed(
+        float(np.mean([distance.mean for distance in default])),
+        max(distance.max for distance in default),
+        float(np.mean([distance.mean for distance in raw])),
+        sum(walk.finished for walk in walks),
+        float(np.mean([walk.take.default.seconds for walk in walks])),
+    )
+
+
+def _distances(trials: list[PathTrial], groups: list[list[Walk]]) -> tuple[Table, list[Goal]]:
+    rows: list[tuple[Cell, ...]] = []
+    goals: list[Goal] = []
+    for trial, walks in zip(trials, groups, strict=True):
+        found = _followed(trial, walks)
+        ends = f"{found.finished} of {len(walks)}"
+        rows.append((trial.name, found.mean, found.largest, found.raw, ends, found.seconds))
+        note = "" if found.finished == len(walks) else f"finished {ends}"
+        name = f"{trial.name}: mean distance, cm"
+        goals.append(Goal(name, found.mean, f"≤ {trial.target:g}", None, trial.target, note))
+    columns = (
+        "path",
+        "mean distance, cm",
+        "largest distance, cm",
+        "raw mean distance, cm",
+        "finished",
+        "seconds",
+    )
+    return Table("Distance from the path", columns, rows), goals
+
+
+def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> tuple[Table, list[Goal]]:
+    rows: list[tuple[Cell, ...]] = []
+    goals: list[Goal] = []
+    for each, walks in zip(trials, groups, strict=True):
+        bodies = [walk.take.default for walk in walks]
+        speeds = [_part_speeds(walk, len(each.speeds)) for walk in walks]
+        means = [float(np.mean(found)) for found in zip(*speeds, strict=True)]
+        limit = acceleration_limit(trial.real, {part.type for part in each.path.parts})
+        most = max(float(accelerations(body).max()) for body in bodies)
+        lean, needed = (float(np.mean(found)) for found in zip(*map(leaning, bodies), strict=True))
+        rows.append((
+            each.name,
+            ", ".join(f"{speed:.2f}" for speed in means),
+            sum(walk.finished for walk in walks) == len(walks),
+            most,
+            limit,
+            float(np.mean([_steps(body) for body in bodies])),
+            _mean(planted_share, bodies),
+            _mean(hover_share, bodies),
+            _mean(leaps, bodies),
+            sum(map(flips, bodies)),
+            lean,
+            needed,
+        ))  # fmt: skip
+        off = max(abs(found / speed - 1.0) for found, speed in zip(means, each.speeds, strict=True))
+        goals.append(Goal(f"{each.name}: speed off by", off, f"≤ {SPEED_SHARE:.0%}", None, SPEED_SHARE))
+        if limit is not None:
+            goals.append(Goal(f"{each.name}: acceleration / real", most / limit, "≤ 1", None, 1.0))
+    columns = (
+        "path", "speed, m/s", "finished", "acceleration, m/s^2", "real acceleration", "steps a second", "planted",
+        "hovers", "leaps a minute", "flipped", "leaning, degrees", "needed, degrees",
+    )  # fmt: skip
+    return Table("Speeds and braking", columns, rows), goals
+
+
+def _mean(measure, bodies: list[Body]) -> float:  # type: ignore[no-untyped-def]
+    return float(np.mean([measure(body.positions).value for body in bodies]))
+
+
+def _part_speeds(walk: Walk, parts: int) -> list[float]:
+    """Return the mean speed of the root in m/s on each part, without its first and last second where it is longer."""
+    body, out, start = walk.take.default, [], 0
+    for frames in walk.part_frames[:parts]:
+        edge = min(round(body.fps), frames // 3)
+        part = body.positions[start + edge : max(start + edge + 2, start + frames - edge), 0, :][:, [0, 2]]
+        steps = np.linalg.norm(np.diff(part, axis=0), axis=-1)
+        out.append(float(steps.mean()) * body.fps / 100.0 if len(steps) else 0.0)
+        start += frames
     return out
 
 
-def _start(follower: PathFollower) -> Array:
-    """Return root x, z and heading (3,) at the start of a path."""
-    tangent = follower.path.tangents[0]
-    heading = math.atan2(float(tangent[0]), float(tangent[1])) - float(follower.facings[0])
-    return np.array([*follower.path.points[0], heading], np.float32)
+def _steps(body: Body) -> float:
+    """Return how often a second a toe is put down."""
+    contacts = foot_contacts(body.positions, body.fps)
+    return sum(len(spans(contacts[:, toe] > 0.5)) for toe in (1, 3)) / body.seconds
+
+
+def leaning(body: Body) -> tuple[float, float]:
+    """Return the mean lean towards the inside of a curve, and the lean that balances it, in degrees; zeros if straight.
+
+    The lean is that of the line from between the ankles to the neck, at right angles to the way of the root.
+    """
+    velocity = body.velocity
+    sine, cosine = np.sin(body.heading), np.cos(body.heading)
+    way = np.stack(
+        [velocity[:, 0] * cosine + velocity[:, 1] * sine, velocity[:, 1] * cosine - velocity[:, 0] * sine], -1
+    )
+    speed = np.maximum(np.linalg.norm(way, axis=-1), 1e-6)
+    angle = np.unwrap(np.arctan2(way[:, 0], way[:, 1]))
+    edge = max(1, round(SPEED_SPAN * body.fps / 2))  # where the velocity is that of the frames inside
+    inside = angle[edge:-edge]
+    rate = float(
+        (inside[-1] - inside[0]) * body.fps / max(1, len(inside) - 1)
+    )  # radians a second, to the left
+    if abs(rate) < 0.05:
+        return 0.0, 0.0
+    left = np.stack([way[:, 1], -way[:, 0]], axis=-1) / speed[:, None]
+    feet = 0.5 * (body.positions[:, 3] + body.positions[:, 7])
+    trunk = body.positions[:, 12] - feet
+    aside = (trunk[:, [0, 2]] * left).sum(axis=-1)
+    lean = np.degrees(np.arctan2(aside, trunk[:, 1])).mean() * np.sign(rate)
+    return float(lean), float(np.degrees(np.arctan2(abs(rate) * speed.mean(), 9.81)))

@@ -14,20 +14,19 @@ import numpy as np
 
 from motionkit.control.path import shape_path
 from motionkit.control.script import TypePart
-from motionkit.evaluation.accuracy import GRACE, LIVELY, Judge
-from motionkit.evaluation.body import Body, body_of
+from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import detection_windows
+from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.paths import PathTrial, follow_trials
 from motionkit.evaluation.real import PROFILE_SECONDS
 from motionkit.evaluation.report import Section, Table
-from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Performance, Plan, neutral_types, roll_plans
+from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Take, neutral_types, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.models.model import MotionModel
-from motionkit.motion.foot_ik import lock_feet
 
-QUICK = EvaluationSettings(seeds=8, accuracy_seconds=6.0, repeats=2)
+QUICK = EvaluationSettings(split="validation", seeds=8, accuracy_seconds=6.0, repeats=2)
 # Targets: share of roll-outs that show the type, distance from the path (cm) of walks and of runs, and sliding of
 # held feet relative to the recordings.
 SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
@@ -85,6 +84,7 @@ def quick_verdicts(
         kind for kind in model.types if kind in judge.real.types and judge.real.profile(kind) is not None
     ]
     neutral = neutral_types(model)
+    first = settings.first_seed
     plans = [
         Plan(
             (
@@ -94,14 +94,14 @@ def quick_verdicts(
             seed,
         )
         for kind in kinds
-        for seed in range(settings.seeds)
+        for seed in range(first, first + settings.seeds)
     ]
     report = progress or (lambda share: None)
-    performed = roll_plans(model, plans, settings.noise, settings.seed, lambda share: report(0.7 * share))
+    takes = roll_plans(model, plans, settings.noise, progress=lambda share: report(0.7 * share))
     paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
     size = settings.seeds
     return [
-        _verdict(model, judge, kind, performed[i * size : (i + 1) * size], paths.get(kind))
+        _verdict(model, judge, kind, takes[i * size : (i + 1) * size], paths.get(kind))
         for i, kind in enumerate(kinds)
     ]
 
@@ -143,10 +143,10 @@ def quick_section(verdicts: list[TypeVerdict]) -> Section:
 
 
 def _verdict(
-    model: MotionModel, judge: Judge, kind: str, performed: list[Performance], path: float | None
+    model: MotionModel, judge: Judge, kind: str, takes: list[Take], path: float | None
 ) -> TypeVerdict:
     skip = round(NEUTRAL_SECONDS * model.fps)
-    bodies = [each.body.cut(skip, len(each.body)) for each in performed]
+    bodies = [take.default.cut(skip, len(take.default)) for take in takes]
     found = judge.real.of_type(kind, "train")
     profile = judge.real.profile(kind)
     assert profile is not None
@@ -162,7 +162,7 @@ def _verdict(
         sum(body.joint_speed() for body in late) / len(late) / max(profile.joint_speed, 1e-6),
         path,
         RUNS_WITHIN if gait is not None and gait.speed > RUN_SPEED else WALKS_WITHIN,
-        float(np.mean([_held_sliding(model, each) for each in performed]) / max(recorded, 0.02)),
+        float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
     return replace(verdict, reasons=_reasons(verdict, judge, late))
 
@@ -188,13 +188,6 @@ def _sliding(body: Body) -> float:
     """Average foot sliding of a body in cm per frame, on its own floor."""
     feet = foot_positions(body.positions)
     return average_foot_sliding(feet, floor_height(feet, body.fps)).value or 0.0
-
-
-def _held_sliding(model: MotionModel, performed: Performance) -> float:
-    """Average foot sliding in cm per frame of a roll-out whose feet are held, as synthesis holds them."""
-    skip = round((NEUTRAL_SECONDS + GRACE) * model.fps)
-    body = body_of(lock_feet(performed.motion(model), performed.contacts))
-    return _sliding(body.cut(skip, len(body)))
 
 
 def _reasons(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[str, ...]:

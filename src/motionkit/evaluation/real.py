@@ -58,6 +58,11 @@ class MotionProfile:
     distance: float
     ratio: float
 
+    @property
+    def judges(self) -> bool:
+        """Whether it tells its type from others: not with one recording, which cannot be compared with another."""
+        return bool(np.isfinite([self.distance, self.ratio]).all())
+
     def shows(self, body: Body, distances: Array) -> bool:
         """Whether a motion is within the limits. distances (N,) are those to the poses of each type in cm."""
         if not self.speeds[0] <= body.joint_speed() <= self.speeds[1]:
@@ -77,15 +82,27 @@ class MotionProfile:
 
 
 class RealMotion:
-    """The recordings of a dataset. Mirrored copies count as training poses only."""
+    """The recordings of a dataset. A mirrored copy in the split of its recording counts as training poses only.
 
-    def __init__(self, dataset: Dataset) -> None:
-        self.types, self.fps = dataset.types, dataset.fps
+    Attributes:
+        types, fps: those of the dataset.
+        held_out: the split that is held out: "test", or "validation", for which test clips are not read.
+        stretches: the recorded stretches.
+        training: bodies of the training clips by clip number.
+    """
+
+    def __init__(self, dataset: Dataset, held_out: str = "test") -> None:
+        self.types, self.fps, self.held_out = dataset.types, dataset.fps, held_out
         self.stretches: list[Stretch] = []
-        self.training: dict[int, Body] = {}  # by clip number
+        self.training: dict[int, Body] = {}
         poses, kinds, clips = [], [], []
+        # A mirrored clip whose recording is in the same split adds nothing; where types have one recording, one of the
+        # two trains and the other is held out.
+        plain = {(clip.start, clip.split) for clip in dataset.clips if not clip.mirrored}
         for number, clip in enumerate(dataset.clips):
-            if clip.mirrored:
+            if (clip.mirrored and (clip.start, clip.split) in plain) or (
+                clip.split == "test" and held_out != "test"
+            ):
                 continue
             data = dataset.read(clip)
             skeleton, layout = dataset.skeleton(clip), dataset.layout.version
@@ -101,7 +118,7 @@ class RealMotion:
             if clip.split == "train":
                 self.training[number] = body
                 some, kind_ids = body.poses(BANK_EVERY), data.types[::BANK_EVERY]
-                poses += [some, _mirrored(some)]
+                poses += [some, mirrored_poses(some)]
                 kinds += [kind_ids, dataset.mirrored_type_ids[kind_ids]]
                 clips.append(np.full(2 * len(some), number))
         if not poses:
@@ -161,7 +178,7 @@ class RealMotion:
         )
 
 
-def _mirrored(poses: Array) -> Array:
+def mirrored_poses(poses: Array) -> Array:
     """Return the mirror images of poses (N, 69)."""
     joints = poses.reshape(-1, JOINT_COUNT, 3)[:, list(MIRROR_JOINTS)]
     return (joints * np.array([-1.0, 1.0, 1.0], np.float32)).reshape(len(joints), -1)

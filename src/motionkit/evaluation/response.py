@@ -18,9 +18,8 @@ from motionkit.arrays import Array, spans
 from motionkit.control.drive import Driver, Wish
 from motionkit.evaluation.body import SPEED_SPAN, Body
 from motionkit.evaluation.report import Cell, Goal, Section, Table
-from motionkit.evaluation.rolling import Driven, Progress, roll_controlled
-from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.features.control import Controls
+from motionkit.evaluation.rolling import Driven, Progress, roll_live
+from motionkit.evaluation.trial import Trial
 from motionkit.models.model import MotionModel
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
@@ -121,54 +120,40 @@ def response_seconds(answered: Array, fps: float) -> float | None:
     return next((start / fps for start, end in spans(answered) if end - start >= held), None)
 
 
-class _Commanded:
-    """A controller of one character whose wish changes at one frame."""
+def _commanded(model: MotionModel, command: Command) -> Driven:
+    """A live character whose wish changes at one frame."""
+    change = round(BEFORE_SECONDS * model.fps)
 
-    def __init__(self, model: MotionModel, command: Command) -> None:
-        self.driver, self.command = Driver(model, command.before.type), command
-        self.change = round(BEFORE_SECONDS * model.fps)
-        self.driver.set_wish(command.before)
+    def steer(frame: int, driver: Driver) -> None:
+        if frame in (0, change):
+            driver.set_wish(command.before if frame == 0 else command.after)
 
-    def __call__(self, frame: int, ground: Array) -> Controls:
-        if frame == self.change:
-            self.driver.set_wish(self.command.after)
-        return self.driver(frame, ground)
+    return Driven(command.before.type or "", steer)
 
 
-def response_section(model: MotionModel, settings: EvaluationSettings, progress: Progress) -> Section:
+def response_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: the response time of each command; no response counts as AFTER_SECONDS."""
+    model, settings = trial.model, trial.settings
     wanted = [c for c in commands(model) for _ in range(settings.repeats)]
     if not wanted:
         note = "not measured: every command needs a type the model does not have"
-        return Section("response", "Response time", [], [], [note])
+        return Section("response", "Response time", notes=[note])
     frames = round((BEFORE_SECONDS + AFTER_SECONDS) * model.fps)
-    performed = roll_controlled(
-        model,
-        [Driven(c.before.type or "", _Commanded(model, c)) for c in wanted],
-        frames,
-        settings.noise,
-        settings.seed,
-        progress,
-    )
-    change = round(BEFORE_SECONDS * model.fps)
-    held = round(HELD_SECONDS * model.fps)
+    characters = [_commanded(model, command) for command in wanted]
+    takes = roll_live(model, characters, frames, settings.noise, settings.first_seed, progress)
     rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
     for number in range(0, len(wanted), settings.repeats):
         command = wanted[number]
-        seconds: list[float] = []
-        unanswered = already = 0
-        for made in performed[number : number + settings.repeats]:
-            flags = command.answers(made.body)
-            if bool(flags[change - held : change].all()):
-                already += 1
-                continue
-            answer = response_seconds(flags[change:], model.fps)
-            unanswered += answer is None
-            seconds.append(AFTER_SECONDS if answer is None else answer + command.looks_ahead)
+        mine = takes[number : number + settings.repeats]
+        seconds, unanswered, already = _responses(command, [take.default for take in mine])
+        raw, _, _ = _responses(command, [take.raw for take in mine])
         groups.setdefault(command.group, []).extend(seconds)
         mean = sum(seconds) / len(seconds) if seconds else None
-        rows.append((command.group, command.name, mean, max(seconds, default=None), unanswered, already))
+        raw_mean = sum(raw) / len(raw) if raw else None
+        rows.append(
+            (command.group, command.name, mean, max(seconds, default=None), raw_mean, unanswered, already)
+        )
     goals = [
         Goal(
             f"mean response time to a change of {group}, s",
@@ -179,11 +164,11 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
         )
         for group, seconds in groups.items()
     ]
-    columns = ("change of", "command", "mean, s", "slowest, s", "no response", "met before")
+    columns = ("change of", "command", "mean, s", "slowest, s", "raw mean, s", "no response", "met before")
     notes = [
-        f"{settings.repeats} characters per command, driven as in live control from {BEFORE_SECONDS:g} s before it; "
-        f"response: the first frame from which the condition holds for {HELD_SECONDS:g} s; no response counts as "
-        f"{AFTER_SECONDS:g} s; characters that met the condition before the command are left out",
+        f"{settings.repeats} characters per command, driven as play drives them by default, from {BEFORE_SECONDS:g} s "
+        f"before it; response: the first frame from which the condition holds for {HELD_SECONDS:g} s; no response "
+        f"counts as {AFTER_SECONDS:g} s; characters that met the condition before the command are left out",
         "conditions: idle below 0.25 m/s, walking 0.4 to 2 m/s forwards, running above 1.8 m/s forwards, b-walking "
         "0.3 m/s backwards; direction: root within 15° of the commanded one; speed: within 15 % of the commanded one, "
         "averaged over 1/3 s",
@@ -191,3 +176,19 @@ def response_section(model: MotionModel, settings: EvaluationSettings, progress:
     return Section(
         "response", "Response time", [Table("Response time per command", columns, rows)], goals, notes
     )
+
+
+def _responses(command: Command, bodies: list[Body]) -> tuple[list[float], int, int]:
+    """Return the response times in seconds, how many never answered, and how many met the condition before."""
+    seconds: list[float] = []
+    unanswered = already = 0
+    for body in bodies:
+        change, held = round(BEFORE_SECONDS * body.fps), round(HELD_SECONDS * body.fps)
+        flags = command.answers(body)
+        if bool(flags[change - held : change].all()):
+            already += 1
+            continue
+        answer = response_seconds(flags[change:], body.fps)
+        unanswered += answer is None
+        seconds.append(AFTER_SECONDS if answer is None else answer + command.looks_ahead)
+    return seconds, unanswered, already

@@ -1,37 +1,29 @@
-"""Roll-outs of many characters at once: plans or controllers in, the motion of each body out.
+"""Roll-outs for the scoreboard, by the calls that users make: `synthesize`, `follow_path` and live characters.
 
-The scoreboard rolls out all seeds and types as one batch, because a batch takes little longer than one character.
+Every roll-out is kept as users get it by default, with feet locked, and as the network's raw output.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import Array
-from motionkit.control.drive import together
-from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, plan_controls
+from motionkit.control.drive import Driver, together
+from motionkit.control.follow import follow_path
+from motionkit.control.path import Path2D
+from motionkit.control.script import TypePart
 from motionkit.control.steering import steered_type
-from motionkit.evaluation.body import Body, bodies
-from motionkit.features.control import Controls
-from motionkit.features.decode import decode_rotations, root_height
-from motionkit.inference.height_correction import raised
-from motionkit.inference.rollout import (
-    Controller,
-    Noise,
-    Rollout,
-    RolloutState,
-    run,
-    start_batch,
-)
+from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.data.workers import Map
+from motionkit.evaluation.body import Body, body_of
+from motionkit.inference.character import CharacterStream
+from motionkit.inference.rollout import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply
 
-BATCH = 128  # characters per network step; more need memory and save no time
+BATCH = 24  # characters that are rolled out together, by one process
 WALK = 130.0  # cm/s; a neutral type is the one that walks at about this speed
 NEUTRAL_SECONDS = 0.5
 
@@ -41,24 +33,31 @@ Progress = Callable[[float], None]
 
 @dataclass(frozen=True)
 class Plan:
-    """The types one character performs in turn; choice selects among start poses and reference clips."""
+    """The types one character performs in turn, and its seed."""
 
     parts: tuple[TypePart, ...]
-    choice: int = 0
+    seed: int = 0
 
 
 @dataclass(frozen=True, eq=False)
-class Performance:
-    """The motion of one character: its body, and the contacts (T, 4) the network predicted."""
+class Take:
+    """One roll-out: as users get it by default, with feet locked, and as the network's raw output."""
 
-    body: Body
-    contacts: Array
+    default: Body
+    raw: Body
 
-    def motion(self, model: MotionModel) -> Motion:
-        """Return the motion, for writing or foot locking."""
-        return Motion(
-            model.character("default"), self.body.rotations, self.body.positions[:, 0], self.body.fps
-        )
+    def cut(self, start: int, end: int) -> Take:
+        """Return frames start to end (exclusive)."""
+        return Take(self.default.cut(start, end), self.raw.cut(start, end))
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """A path followed by one character: the take, whether the end was reached, and the path's part in each frame."""
+
+    take: Take
+    finished: bool
+    part_frames: tuple[int, ...]
 
 
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
@@ -70,113 +69,126 @@ def neutral_types(model: MotionModel) -> tuple[str, ...]:
 
 def roll_plans(
     model: MotionModel,
-    plans: list[Plan],
+    plans: Sequence[Plan],
     noise: Noise | None = None,
-    seed: int = 0,
+    each: Map = map,
     progress: Progress | None = None,
-) -> list[Performance]:
-    """Roll out each plan with one character. All plans must have the same length.
+) -> list[Take]:
+    """Roll out each plan with one character, as `synthesize` does with the plan's seed.
 
-    A plan starts from start poses of its first type. Phases and reference poses are those of `synthesize`.
-    The same seed gives the same motion.
+    Args:
+        each: a map over batches, such as that of worker processes; results do not depend on it.
     """
-    out: list[Performance] = []
-    for first in range(0, len(plans), BATCH):
-        some = plans[first : first + BATCH]
-
-        def report(share: float, done: int = first, size: int = len(some)) -> None:
-            if progress:
-                progress((done + share * size) / len(plans))
-
-        out += _roll_batch(model, some, noise or Noise(), seed + first, report)
+    batches = _batches(plans)
+    tasks = [(model, batch, noise or Noise()) for batch in batches]
+    out: list[Take] = []
+    for takes in each(_roll_batch, tasks):
+        out += takes
+        if progress:
+            progress(len(out) / len(plans))
     return out
 
 
-def _roll_batch(
-    model: MotionModel, plans: list[Plan], noise: Noise, seed: int, progress: Progress
-) -> list[Performance]:
-    starts = [model.types[plan.parts[0].type].start_poses for plan in plans]
-    features, contacts = start_batch(
-        [seeds[plan.choice % len(seeds)] for plan, seeds in zip(plans, starts, strict=True)]
-    )
-    # The start poses of a performance are its first frames, as in synthesize.
-    lengths = [model.phase_seconds(plan.parts[0].type) * model.fps for plan in plans]
-    asked = [
-        plan_controls(model, plan.parts, last_poses(model, seen), len(seen) if length else 0, plan.choice)
-        for plan, seen, length in zip(plans, features, lengths, strict=True)
-    ]
-    together = Controls.side_by_side(asked)
-    frames = len(together.phase)
+def _batches(plans: Sequence[Plan]) -> list[list[Plan]]:
+    """Plans in order, in batches of at most BATCH whose seeds count up by one."""
+    out: list[list[Plan]] = []
+    for plan in plans:
+        if out and len(out[-1]) < BATCH and plan.seed == out[-1][-1].seed + 1:
+            out[-1].append(plan)
+        else:
+            out.append([plan])
+    return out
 
-    def controls(frame: int, ground: Array) -> Controls:
-        return together.at(frame)
 
-    state = RolloutState(model, len(plans), noise, seed)
-    state.start(features, contacts, together.type_weights[0], None, lengths)
-    rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
-    return performances(model, rollout)
+def _roll_batch(task: tuple[MotionModel, list[Plan], Noise]) -> list[Take]:
+    model, plans, noise = task
+    options = SynthesisOptions(len(plans), plans[0].seed, noise, raw=True)
+    made = synthesize(model, [plan.parts for plan in plans], options)
+    return [_take(each.motion, each.raw) for each in made.motions]
+
+
+def _take(motion: Motion, raw: Motion | None) -> Take:
+    assert raw is not None, "the options ask for it"
+    return Take(body_of(motion), body_of(raw))
+
+
+def roll_paths(
+    model: MotionModel,
+    paths: Sequence[tuple[Path2D, int]],
+    noise: Noise | None = None,
+    each: Map = map,
+    progress: Progress | None = None,
+) -> list[Walk]:
+    """Follow each path with one character, as `follow_path` does with the seed beside it."""
+    out = []
+    for walk in each(_follow, [(model, path, seed, noise or Noise()) for path, seed in paths]):
+        out.append(walk)
+        if progress:
+            progress(len(out) / len(paths))
+    return out
+
+
+def _follow(task: tuple[MotionModel, Path2D, int, Noise]) -> Walk:
+    model, path, seed, noise = task
+    found = follow_path(model, path, SynthesisOptions(1, seed, noise, raw=True))
+    return Walk(_take(found.motion, found.raw), found.finished, found.part_frames)
 
 
 @dataclass(frozen=True, eq=False)
 class Driven:
-    """A character with a controller.
-
-    Attributes:
-        type: the type whose start poses it starts from.
-        controller: called in every frame.
-        ground: (3,) root x and z in cm and heading at the start; the origin facing +Z by default.
-    """
+    """A live character: the type it starts in, and a function that may change its driver's wish before a frame."""
 
     type: str
-    controller: Controller
-    ground: Array = field(default_factory=lambda: np.zeros(3, np.float32))
+    steer: Callable[[int, Driver], None]
 
 
-def roll_controlled(
+def roll_live(
     model: MotionModel,
-    characters: list[Driven],
+    characters: Sequence[Driven],
     frames: int,
-    noise: Noise,
+    noise: Noise | None = None,
     seed: int = 0,
     progress: Progress | None = None,
-    done: Callable[[], bool] | None = None,
-) -> list[Performance]:
-    """Roll out each character with its own controller for `frames` frames, or until done.
+) -> list[Take]:
+    """Drive characters for some frames as `play` does; character i has seed + i."""
+    variants = []
+    for number, ik in enumerate((True, False)):
 
-    Args:
-        done: called after every frame; true ends the roll-out.
-    """
-    starts = [model.types[character.type].start_poses for character in characters]
-    features, contacts = start_batch([some[i % len(some)] for i, some in enumerate(starts)])
-    type_ids = [model.type_id(character.type) for character in characters]
-    weights = np.eye(len(model.types), dtype=np.float32)[type_ids]
+        def report(share: float, number: int = number) -> None:
+            if progress:
+                progress((number + share) / 2)
 
-    def controls(frame: int, here: Array) -> Controls:
-        return together([c.controller(frame, here[i : i + 1]) for i, c in enumerate(characters)])
-
-    def report(frame: int) -> None:
-        if progress:
-            progress(frame / frames)
-
-    state = RolloutState(model, len(characters), noise, seed)
-    state.start(features, contacts, weights, np.stack([character.ground for character in characters]))
-    return performances(model, run(state, frames, controls, report, done))
+        variants.append(_live_bodies(model, characters, frames, noise or Noise(), seed, ik, report))
+    return [Take(*bodies) for bodies in zip(*variants, strict=True)]
 
 
-def performances(model: MotionModel, rollout: Rollout) -> list[Performance]:
-    """Return the motions of the characters of a roll-out, on the default body."""
-    rotations, roots = rollout_pose(model, rollout)
-    found = bodies(rotations, roots, model.character("default"), model.fps)
-    return [Performance(body, contacts) for body, contacts in zip(found, rollout.contacts, strict=True)]
-
-
-def rollout_pose(model: MotionModel, rollout: Rollout) -> tuple[Array, Array]:
-    """Return local rotations (B, T, 23, 4) and global root positions (B, T, 3) in cm of a roll-out."""
-    layout = model.config.layout
-    rotations = decode_rotations(rollout.features, model.reference_rotations, layout)
-    root = quat_multiply(quat_from_yaw(rollout.ground[..., 2]), rotations[..., 0, :])
-    rotations = np.concatenate([root[..., None, :], rotations[..., 1:, :]], axis=-2)
-    rotations = np.stack([quat_continuous(each) for each in rotations])
-    height = root_height(rollout.features, layout)
-    roots = np.stack([rollout.ground[..., 0], height, rollout.ground[..., 1]], axis=-1)
-    return rotations, raised(rollout.features, rotations, roots, model.character("default"), layout)
+def _live_bodies(
+    model: MotionModel,
+    characters: Sequence[Driven],
+    frames: int,
+    noise: Noise,
+    seed: int,
+    ik: bool,
+    progress: Progress,
+) -> list[Body]:
+    stream = CharacterStream(model, len(characters), noise, seed, ik)
+    drivers = []
+    for index, character in enumerate(characters):
+        stream.reset(index, type=character.type)
+        drivers.append(Driver(model, character.type))
+    rotations, roots = [], []
+    for frame in range(frames):
+        ground = stream.ground
+        asked = []
+        for index, (character, driver) in enumerate(zip(characters, drivers, strict=True)):
+            character.steer(frame, driver)
+            asked.append(driver(frame, ground[index : index + 1]))
+        made = stream.step(together(asked))
+        rotations.append(made.rotations.copy())
+        roots.append(made.root_positions.copy())
+        progress((frame + 1) / frames)
+    skeleton = model.character("default")
+    return [
+        body_of(Motion(skeleton, turns, places, model.fps))
+        for turns, places in zip(np.stack(rotations, axis=1), np.stack(roots, axis=1), strict=True)
+    ]

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from motionkit.data.dataset import Dataset
+from motionkit.data.workers import worker_processes
 from motionkit.errors import ControlError, DatasetError
-from motionkit.evaluation.accuracy import Judge, accuracy_section
+from motionkit.evaluation.accuracy import accuracy_section
+from motionkit.evaluation.judge import Judge
 from motionkit.evaluation.paths import paths_section
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.reconstruction import reconstruction_section
@@ -17,33 +19,24 @@ from motionkit.evaluation.response import response_section
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.smoothness import smoothness_section
 from motionkit.evaluation.stability import stability_section
+from motionkit.evaluation.trial import Trial
+from motionkit.evaluation.variety import variety_section
+from motionkit.evaluation.visible import visible_section
 from motionkit.models.model import MotionModel, unknown_name
 
 # Called with the name of a section and the share of it that is done (0 to 1).
 SectionProgress = Callable[[str, float], None]
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """What every section measures: a model, the recordings to compare it with, and the settings."""
-
-    model: MotionModel
-    dataset: Dataset
-    judge: Judge
-    settings: EvaluationSettings
-
-
 Measure = Callable[[Trial, Callable[[float], None]], Section]
 
 SECTIONS: dict[str, Measure] = {
-    "accuracy": lambda t, progress: accuracy_section(t.model, t.judge, t.settings, progress),
-    "stability": lambda t, progress: stability_section(t.model, t.judge.real, t.settings, progress),
-    "reconstruction": lambda t, progress: reconstruction_section(
-        t.model, t.dataset, t.judge.real, t.settings, progress
-    ),
-    "paths": lambda t, progress: paths_section(t.model, t.settings, progress),
-    "response": lambda t, progress: response_section(t.model, t.settings, progress),
-    "smoothness": lambda t, progress: smoothness_section(t.model, t.judge.real, t.settings, progress),
+    "visible": visible_section,
+    "accuracy": accuracy_section,
+    "variety": variety_section,
+    "stability": stability_section,
+    "reconstruction": reconstruction_section,
+    "paths": paths_section,
+    "response": response_section,
+    "smoothness": smoothness_section,
 }
 
 
@@ -53,6 +46,7 @@ def evaluate_model(
     settings: EvaluationSettings | None = None,
     only: Iterable[str] = (),
     progress: SectionProgress | None = None,
+    jobs: int = 1,
 ) -> Scoreboard:
     """Measure a model against the recordings of a dataset.
 
@@ -60,6 +54,7 @@ def evaluate_model(
         settings: how many roll-outs to make, and how long; the defaults if None.
         only: names of the sections to measure; all sections if empty.
         progress: called with the section's name and the share of it that is done.
+        jobs: processes that roll out; the result does not depend on them.
 
     Raises:
         ControlError: if a section is unknown.
@@ -74,17 +69,19 @@ def evaluate_model(
         raise DatasetError(f"{dataset.folder}: the dataset has none of the model's motion types")
     if abs(dataset.fps - model.fps) > 1e-6:
         raise DatasetError(f"{dataset.folder}: {dataset.fps:g} fps, expected the model's {model.fps:g}")
-    trial = Trial(model, dataset, Judge(RealMotion(dataset)), settings)
+    judge = Judge(RealMotion(dataset, settings.split))
     sections = []
-    for name in SECTIONS:
-        if name in wanted:
-            began = time.perf_counter()
+    with worker_processes(jobs) as each:
+        trial = Trial(model.with_reference(settings.reference), dataset, judge, settings, each)
+        for name in SECTIONS:
+            if name in wanted:
+                began = time.perf_counter()
 
-            def report(share: float, name: str = name) -> None:
-                if progress:
-                    progress(name, share)
+                def report(share: float, name: str = name) -> None:
+                    if progress:
+                        progress(name, share)
 
-            report(0.0)
-            section = SECTIONS[name](trial, report)
-            sections.append(replace(section, seconds=time.perf_counter() - began))
+                report(0.0)
+                section = SECTIONS[name](trial, report)
+                sections.append(replace(section, seconds=time.perf_counter() - began))
     return Scoreboard(settings.as_dict(), sections)

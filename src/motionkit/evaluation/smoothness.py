@@ -1,75 +1,89 @@
-"""Smoothness of transitions that no clip contains: does a joint turn faster than in the recordings?
-
-A few recorded frames contain jumps of one joint by up to half a turn. Compared with them every motion would be
-smooth. The limit is therefore the joint speed that 99.9 % of the recorded frames stay below.
-"""
+"""Smoothness of transitions that no clip contains: does a joint turn, or the body brake, faster than in recordings?"""
 
 from __future__ import annotations
 
-import numpy as np
-
 from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
-from motionkit.evaluation.real import RealMotion
-from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import Plan, Progress, roll_plans
-from motionkit.evaluation.settings import EvaluationSettings
-from motionkit.metrics.body_movement import geodesic_movement
-from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.evaluation.limits import REAL_SHARE, acceleration_limit, accelerations, turn_limit
+from motionkit.evaluation.report import Cell, Goal, Section, Table
+from motionkit.evaluation.rolling import Plan, Progress
+from motionkit.evaluation.trial import Trial
+from motionkit.evaluation.visible import DEPTH, flips
+from motionkit.metrics.leaps import fastest_turn, leaps
+from motionkit.metrics.touch import lowest_points
 
-REAL_SHARE = 0.999  # of the recorded frames are below the limit
 LASTING_SECONDS = 3.0  # for types that have no length of their own
 SEQUENCES = (
     ("running", "twist", "cartwheel", "kicking"),
     ("running", "side-somersault", "cartwheel", "running"),
     ("walking", "backflip", "handspring", "walking"),
     ("punching", "w-kicking", "dance-modern", "exercise"),
+    ("running", "balance", "walking", "idle"),
 )
 
 
-def fastest_turn(body: Body) -> tuple[float, str]:
-    """Return the speed in degrees per second of the fastest joint between two frames, and its name."""
-    speeds = geodesic_movement(body.rotations).max(axis=0) * body.fps
-    joint = int(speeds.argmax())
-    return float(speeds[joint]), JOINT_NAMES[joint]
-
-
-def recorded_limit(real: RealMotion) -> tuple[float, float]:
-    """Return the limit and the largest speed of the fastest joint over the recorded frames, in degrees per second."""
-    frames = np.concatenate(
-        [geodesic_movement(s.body.rotations).max(axis=1) * s.body.fps for s in real.stretches]
-    )
-    ordered = np.sort(frames)
-    return float(ordered[int(REAL_SHARE * (len(ordered) - 1))]), float(ordered[-1])
-
-
-def smoothness_section(
-    model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
-) -> Section:
-    """Measure the section: the fastest joint of each sequence, relative to the recordings."""
-    limit, largest = recorded_limit(real)
-    rows, goals = [], []
-    known = [s for s in SEQUENCES if set(s) <= set(model.types)]
+def smoothness_section(trial: Trial, progress: Progress) -> Section:
+    """Measure the section: fastest joint, acceleration and lowest joint of each sequence, against recordings."""
+    model, settings = trial.model, trial.settings
+    known = [s for s in SEQUENCES if set(s) <= set(trial.recorded_types)]
+    if not known:
+        return Section(
+            "smoothness", "Transitions", notes=["not measured: every sequence needs a type that is missing"]
+        )
+    plans = [
+        Plan(tuple(TypePart(k, model.phase_seconds(k) or LASTING_SECONDS) for k in sequence), seed)
+        for sequence in known
+        for seed in trial.seeds(settings.repeats)
+    ]
+    takes = trial.roll(plans, progress)
+    limit, largest = turn_limit(trial.real)
+    rows: list[tuple[Cell, ...]] = []
+    goals: list[Goal] = []
     for number, sequence in enumerate(known):
-        parts = tuple(TypePart(k, model.phase_seconds(k) or LASTING_SECONDS) for k in sequence)
-        plans = [Plan(parts, seed) for seed in range(settings.repeats)]
-        performed = roll_plans(model, plans, settings.noise, settings.seed)
-        fastest, where = max(fastest_turn(p.body) for p in performed)
+        mine = takes[number * settings.repeats : (number + 1) * settings.repeats]
+        bodies, raw = [take.default for take in mine], [take.raw for take in mine]
+        fastest, joint = _fastest(bodies)
+        raw_fastest, _ = _fastest(raw)
+        brakes, most = (
+            max(float(accelerations(b).max()) for b in bodies),
+            acceleration_limit(trial.real, sequence),
+        )
+        lowest, raw_lowest = (min(_lowest(b) for b in found) for found in (bodies, raw))
+        leaping = sum(leaps(b.positions).value or 0.0 for b in bodies) / len(bodies)
+        flipped = sum(map(flips, bodies))
         name = " → ".join(sequence)
-        rows.append((name, fastest, where, fastest / limit))
-        goals.append(Goal(f"{name}: fastest joint / real", fastest / limit, "≤ 1", None, 1.0))
-        progress((number + 1) / len(known))
-    columns = ("sequence", "fastest joint, degrees/s", "joint", "/ real")
+        rows.append((
+            name, fastest, joint, fastest / limit, raw_fastest / limit, brakes, most, lowest, raw_lowest, leaping,
+            flipped,
+        ))  # fmt: skip
+        goals += [
+            Goal(f"{name}: fastest joint / real", fastest / limit, "≤ 1", None, 1.0),
+            Goal(f"{name}: lowest joint, cm", lowest, f"≥ {-DEPTH:g}", -DEPTH),
+        ]
+        if most is not None:
+            goals.append(Goal(f"{name}: acceleration / real", brakes / most, "≤ 1", None, 1.0))
+    columns = (
+        "sequence", "fastest joint, degrees/s", "joint", "/ real", "raw / real", "acceleration, m/s^2",
+        "real acceleration", "lowest joint, cm", "raw lowest joint, cm", "leaps a minute", "flipped",
+    )  # fmt: skip
     notes = [
-        f"the largest value of {settings.repeats} characters; each type lasts its own length or {LASTING_SECONDS:g} s",
+        f"{settings.repeats} characters per sequence, as synthesize makes them by default; raw: feet not locked; the "
+        f"worst value of each; each type lasts its own length or {LASTING_SECONDS:g} s",
         f"real: {limit:.0f} degrees/s; the fastest joint is slower in {REAL_SHARE:.1%} of the recorded frames; the "
         f"largest recorded value, {largest:.0f} degrees/s, is not used",
+        f"acceleration: of the root over the ground, between velocities over 0.2 s; real: {REAL_SHARE:.1%} of the "
+        "frames of the sequence's types are below it",
     ]
     return Section(
-        "smoothness",
-        "Smoothness of transitions",
-        [Table("Fastest joint per sequence", columns, rows)],
-        goals,
-        notes,
+        "smoothness", "Transitions", [Table("Transitions that no clip contains", columns, rows)], goals, notes
     )
+
+
+def _fastest(bodies: list[Body]) -> tuple[float, str]:
+    """Return the fastest turn of a joint over all bodies in degrees per second, and the joint."""
+    found = max((fastest_turn(b.rotations, b.fps) for b in bodies), key=lambda turn: turn.value or 0.0)
+    return found.value or 0.0, str(found.parameters["joint"])
+
+
+def _lowest(body: Body) -> float:
+    return lowest_points(body.positions)[-1].value or 0.0

@@ -11,8 +11,9 @@ from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.real import MotionProfile, RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import Plan, Progress, roll_plans
+from motionkit.evaluation.rolling import Plan, Progress
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.evaluation.trial import Trial
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.model import MotionModel
 
@@ -63,7 +64,7 @@ def real_measures(real: RealMotion, kind: str) -> tuple[float, float]:
     poses of other clips.
     """
     found = real.of_type(kind)
-    held_out = real.of_type(kind, "test")
+    held_out = real.of_type(kind, real.held_out)
     distances, jerks, frames = [], [], []
     for stretch in held_out or found:
         each = real.pose_distances(stretch.body, -1 if held_out else stretch.clip).min(axis=1)
@@ -135,33 +136,36 @@ def random_plan(model: MotionModel, kinds: list[str], seconds: float, seed: int)
     return Plan(tuple(parts), seed)
 
 
-def stability_section(
-    model: MotionModel, real: RealMotion, settings: EvaluationSettings, progress: Progress
-) -> Section:
+def stability_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: one long roll-out of every type, and one with random changes of type."""
-    kinds = [kind for kind in model.types if kind in real.types and real.profile(kind) is not None]
-    plans = [Plan((TypePart(kind, settings.stability_seconds),), 0) for kind in kinds]
-    first = settings.stability_seconds / (settings.stability_seconds + settings.mixed_seconds)
-    single = roll_plans(model, plans, settings.noise, settings.seed, lambda x: progress(first * x))
-    wild = random_plan(model, kinds, settings.mixed_seconds, settings.seed)
-    mixed = roll_plans(
-        model, [wild], settings.noise, settings.seed, lambda x: progress(first + (1 - first) * x)
-    )
+    model, real, settings = trial.model, trial.real, trial.settings
+    kinds = [kind for kind in trial.recorded_types if real.profile(kind) is not None]
+    seed = settings.first_seed
+    plans = [Plan((TypePart(kind, settings.stability_seconds),), seed) for kind in kinds]
+    plans.append(random_plan(model, kinds, settings.mixed_seconds, seed))
+    names = [*kinds, "random type changes"]
+    bare = trial.without_references
+    share = 1.0 if bare is None else 0.5
+    takes = trial.roll(plans, lambda x: progress(share * x))
+    alone = [] if bare is None else trial.roll(plans, lambda x: progress(share + share * x), bare)
     recorded = {kind: real_measures(real, kind) for kind in kinds}
-    rows = [
-        _row(kind, p.body, real, recorded, plan.parts)
-        for kind, p, plan in zip(kinds, single, plans, strict=True)
-    ]
-    rows.append(_row("random type changes", mixed[0].body, real, recorded, wild.parts))
-    columns = max((tuple(row) for row in rows), key=len)
-    tables = [
-        Table(
-            f"{settings.stability_seconds:g} s per type, {settings.mixed_seconds:g} s of random type changes",
-            columns,
-            [tuple(row.get(column) for column in columns) for row in rows],
-        )
-    ]
+
+    def table(title: str, bodies: list[Body]) -> tuple[Table, list[dict]]:
+        rows = [
+            _row(name, body, real, recorded, plan.parts)
+            for name, body, plan in zip(names, bodies, plans, strict=True)
+        ]
+        columns = max((tuple(row) for row in rows), key=len)
+        return Table(title, columns, [tuple(row.get(column) for column in columns) for row in rows]), rows
+
+    title = f"{settings.stability_seconds:g} s per type, {settings.mixed_seconds:g} s of random type changes"
+    first, rows = table(title, [take.default for take in takes])
+    tables = [first, table(f"{title}: raw", [take.raw for take in takes])[0]]
+    if alone:
+        tables.append(table(f"{title}: without references", [take.default for take in alone])[0])
     notes = [
+        "as synthesize makes them by default; raw: the same with feet not locked; without references: with --reference "
+        "none",
         f"frozen: seconds in windows of {FREEZE_SECONDS:g} s whose joints are slower than {FROZEN_SHARE:g} times the "
         "lower speed limit of the type's motion profile",
         "foot height: height of the lower foot above the floor, lower quartile over frames; drift: last third of the "

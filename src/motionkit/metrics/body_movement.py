@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -54,3 +56,14 @@ def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
     if kind == "euler":
         parameters["order"] = EULER_ORDER
     return MetricValue(f"bm-{kind}", float(movement.sum(-1).mean()), "deg/frame", parameters)
+
+
+def angular_speed(local_rotations: Array, joints: Sequence[int], fps: float = FRAME_RATE) -> float:
+    """Mean angular speed of some joints against their parents, in rad/s.
+
+    Args:
+        local_rotations: (T, J, 4) quaternions w, x, y, z.
+        joints: indices of the joints.
+        fps: frames per second.
+    """
+    return float(np.deg2rad(geodesic_movement(local_rotations[:, list(joints)]).mean()) * fps)

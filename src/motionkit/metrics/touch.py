@@ -30,9 +30,9 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "head": ("Head",),
     "body": JOINT_NAMES,
 }
-FALLING = (
-    -4.9
-)  # m/s^2; a body in the air whose centre of mass accelerates less downwards is held up by nothing
+FALL_ERROR = 1.5  # m/s^2 by which the acceleration of a flight may differ from free fall
+# m/s^2; a body in the air whose centre of mass accelerates less downwards is held up by nothing.
+FALLING = -4.9
 
 
 def touching(positions: Array, ground: float = 0.0) -> Array:

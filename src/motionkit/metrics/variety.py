@@ -88,12 +88,13 @@ class RecordingWindows:
             without: number of a recording that is left out.
         """
         wanted = _windows(poses, STRIDE)
-        kept = np.flatnonzero(self._numbers != without)
+        left_out = self._numbers == without
         none = np.zeros(0, np.int64)
-        if not len(wanted) or not len(kept):
+        if not len(wanted) or left_out.all():
             return Places(none, none, np.zeros(0)), none
-        costs = distances_between(wanted, self._rows[kept])
-        best = kept[costs.argmin(axis=1)]
+        costs = distances_between(wanted, self._rows)
+        costs[:, left_out] = np.inf
+        best = costs.argmin(axis=1)
         distances = costs.min(axis=1) / (WINDOW * JOINT_COUNT) ** 0.5
         return Places(self._numbers[best], self._starts[best], distances), self._tracks[best]
 

@@ -1,0 +1,33 @@
+"""Speed and acceleration of a body over the ground."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Array, length
+
+PACE_SECONDS = 0.2  # over which a velocity is measured, and between the two velocities of an acceleration
+
+
+def ground_velocity(root_positions: Array, fps: float) -> Array:
+    """Velocity (T - n, 2) in m/s of a root's ground track, each over n frames, PACE_SECONDS.
+
+    Args:
+        root_positions: (T, 3) in cm.
+        fps: frames per second.
+    """
+    frames = max(1, round(PACE_SECONDS * fps))
+    track = root_positions[:, [0, 2]].astype(np.float64)
+    return (track[frames:] - track[:-frames]) * (fps / frames / 100.0)
+
+
+def ground_acceleration(root_positions: Array, fps: float) -> Array:
+    """Size of the acceleration (T - 2 n,) in m/s^2 over the ground, between velocities n frames apart.
+
+    Args:
+        root_positions: (T, 3) in cm.
+        fps: frames per second.
+    """
+    frames = max(1, round(PACE_SECONDS * fps))
+    velocity = ground_velocity(root_positions, fps)
+    return length(velocity[frames:] - velocity[:-frames]) * (fps / frames)
