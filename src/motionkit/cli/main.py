@@ -18,6 +18,10 @@ from motionkit.cli.version import version_option
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import postpone
 
+# numpy's products are small here: threads of their own for each cost more than they save, and on a machine with other
+# work several times as much. torch has threads of its own. To be set before numpy is imported.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Command name to the module under motionkit.cli that defines it as `command`.
 COMMANDS = {
     "preprocess": "preprocess",

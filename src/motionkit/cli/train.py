@@ -10,14 +10,13 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, stderr_console, stdout_console
+from motionkit.cli.common import STOPPED, json_option, print_json, remark, seed_option, stdout_console
+from motionkit.cli.training_monitor import TrainingMonitor, check_preview
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs
 
 if TYPE_CHECKING:
-    from rich.live import Live
-
-    from motionkit.training.trainer import TrainEvent
+    from motionkit.data.dataset import Dataset
 
 BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
 KEPT_SHARE = 0.5  # of the windows, with --add, are of the types that the model knew
@@ -125,10 +124,13 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--score-minutes",
-    default=10.0,
-    show_default=True,
     type=click.FloatRange(min=0.1),
-    help="Minutes between evaluations by roll-outs.",
+    help="Minutes between evaluations by roll-outs; 10 by default, 1 with --preview.",
+)
+@click.option(
+    "--preview",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Page (.html) or sheet (.png) of the motions after each evaluation, which grows while the run goes on.",
 )
 @click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
 @seed_option()
@@ -154,7 +156,8 @@ def command(
     run_folder: Path | None,
     device: str,
     precision: str,
-    score_minutes: float,
+    score_minutes: float | None,
+    preview: Path | None,
     half: bool,
     seed: int,
     as_json: bool,
@@ -167,7 +170,10 @@ def command(
     DATASET ...
     """
     init = _beginning(init, from_scratch, add, preset)
-    check_outputs([output], [init if init != BUNDLED else None, *dataset.glob("*")])
+    check_preview(preview)
+    check_outputs(
+        [output, *([preview] if preview else [])], [init if init != BUNDLED else None, *dataset.glob("*")]
+    )
     if not resume and not force:
         _refuse_to_replace(output, run_folder or output.with_suffix(".run"))
 
@@ -176,6 +182,7 @@ def command(
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
     from motionkit.api import FINE_TUNE_MINUTES, TRAIN_MINUTES
+    from motionkit.data.dataset import Dataset
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.training.trainer import train
 
@@ -195,10 +202,13 @@ def command(
         splices=splices,
         seed=seed,
         precision=precision,
-        score_minutes=score_minutes,
+        score_minutes=score_minutes or (1.0 if preview else None),
         half=half,
     )
-    monitor = _Monitor(quiet=as_json)
+    monitor = TrainingMonitor(
+        as_json, options, preview, (run_folder or output.with_suffix(".run")) / "samples"
+    )
+    _warn_of_small_types(Dataset(dataset))
     with monitor:
         result = train(dataset, output, options, resume, run_folder, device, monitor)
     if not monitor.first_process:
@@ -235,71 +245,15 @@ def _beginning(init: str | None, from_scratch: bool, add: bool, preset: str) -> 
     return init
 
 
+def _warn_of_small_types(dataset: Dataset) -> None:
+    """Print a line for each type with too little to learn from."""
+    from motionkit.data.amounts import small_types
+
+    for line in small_types(dataset):
+        remark(f"warning: {line}")
+
+
 def _refuse_to_replace(model: Path, run_folder: Path) -> None:
     for path in (model, run_folder / "checkpoint.safetensors"):
         if path.exists():
             raise OverwriteError(f"{path}: exists; continue with --resume, or overwrite it with --force")
-
-
-class _Monitor:
-    """A live table of losses on a terminal, plain lines elsewhere; score tables in both."""
-
-    def __init__(self, quiet: bool) -> None:
-        import os
-
-        self.quiet = quiet
-        self.first_process = os.environ.get("RANK", "0") == "0"
-        self.console = stderr_console()
-        self.live: Live | None = None
-
-    def __enter__(self) -> _Monitor:
-        if sys.stderr.isatty() and not self.quiet and self.first_process:
-            from rich.live import Live
-
-            self.live = Live(console=self.console, refresh_per_second=2)
-            self.live.start()
-        return self
-
-    def __exit__(self, *details: object) -> None:
-        if self.live is not None:
-            self.live.stop()
-
-    def __call__(self, event: TrainEvent) -> None:
-        if self.quiet:
-            return
-        if event.kind == "note":
-            self.console.print(event.text)
-        elif event.kind == "score":
-            self.console.print(_score_table(event))
-        elif event.kind == "log" and self.live is not None:
-            self.live.update(_loss_table(event))
-        elif event.kind == "log":
-            losses = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
-            self.console.print(f"step {event.step} {event.seconds:.0f} s {losses}")
-
-
-def _loss_table(event: TrainEvent):
-    from rich.table import Table
-
-    table = Table(title=f"step {event.step}, {event.seconds / 60:.1f} min")
-    for name in event.losses:
-        table.add_column(name, justify="right")
-    table.add_row(*(f"{value:.3f}" for value in event.losses.values()))
-    return table
-
-
-def _score_table(event: TrainEvent):
-    from rich.table import Table
-
-    table = Table(title=f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)")
-    for name in ("type", "joint speed", "pose distance cm", "slide", "root height cm"):
-        table.add_column(name, justify="left" if name == "type" else "right")
-    for score in event.scores:
-        table.add_row(
-            score.type,
-            f"{score.joint_speed:.2f}",
-            f"{score.pose_distance:.1f}",
-            f"{score.slide:.2f}",
-            f"{score.height[0]:.0f} to {score.height[1]:.0f}",
-        )
-    return table

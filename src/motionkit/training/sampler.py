@@ -6,6 +6,7 @@ several processes, therefore sees the same windows.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -127,8 +128,11 @@ class WindowSampler:
             self.options = options
             self.probabilities = self._probabilities()
 
-    def make_splices(self) -> None:
-        """Make the spliced transitions: ends of training stretches joined to starts of others, the same for a seed."""
+    def make_splices(self, progress: Callable[[float], None] | None = None) -> None:
+        """Make the spliced transitions: ends of training stretches joined to starts of others, the same for a seed.
+
+        progress is called with the share that is done, 0 to 1.
+        """
         generator = torch.Generator().manual_seed(self.seed + 7_919)
         usable = {k: [s for s in v if s.end - s.start >= MIN_SPAN] for k, v in self.spans.items()}
         usable = {k: v for k, v in usable.items() if v}
@@ -140,7 +144,10 @@ class WindowSampler:
             return int(torch.randint(count, (), generator=generator))
 
         bodies = []
-        for _ in range(self.options.splices if bool(weights.sum() > 0) else 0):
+        count = self.options.splices if bool(weights.sum() > 0) else 0
+        for made in range(count):
+            if progress:
+                progress(made / count)
             first, second = (self._random_span(usable, weights, generator) for _ in range(2))
             clip_a, clip_b = self.clips[first.source], self.clips[second.source]
             if clip_a.body != clip_b.body:

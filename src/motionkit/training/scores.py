@@ -26,7 +26,7 @@ from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
 LOW_TOE = 5.0  # cm; the toe joint of a standing body is at 4.1
-MAX_REAL_FRAMES = 600  # per type, for the nearest-pose distance
+MAX_REAL_FRAMES = 1200  # per type
 
 
 @dataclass(frozen=True)
@@ -98,12 +98,10 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Array:
-    parts, taken = [], 0
-    for clip in dataset.select("train"):
-        chosen = dataset.clip_types(clip) == kind
-        if bool(chosen.any()) and taken < MAX_REAL_FRAMES:
-            parts.append(dataset.read(clip).features[chosen][: MAX_REAL_FRAMES - taken])
-            taken += len(parts[-1])
+    """At most MAX_REAL_FRAMES frames of a type, evenly from all its training clips: recordings begin with standing."""
+    clips = [(clip, np.flatnonzero(dataset.clip_types(clip) == kind)) for clip in dataset.select("train")]
+    every = 1 + sum(len(rows) for _, rows in clips) // MAX_REAL_FRAMES
+    parts = [dataset.read(clip).features[rows[::every]] for clip, rows in clips if len(rows)]
     return np.concatenate(parts) if parts else np.zeros((0, FEATURE_COUNT), np.float32)
 
 

@@ -133,7 +133,12 @@ def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
 
 @dataclass(frozen=True)
 class TrainEvent:
-    """A report of a run; kind is "log", "score", "checkpoint" or "note"."""
+    """A report of a run.
+
+    kind is "prepare" while spliced transitions are made, "step" after every step, "log" after some, "score",
+    "checkpoint", "note", or "stop" when Ctrl-C or SIGTERM is heard. share is what is done of the run, or of the
+    preparation, 0 to 1.
+    """
 
     kind: str
     step: int
@@ -141,6 +146,7 @@ class TrainEvent:
     losses: dict[str, float]
     scores: tuple[TypeScore, ...] = ()
     text: str = ""
+    share: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -324,7 +330,7 @@ class TrainingRun:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.output.parent.mkdir(parents=True, exist_ok=True)  # fails now, not after hours
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
-        self.sampler.make_splices()
+        self.sampler.make_splices(lambda share: self._emit("prepare", share=share))
         self._note(f"{len(self.sampler.splices)} spliced transitions")
         if self._block is not None:
             self.blocks.resume(self.step, self._block)
@@ -354,6 +360,7 @@ class TrainingRun:
             if self.asked_to_stop:
                 raise KeyboardInterrupt
             self.asked_to_stop = True
+            self._emit("stop", "stopping after this step")
 
         try:
             return {number: signal.signal(number, stop) for number in (signal.SIGINT, signal.SIGTERM)}
@@ -369,6 +376,7 @@ class TrainingRun:
             self.seconds, clock = self.seconds + now - clock, now
             if self.world > 1 and self.options.minutes:
                 self.seconds = self._agree(self.seconds)
+            self._emit("step")
             if self.step % self.options.output.log_every == 0 or self.progress() >= 1.0:
                 self._emit("log")
             if self.rank == 0 and now - saved > self.options.output.checkpoint_seconds:
@@ -489,11 +497,17 @@ class TrainingRun:
     def _note(self, text: str) -> None:
         self._emit("note", text)
 
-    def _emit(self, kind: str, text: str = "") -> None:
+    def _emit(self, kind: str, text: str = "", share: float | None = None) -> None:
         if self.rank != 0:
             return
         event = TrainEvent(
-            kind, self.step, self.seconds, self.losses, self.scores if kind == "score" else (), text
+            kind,
+            self.step,
+            self.seconds,
+            self.losses,
+            self.scores if kind == "score" else (),
+            text,
+            self.progress() if share is None else share,
         )
         if kind in ("log", "score"):
             line: dict[str, Any] = {"kind": kind, "step": self.step, "seconds": round(self.seconds, 2)}

@@ -1,0 +1,173 @@
+"""What `train` shows while it runs: a bar, losses, roll-out scores, and a preview that grows."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from motionkit.cli.common import stderr_console
+
+if TYPE_CHECKING:
+    from rich.live import Live
+
+    from motionkit.training.options import TrainOptions
+    from motionkit.training.trainer import TrainEvent
+
+PREVIEW_KINDS = (".html", ".png")
+SHOWN_ROUNDS = 4  # of evaluations in a preview; of more, the first and the last ones
+_BAR = 30  # columns
+
+
+def check_preview(path: Path | None) -> None:
+    """Raise UsageError for a preview that is no page and no sheet."""
+    if path is not None and path.suffix.lower() not in PREVIEW_KINDS:
+        raise click.UsageError(f"--preview {path}: expected a file named .html or .png")
+
+
+class TrainingMonitor:
+    """Shows the events of a run: a bar on a terminal, plain lines elsewhere; score tables and previews in both."""
+
+    def __init__(self, quiet: bool, options: TrainOptions, preview: Path | None, samples: Path) -> None:
+        self.quiet, self.steps = quiet, options.steps
+        self.preview, self.samples = preview, samples
+        self.first_process = os.environ.get("RANK", "0") == "0"
+        self.console = stderr_console()
+        self.live: Live | None = None
+        self.began: tuple[int, float] | None = (
+            None  # step and seconds of the first event: a run may be resumed
+        )
+        self.rounds: list[tuple[int, list[Path]]] = []
+        self.prepared = -1
+        self.stopping = ""
+
+    def __enter__(self) -> TrainingMonitor:
+        if sys.stderr.isatty() and not self.quiet and self.first_process:
+            from rich.live import Live
+
+            from motionkit.cli.console import PlainConsole
+
+            # Lines that the terminal would wrap cannot be erased.
+            self.console = PlainConsole(sys.stderr, soft_wrap=False)
+            self.live = Live(console=self.console, refresh_per_second=4, transient=True)
+            self.live.start()
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        if self.live is not None:
+            self.live.stop()
+
+    def __call__(self, event: TrainEvent) -> None:
+        if event.kind == "score" and self.preview is not None:
+            self._grow(event)
+        if self.quiet:
+            return
+        if event.kind == "stop":
+            self._stop(event)
+        elif event.kind == "prepare":
+            self._prepare(event.share)
+        elif event.kind == "note":
+            self.console.print(event.text)
+        elif event.kind == "score":
+            self.console.print(score_table(event))
+        elif event.kind in ("step", "log"):
+            self.began = self.began or (event.step - 1, event.seconds)
+            if self.live is not None:
+                self.live.update(self._status(event))
+            elif event.kind == "log":
+                losses = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
+                self.console.print(f"{self._way(event)}: {losses}")
+
+    def _stop(self, event: TrainEvent) -> None:
+        """Say that a signal was heard. It may have interrupted a print, so this goes past Python's buffers."""
+        self.stopping = event.text
+        os.write(2, f"{os.linesep if self.live else ''}{event.text}{os.linesep}".encode())
+
+    def _prepare(self, share: float) -> None:
+        percent = round(100 * share)
+        if self.live is not None:
+            self.live.update(f"making spliced transitions {_bar(share)} {percent} %")
+        elif percent // 25 != self.prepared:
+            self.prepared = percent // 25
+            self.console.print(f"making spliced transitions: {percent} %")
+
+    def _way(self, event: TrainEvent) -> str:
+        """How far the run is, how fast it goes, and how long it will take."""
+        total = f" of {self.steps}" if self.steps else ""
+        step, seconds = self.began or (0, 0.0)
+        rate = (event.step - step) / max(event.seconds - seconds, 1e-6)
+        left = event.seconds * (1.0 - event.share) / max(event.share, 1e-6)
+        speed = f"{rate:.2f} steps/s" if rate < 10 else f"{rate:.0f} steps/s"
+        return f"step {event.step}{total}, {event.share:.0%}, {speed}, {duration(left)} left"
+
+    def _status(self, event: TrainEvent) -> Any:
+        from rich.console import Group
+
+        losses = ", ".join(f"{name} {value:.2f}" for name, value in event.losses.items())
+        lines = [f"{_bar(event.share)} {self._way(event)}", losses]
+        return Group(*lines, *([self.stopping] if self.stopping else []))
+
+    def _grow(self, event: TrainEvent) -> None:
+        """Write the preview anew: the roll-outs of every evaluation, after the recordings."""
+        from motionkit.api import write_view
+        from motionkit.errors import MotionkitError
+        from motionkit.motion.bvh import bvh_to_motion, read_bvh
+
+        assert self.preview is not None
+        kept = self.samples.parent / "preview"
+        try:
+            kept.mkdir(parents=True, exist_ok=True)
+            copies = []
+            for made in sorted(self.samples.glob("*-predicted.bvh")):
+                copy = kept / f"{made.stem.removesuffix('-predicted')}-step-{event.step}.bvh"
+                copy.write_bytes(made.read_bytes())
+                copies.append(copy)
+            self.rounds.append((event.step, copies))
+            shown = self.rounds[:1] + self.rounds[1:][1 - SHOWN_ROUNDS :]
+            files = [file for _, made in shown for file in made] + sorted(self.samples.glob("*-true.bvh"))
+            files.sort(key=_type_and_step)
+            motions = [bvh_to_motion(read_bvh(file)) for file in files]
+            write_view(self.preview, *motions, names=[file.stem for file in files])
+        except (MotionkitError, OSError) as error:
+            self.console.print(f"the preview failed, the run continues: {error}")
+
+
+def _type_and_step(file: Path) -> tuple[str, int]:
+    """Files of one type after each other: the recording, then the roll-outs by step."""
+    if file.stem.endswith("-true"):
+        return file.stem.removesuffix("-true"), -1
+    kind, _, step = file.stem.rpartition("-step-")
+    return kind, int(step)
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: "40 s", "4 min", "2.5 h"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def _bar(share: float) -> str:
+    done = round(_BAR * min(max(share, 0.0), 1.0))
+    return "━" * done + "╺" * (_BAR - done)
+
+
+def score_table(event: TrainEvent) -> Any:
+    """The scores of roll-outs as a table."""
+    from rich.table import Table
+
+    table = Table(title=f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)")
+    for name in ("type", "joint speed", "pose distance cm", "slide", "root height cm"):
+        table.add_column(name, justify="left" if name == "type" else "right")
+    for score in event.scores:
+        table.add_row(
+            score.type,
+            f"{score.joint_speed:.2f}",
+            f"{score.pose_distance:.1f}",
+            f"{score.slide:.2f}",
+            f"{score.height[0]:.0f} to {score.height[1]:.0f}",
+        )
+    return table
