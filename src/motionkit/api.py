@@ -118,7 +118,7 @@ def follow_path(
     path: Path2D | str | Path,
     *,
     model: MotionModel | None = None,
-    types: str = "walking",
+    types: str | None = None,
     size: float | None = None,
     speed: float | None = None,
     seed: int = 0,
@@ -134,7 +134,8 @@ def follow_path(
     Args:
         path: a path, a JSON or CSV file, or a named shape: line, circle, figure-eight, square, pentagram, u-turn.
         model: the bundled model by default.
-        types: for a named shape: types that share its length, such as "running,cartwheel,running".
+        types: for a named shape: types that share its length, such as "running,cartwheel,running"; the model's walk
+            by default.
         size: for a named shape: metres (length, radius or side).
         speed: for a named shape: metres per second; each type's own by default.
         seed, noise, reference, character, init, ik, fps: as in synthesize.
@@ -144,17 +145,20 @@ def follow_path(
     """
     from motionkit.control import follow
     from motionkit.control.path import Path2D, read_path, shape_path
+    from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.inference.rollout import Noise
 
+    model = model or load_model()
     if isinstance(path, Path2D):
         target = path
     elif Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file():
         target = read_path(path)
     else:
-        target = shape_path(str(path), size, [word.strip() for word in types.split(",")], speed)
+        kinds = [walking_type(model)] if types is None else [word.strip() for word in types.split(",")]
+        target = shape_path(str(path), size, kinds, speed)
     options = SynthesisOptions(1, seed, noise or Noise(), character, init, ik, fps)
-    return follow.follow_path((model or load_model()).with_reference(reference), target, options)
+    return follow.follow_path(model.with_reference(reference), target, options)
 
 
 def measure(

@@ -1,10 +1,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from motionkit.models.bundled import load_bundled_model
+from motionkit.models.checkpoint import save_model
 from motionkit.motion.bvh import read_bvh
 
 from .conftest import page_data
@@ -74,3 +77,14 @@ def test_a_page_with_the_path_and_its_parts(follow, tmp_path: Path) -> None:
     assert [band["type"] for band in motion["types"]] == ["walking", "running"]
     assert motion["types"][0]["end"] == motion["types"][1]["start"]
     assert motion["types"][1]["end"] == pytest.approx(motion["frames"] / motion["fps"])
+
+
+def test_a_path_is_walked_with_the_models_walk_whatever_it_is_called(motionkit, tmp_path: Path) -> None:
+    model = load_bundled_model()
+    kept = {{"walking": "Lauf_02"}.get(name, name): kind for name, kind in model.types.items()}
+    save_model(tmp_path / "m.safetensors", replace(model, types=kept))
+    said = motionkit("follow-path", "line", "--size", 1.5, "--model", "m.safetensors", "--json")
+    value = json.loads(said.out)
+    assert said.code == 0 and value["finished"] and value["parts"][0]["type"] == "Lauf_02"
+    assert (tmp_path / "line-Lauf_02.bvh").exists()
+    assert motionkit("follow-path", "line", "--types", " ,").code == 2

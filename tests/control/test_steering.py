@@ -8,6 +8,7 @@ import pytest
 
 from motionkit.control.steering import (
     STANDS_BELOW,
+    Gaits,
     Steering,
     SteeringOptions,
     nearest_turn,
@@ -15,7 +16,10 @@ from motionkit.control.steering import (
     spring_rate,
     spring_travel,
     steered_type,
+    usual_gaits,
+    walking_type,
 )
+from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import Gait, MotionType
 
@@ -146,3 +150,28 @@ def test_a_model_without_the_usual_types_still_moves(tiny_model: MotionModel) ->
     model = replace(tiny_model, types={name: MotionType(gait=gait) for name, gait in gaits.items()})
     assert steered_type(model, (0.0, 0.0), None) == "limp"
     assert steered_type(model, (600.0, 0.0), None) == "sprint"
+
+
+def renamed(model: MotionModel, names: dict[str, str]) -> MotionModel:
+    """The model with some types under other names."""
+    return replace(model, types={names.get(name, name): kind for name, kind in model.types.items()})
+
+
+def test_usual_gaits_are_found_from_motion_whatever_they_are_called() -> None:
+    model = load_bundled_model()
+    assert usual_gaits(model) == Gaits("idle", "walking", "running", "b-walking")
+    names = {"idle": "running", "walking": "Lauf_02", "running": "zombie", "b-walking": "idle"}
+    other = renamed(model, names)
+    assert usual_gaits(other) == Gaits("running", "Lauf_02", "zombie", "idle")
+    assert walking_type(other) == "Lauf_02"
+    assert (
+        steered_type(other, (0.0, 0.0), None) == "running"
+        and steered_type(other, (0.0, 320.0), None) == "zombie"
+    )
+
+
+def test_a_model_may_lack_gaits() -> None:
+    model = load_bundled_model()
+    dances = replace(model, types={name: model.types[name] for name in ("dance-salsa", "running")})
+    assert usual_gaits(dances) == Gaits(None, None, "running", None)
+    assert walking_type(dances) == "running"

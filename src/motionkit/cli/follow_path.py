@@ -29,9 +29,8 @@ from motionkit.cli.synthesis_options import (
 @output_option("File to write; a BVH file named after the path by default")
 @click.option(
     "--types",
-    default="walking",
-    show_default=True,
-    help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running.",
+    help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running; "
+    "walking by default, or the model's walk under its own name.",
 )
 @click.option("--size", type=float, help="Named shapes: length, radius or side in metres.")
 @click.option("--speed", type=float, help="Named shapes: speed in m/s; each type's own by default.")
@@ -39,7 +38,7 @@ from motionkit.cli.synthesis_options import (
 def command(
     path: str,
     output: Path | None,
-    types: str,
+    types: str | None,
     size: float | None,
     speed: float | None,
     model_path: Path | None,
@@ -63,23 +62,28 @@ def command(
     """
     from motionkit.control.follow import expected_seconds, follow_path
     from motionkit.control.path import read_path, shape_path
+    from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
 
     is_file = Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file()
-    kinds = [word.strip() for word in types.split(",") if word.strip()]
-    if not kinds:
+    kinds = [word.strip() for word in (types or "").split(",") if word.strip()]
+    if types is not None and not kinds:
         raise click.UsageError("--types is empty; give motion types such as running,cartwheel")
     if is_file and (size is not None or speed is not None):
         raise click.UsageError("--size and --speed are for named shapes; a path file holds its own")
     check_stdout(output, {"--view": view, "--json": as_json})
+    model = None
+    if not is_file and not kinds:
+        model = open_model(model_path, reference)
+        kinds = [walking_type(model)]
     target = read_path(path) if is_file else shape_path(path, size, kinds, speed)
     file = output or default_output(f"{Path(path).stem}-{target.parts[0].type}")
     page_file = file.with_suffix(".html")
     inputs = (path if is_file else None, model_path, init)
     check_outputs([file, page_file] if view else [] if file == STDOUT else [file], inputs)
-    model = open_model(model_path, reference)
+    model = model or open_model(model_path, reference)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature), character, init, ik, fps)
     announce(expected_seconds(model, target), model.fps, options)
     with progress_bar() as bar:

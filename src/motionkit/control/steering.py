@@ -20,6 +20,9 @@ SMOOTHING = 0.2  # share of a frame in the measured velocity: hips sway with eve
 LEAVE_ANCHOR = 60.0  # cm; one who stands and was carried so far away stays there instead of going back
 
 Pair = tuple[float, float]
+# A run is faster than this (cm/s), a walk about as fast as that.
+RUN_SPEED, WALK_SPEED = 200.0, 130.0
+FORWARDS = math.pi / 4  # radians between facing and direction up to which a gait goes forwards
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,46 @@ def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> st
         return abs(math.sqrt(speed) - math.sqrt(gait.speed)) + TURN_COST * turn
 
     return min(names, key=cost)
+
+
+@dataclass(frozen=True)
+class Gaits:
+    """A model's types of the usual ways to stand and go, found from their motion; None where it has none.
+
+    Attributes:
+        stand: standing still.
+        walk: forwards at about WALK_SPEED.
+        run: the fastest of those faster than RUN_SPEED.
+        back: backwards.
+    """
+
+    stand: str | None
+    walk: str | None
+    run: str | None
+    back: str | None
+
+
+def usual_gaits(model: MotionModel) -> Gaits:
+    """The types of a model that stand, walk, run and go backwards, whatever they are called."""
+    found = {name: kind.gait for name, kind in model.types.items() if kind.steered and kind.gait is not None}
+    going = {name: gait for name, gait in found.items() if not model.types[name].stands}
+    ahead = {name: gait.speed for name, gait in going.items() if abs(nearest_turn(gait.facing)) < FORWARDS}
+    runs = {name: speed for name, speed in ahead.items() if speed > RUN_SPEED}
+    return Gaits(
+        min((name for name in found if name not in going), key=lambda name: found[name].speed, default=None),
+        min(ahead.keys() - runs.keys(), key=lambda name: abs(ahead[name] - WALK_SPEED), default=None),
+        max(runs, key=lambda name: runs[name], default=None),
+        max(
+            (name for name in going if abs(nearest_turn(going[name].facing)) > math.pi - FORWARDS),
+            key=lambda name: abs(going[name].facing),
+            default=None,
+        ),
+    )
+
+
+def walking_type(model: MotionModel) -> str:
+    """The type that a path is walked with where none is asked for: a walk, else whatever goes at about its speed."""
+    return usual_gaits(model).walk or steered_type(model, (0.0, WALK_SPEED), 0.0)
 
 
 class Steering:

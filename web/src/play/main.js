@@ -15,6 +15,7 @@ const LETTERS = {
 };
 const WALK = 130;
 const RUN = 330; // cm/s, where the model has no such type
+const FASTEST_WALK = 200; // cm/s
 const SLOWEST = 40; // cm/s a stick gives at least
 const TURNED = 0.03; // radians the way must change before the server is told
 const PATH_STEP = 0.08; // metres between the points of a drawn path
@@ -78,7 +79,15 @@ class Play {
     this.behind = null;
     this.#pace();
     this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // screens may be faster than the server takes wishes
-    this.speeds = Object.fromEntries(hello.types.map(({ name, speed }) => [name, speed]));
+    // Types may have any name: forward gaits are told by how they go.
+    const ahead = hello.types
+      .filter(({ name, speed, facing }) => hello.steered.includes(name) && speed > SLOWEST && Math.abs(facing) < 0.8)
+      .map(({ speed }) => speed);
+    const nearness = (speed) => Math.abs(speed - WALK);
+    this.speeds = {
+      walking: ahead.reduce((best, speed) => (nearness(speed) < nearness(best) ? speed : best), ahead[0]),
+      running: Math.max(0, ...ahead.filter((speed) => speed > FASTEST_WALK)),
+    };
     this.#controls();
     this.#characters(hello.characters);
     $("notice").hidden = true;
