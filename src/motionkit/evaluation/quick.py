@@ -14,6 +14,7 @@ import numpy as np
 
 from motionkit.control.path import shape_path
 from motionkit.control.script import TypePart
+from motionkit.control.steering import RUN_SPEED
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import detection_windows
 from motionkit.evaluation.judge import GRACE, LIVELY, Judge
@@ -30,7 +31,6 @@ QUICK = EvaluationSettings(split="validation", seeds=8, accuracy_seconds=6.0, re
 # Targets: share of roll-outs that show the type, distance from the path (cm) of walks and of runs, and sliding of
 # held feet relative to the recordings.
 SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
-RUN_SPEED = 200.0  # cm/s; faster gaits have a run's path and target
 WALK_RADIUS, RUN_RADIUS = 2.0, 4.0  # metres of the figure-eight
 FEW_SECONDS = 10.0  # recordings of a type shorter than this in all are too few to learn from
 

@@ -14,7 +14,7 @@ from motionkit.control.drive import Driver, together
 from motionkit.control.follow import follow_path
 from motionkit.control.path import Path2D
 from motionkit.control.script import TypePart
-from motionkit.control.steering import steered_type
+from motionkit.control.steering import steered_type, walking_type
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body, body_of
@@ -24,7 +24,6 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 
 BATCH = 24  # characters that are rolled out together, by one process
-WALK = 130.0  # cm/s; a neutral type is the one that walks at about this speed
 NEUTRAL_SECONDS = 0.5
 
 # Called with the share of the work that is done (0 to 1).
@@ -62,9 +61,7 @@ class Walk:
 
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
     """Return the types characters perform before a command: the one that stands, and the one that walks."""
-    return tuple(
-        dict.fromkeys((steered_type(model, (0.0, 0.0), None), steered_type(model, (0.0, WALK), 0.0)))
-    )
+    return tuple(dict.fromkeys((steered_type(model, (0.0, 0.0), None), walking_type(model))))
 
 
 def roll_plans(
