@@ -84,8 +84,7 @@ def synthesis_options(function: Callable) -> Callable:
             "--ik/--no-ik",
             default=True,
             show_default=True,
-            help="Lock feet while they touch the floor and lift them while they move; --no-ik writes the raw network "
-            "output.",
+            help="Hold feet while they touch the floor; --no-ik writes the raw network output.",
         ),
         click.option(
             "--fps",

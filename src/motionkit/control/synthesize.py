@@ -123,7 +123,7 @@ def synthesize(
     for i in range(count):
         mine = rollout.first(frames[turn[i]])
         skeleton = skeletons[i % len(skeletons)]
-        motion, raw = finish_motions(model, mine, i, skeleton, options)
+        motion, raw = finish_motions(model, mine, i, skeleton, options, hold=1.0)
         motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
     return SynthesisResult(tuple(motions), seconds)
 
@@ -152,23 +152,38 @@ def _plans(parts: Sequence[TypePart] | Sequence[Sequence[TypePart]]) -> list[lis
 
 
 def finish_motion(
-    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, ik: bool, fps: float | None
+    model: MotionModel,
+    rollout: Rollout,
+    index: int,
+    skeleton: Skeleton,
+    options: SynthesisOptions,
+    hold: float = 0.0,
 ) -> Motion:
-    """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate."""
+    """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate.
+
+    Args:
+        hold: share of the sliding of feet in contact that is taken out of the root's way; 0 where the way was given.
+    """
     body = model.character("default")
     motion = rollout_motion(model, rollout, index, body)
-    if ik:
-        motion = lock_feet(motion, rollout.contacts[index])
+    if options.ik:
+        motion = lock_feet(motion, rollout.contacts[index], hold)
     motion = on_character(motion, skeleton)
-    return motion if fps is None else resample(motion, fps)
+    return motion if options.fps is None else resample(motion, options.fps)
 
 
 def finish_motions(
-    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, options: SynthesisOptions
+    model: MotionModel,
+    rollout: Rollout,
+    index: int,
+    skeleton: Skeleton,
+    options: SynthesisOptions,
+    hold: float = 0.0,
 ) -> tuple[Motion, Motion | None]:
     """One character's motion to write, and the same with feet not locked if the options ask for it."""
-    motion = finish_motion(model, rollout, index, skeleton, options.ik, options.fps)
-    raw = finish_motion(model, rollout, index, skeleton, False, options.fps) if options.raw else None
+    motion = finish_motion(model, rollout, index, skeleton, options, hold)
+    without = replace(options, ik=False)
+    raw = finish_motion(model, rollout, index, skeleton, without) if options.raw else None
     return motion, raw
 
 

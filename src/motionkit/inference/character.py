@@ -130,6 +130,8 @@ class CharacterStream:
         """Root x, z (cm) and heading (radians) of every character in its world (N, 3)."""
         ground = self.state.ground
         ground[:, :2] *= self.scale[:, None]
+        if self.feet is not None:
+            ground[:, :2] += self.feet.carry
         return ground
 
     def step(self, controls: Controls) -> CharacterFrame:
@@ -138,6 +140,8 @@ class CharacterStream:
             trajectory = controls.trajectory.copy()
             trajectory[:, :_POSITIONS] /= self.scale[:, None]
             controls = replace(controls, trajectory=trajectory)
+        if self.feet is not None:
+            self.feet.hold[:] = controls.slip_correction
         features, contacts, ground = self.state.advance(controls)
         rotations, root, positions = self._pose(features, contacts, ground)
         return CharacterFrame(

@@ -1,82 +1,95 @@
-/* Feet held still, one character at a time: FootLock of foot_lock.py, where each step is explained. */
+/* Feet held still, one character at a time: FootLock of foot_lock.py and move_feet of motion/leg_ik.py, where each step
+   is explained. */
 
 #include "frame_kernel.h"
 
 typedef struct {
-    Vec3 hip, knee, ankle, toe, target;
-    float thigh, shin;
+    Vec3 hip, knee, ankle, toe, shift; /* shift of the ankle */
+    Quat pitch;                        /* of the foot, in the world */
 } Leg;
 
-/* Raises a toe that is too low for its way along the ground in this frame. */
-static float raised(const Feet *f, float lift, float height, float way, float scale) {
-    const float clear = f->clearance * way, most = f->max_clearance * scale;
-    float missing = f->toe_height * scale + (clear < most ? clear : most) - height;
-    missing = missing > 0.0f ? missing : 0.0f;
-    lift += (missing > lift ? f->lift_rise : f->lift_fall) * (missing - lift);
-    return lift > f->least_drop ? lift : 0.0f;
+static float larger(float a, float b) { return a > b ? a : b; }
+static float smaller(float a, float b) { return a < b ? a : b; }
+
+/* Moves a toe up or down towards the height of a standing one in contact, else only out of the floor. */
+static float lifted(const Feet *f, int64_t foot, float height, float contact, float scale) {
+    uint8_t *stands = f->stands + foot;
+    float *lift = f->lift + foot;
+    *stands = contact > f->contact_on || (*stands && contact >= f->contact_off);
+    const float low = f->standing * scale - f->slack * scale, high = f->standing * scale + f->slack * scale;
+    const float missing = *stands ? clip(height, low, high) - height : larger(f->lowest * scale - height, 0.0f);
+    *lift += (missing > *lift ? f->rise : f->fall) * (missing - *lift);
+    if (fabsf(*lift) <= f->least_change) *lift = 0.0f;
+    return *lift;
 }
 
-/* How far a foot has to move, and what it remembers. */
-static Vec3 foot_shift(const Feet *f, int64_t foot, Vec3 toe, float level, float scale) {
+/* How far a toe has to move, and what its foot remembers. */
+static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contacts, float scale) {
     float *anchor = f->anchor + 2 * foot, *shift = f->shift + 2 * foot, *released = f->released + 2 * foot;
     float *before = f->before + 2 * foot, *age = f->age + foot;
-    const float place[2] = {toe.x, toe.z};
+    const float place[2] = {toe.x, toe.z}, level = larger(contacts[0], contacts[1]);
     const float dx = anchor[0] - place[0], dz = anchor[1] - place[1];
-    const int first = *age < 0.0f, locked = f->locked[foot];
+    const int locked = f->locked[foot];
     const int slid = locked && sqrtf(dx * dx + dz * dz) > f->max_slide * scale;
-    const int eased = *age >= f->ease || (released[0] == 0.0f && released[1] == 0.0f);
+    const int eased = *age >= f->ease_frames || (released[0] == 0.0f && released[1] == 0.0f);
     const int caught = !locked && level > f->contact_on && eased;
     const int let_go = locked && (level < f->contact_off || slid);
     *age = caught || let_go ? 0.0f : *age + 1.0f;
     f->locked[foot] = (locked || caught) && !let_go;
     /* A caught toe goes on with what is left of its speed while it is braked. */
-    const float speed = clip(1.0f - *age / f->brake, 0.0f, 1.0f), rest = clip(1.0f - (*age + 1.0f) / f->ease, 0.0f, 1.0f);
-    float way[2];
+    const float speed = clip(1.0f - *age / f->brake_frames, 0.0f, 1.0f);
+    const float rest = clip(1.0f - (*age + 1.0f) / f->ease_frames, 0.0f, 1.0f);
     for (int i = 0; i < 2; i++) {
-        const float shown = before[i] + shift[i];
         anchor[i] = caught ? place[i] + shift[i] : anchor[i] + speed * (place[i] - before[i]);
         if (let_go) released[i] = shift[i];
         shift[i] = f->locked[foot] ? anchor[i] - place[i] : released[i] * (rest * rest * (3.0f - 2.0f * rest));
-        way[i] = first ? 0.0f : place[i] + shift[i] - shown;
         before[i] = place[i];
     }
-    float *lift = f->lift + foot;
-    *lift = raised(f, *lift, toe.y, sqrtf(way[0] * way[0] + way[1] * way[1]), scale);
-    return (Vec3){shift[0], *lift, shift[1]};
+    return (Vec3){shift[0], lifted(f, foot, toe.y, contacts[1], scale), shift[1]};
+}
+
+/* Moves the root over the ground, so that feet in contact stay where they are: root_slip in motion/leg_ik.py. */
+static void carry(const Feet *f, int64_t row, const float *contacts, float scale, Vec3 *positions) {
+    float *before = f->feet + 12 * row, *carried = f->carry + 2 * row;
+    float mean_x = 0, mean_z = 0, sum = 0, held = 0;
+    for (int i = 0; i < 4; i++) {
+        const Vec3 foot = positions[i % 2 ? f->toe[i / 2] : f->ankle[i / 2]];
+        const float x = foot.x - before[3 * i], z = foot.z - before[3 * i + 2];
+        const float certain = clip((contacts[i] - f->unsure) / (f->sure - f->unsure), 0.0f, 1.0f);
+        const float holds = (i % 2 ? 1.0f : f->ankle_share) * certain;
+        const float weight = holds / (sqrtf(x * x + z * z) + f->ease * scale);
+        mean_x += weight * x, mean_z += weight * z, sum += weight, held += holds;
+        before[3 * i] = foot.x, before[3 * i + 1] = foot.y, before[3 * i + 2] = foot.z;
+    }
+    if (f->moving[row]) {
+        mean_x /= sum + 1e-9f, mean_z /= sum + 1e-9f;
+        const float far = sqrtf(mean_x * mean_x + mean_z * mean_z) / (f->limit * scale);
+        const float strength = f->hold[row] * smaller(held / f->enough, 1.0f) / (1.0f + far * far);
+        carried[0] -= strength * mean_x, carried[1] -= strength * mean_z;
+    }
+    f->moving[row] = 1;
+    for (int64_t j = 0; j < JOINTS; j++) positions[j].x += carried[0], positions[j].z += carried[1];
 }
 
 /* How far the hips have to come down for a leg. A leg that was straight before stays so. */
 static float needed_drop(const Feet *f, const Leg *leg, float scale) {
-    const Vec3 reach = minus(leg->target, leg->hip);
-    const float straight = f->max_reach * (leg->thigh + leg->shin), now = length(minus(leg->ankle, leg->hip));
-    const float allowed = straight > now ? straight : now;
+    const Vec3 reach = minus(plus(leg->ankle, leg->shift), leg->hip);
+    const float whole = length(minus(leg->knee, leg->hip)) + length(minus(leg->ankle, leg->knee));
+    const float allowed = larger(f->max_reach * whole, length(minus(leg->ankle, leg->hip)));
     const float below = allowed * allowed - (reach.x * reach.x + reach.z * reach.z);
-    return clip(-reach.y - sqrtf(below > 0.0f ? below : 0.0f), 0.0f, f->max_drop * scale);
+    return clip(-reach.y - sqrtf(larger(below, 0.0f)), 0.0f, f->max_drop * scale);
 }
 
-/* The angle between sides a and b of a triangle. */
-static float interior_angle(float a, float b, float opposite) {
-    return acosf(clip((a * a + b * b - opposite * opposite) / (2.0f * a * b), -1.0f, 1.0f));
-}
-
-/* The axis about which a knee bends; a straight leg has no plane, its knee bends about the thigh's own side. */
-static Vec3 knee_axis(const Leg *leg, const Mat3 *thigh_frame) {
-    const Vec3 down = minus(leg->ankle, leg->knee);
-    Vec3 axis = cross(minus(leg->hip, leg->knee), down);
-    if (length(axis) < 1e-2f * leg->thigh * leg->shin) {
-        const Vec3 along = times(1.0f / leg->shin, down);
-        axis = matrix_vector(thigh_frame, (Vec3){-1.0f, 0.0f, 0.0f});
-        axis = minus(axis, times(dot(axis, along), along));
-    }
-    const float size = length(axis);
-    return times(1.0f / (size > 1e-9f ? size : 1e-9f), axis);
+static Quat about(Vec3 axis, float angle) {
+    const Vec3 half = times(sinf(0.5f * angle), axis);
+    return (Quat){cosf(0.5f * angle), half.x, half.y, half.z};
 }
 
 /* The smallest rotation that turns source onto target, which are never opposite here. */
 static Quat between(Vec3 source, Vec3 target) {
     const Vec3 axis = cross(source, target);
     const float w = length(source) * length(target) + dot(source, target);
-    const float size = sqrtf(w * w + dot(axis, axis)), share = 1.0f / (size > 1e-9f ? size : 1e-9f);
+    const float size = sqrtf(w * w + dot(axis, axis)), share = 1.0f / larger(size, 1e-9f);
     return (Quat){share * w, share * axis.x, share * axis.y, share * axis.z};
 }
 
@@ -86,62 +99,84 @@ static Quat inside(const Mat3 *frame, Quat q) {
     return (Quat){q.w, axis.x, axis.y, axis.z};
 }
 
-/* How far a knee opens for its ankle to come as far from the hip as the target is. */
-static Quat opened_knee(const Feet *f, const Leg *leg, const Mat3 *thigh_frame) {
-    const float shortest = fabsf(leg->thigh - leg->shin) + 0.5f, longest = (leg->thigh + leg->shin) * f->max_reach;
-    const float now = length(minus(leg->ankle, leg->hip));
-    float then = length(minus(leg->target, leg->hip));
-    then = then < shortest ? shortest : then;
-    then = then > longest ? longest : then;
-    float opening = interior_angle(leg->thigh, leg->shin, then) - interior_angle(leg->thigh, leg->shin, now);
-    /* A leg that is longer than max_reach and stays where it is must not be bent by the limit. */
-    if (length(minus(leg->target, leg->ankle)) < 1e-3f) opening = 0.0f;
-    const Vec3 axis = times(sinf(0.5f * opening), knee_axis(leg, thigh_frame));
-    return (Quat){cosf(0.5f * opening), axis.x, axis.y, axis.z};
+/* Turns a foot so that its toe rises against its ankle, within limits. */
+static Quat pitched(const Feet *f, Vec3 foot, float rise) {
+    const float size = larger(length(foot), 1e-6f), flat = sqrtf(foot.x * foot.x + foot.z * foot.z);
+    const float now = asinf(clip(foot.y / size, -1.0f, 1.0f)), then = asinf(clip((foot.y + rise) / size, -1.0f, 1.0f));
+    const float angle = clip(then - now, -f->max_pitch, f->max_pitch) * clip(flat / (f->steep * size), 0.0f, 1.0f);
+    return about(times(1.0f / larger(flat, 1e-6f), (Vec3){-foot.z, 0.0f, foot.x}), angle);
 }
 
-/* Turn thigh and shin so that the ankle comes to its target; the foot keeps its orientation. */
-static void bend(const Feet *f, int side, const Leg *leg, const Mat3 *world, Quat *rotations, Vec3 *positions) {
+/* The axis about which a knee stretches: of the plane it is bent in; of a straight leg the thigh's own side. */
+static Vec3 knee_axis(const Feet *f, Vec3 thigh, Vec3 shin, Vec3 side) {
+    Vec3 axis = cross(times(1.0f / length(shin), shin), times(1.0f / length(thigh), thigh));
+    axis = minus(axis, times(smaller(dot(axis, side), 0.0f), side));
+    axis = plus(axis, times(f->thigh_share * clip(1.0f - length(axis) / f->bent, 0.0f, 1.0f), side));
+    return times(1.0f / larger(length(axis), 1e-12f), axis);
+}
+
+/* How a shin turns for the leg to reach so far. */
+static Quat opened_knee(const Feet *f, Vec3 thigh, Vec3 shin, Vec3 side, float wanted_reach) {
+    const float thigh_length = length(thigh), shin_length = length(shin);
+    const Vec3 axis = knee_axis(f, thigh, shin, side);
+    const float longest = larger(f->max_reach * (thigh_length + shin_length), length(plus(thigh, shin)));
+    const float reach = smaller(larger(wanted_reach, fabsf(thigh_length - shin_length) + 0.5f), longest);
+    const float on_axis = dot(thigh, axis) * dot(shin, axis);
+    const float b = dot(thigh, shin) - on_axis, c = dot(thigh, cross(axis, shin));
+    const float along = thigh_length * thigh_length + shin_length * shin_length + 2.0f * on_axis;
+    const float flexed = atan2f(c, b), size = larger(sqrtf(b * b + c * c), 1e-9f);
+    const float wanted = acosf(clip((reach * reach - along) / (2.0f * size), -1.0f, 1.0f)), more = wanted + flexed;
+    const float backwards = more > 0.0f ? smaller(wanted, flexed + f->straightening * more) : -wanted;
+    return about(axis, flexed - (flexed < 0.0f ? backwards : wanted));
+}
+
+/* Turn thigh, shin and foot so that the ankle moves by its shift. */
+static void move_foot(const Feet *f, int side, const Leg *leg, const Mat3 *world, Quat *rotations, Vec3 *positions) {
     const int64_t hip = f->hip[side], knee = f->knee[side], ankle = f->ankle[side];
-    const Quat opened = opened_knee(f, leg, &world[hip]);
-    const Vec3 bent = minus(plus(leg->knee, turned(opened, minus(leg->ankle, leg->knee))), leg->hip);
-    const Quat swing = between(bent, minus(leg->target, leg->hip));
+    const Vec3 foot = minus(leg->toe, leg->ankle), thigh = minus(leg->knee, leg->hip), shin = minus(leg->ankle, leg->knee);
+    const Vec3 target = plus(leg->ankle, leg->shift);
+    Quat swing = {1, 0, 0, 0}, opened = {1, 0, 0, 0};
+    if (length(minus(target, leg->ankle)) >= 1e-3f) {
+        const Vec3 to_target = minus(target, leg->hip);
+        opened = opened_knee(f, thigh, shin, matrix_vector(&world[hip], (Vec3){-1.0f, 0.0f, 0.0f}), length(to_target));
+        swing = between(plus(thigh, turned(opened, shin)), to_target);
+    }
     rotations[hip] = quat_product(inside(&world[0], swing), rotations[hip]);
     rotations[knee] = quat_product(inside(&world[hip], opened), rotations[knee]);
-    rotations[ankle] =
-        quat_product(inside(&world[knee], inverse(quat_product(swing, opened))), rotations[ankle]);
-    const Vec3 moved = plus(turned(swing, bent), leg->hip);
-    positions[knee] = plus(leg->hip, turned(swing, minus(leg->knee, leg->hip)));
-    positions[ankle] = moved;
-    positions[f->toe[side]] = minus(plus(leg->toe, moved), leg->ankle);
+    const Quat back = quat_product(inverse(quat_product(swing, opened)), leg->pitch);
+    rotations[ankle] = quat_product(inside(&world[knee], back), rotations[ankle]);
+    positions[knee] = plus(leg->hip, turned(swing, thigh));
+    positions[ankle] = plus(leg->hip, turned(swing, plus(turned(opened, shin), thigh)));
+    positions[f->toe[side]] = plus(positions[ankle], turned(leg->pitch, foot));
 }
 
 void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,
                Vec3 *positions) {
+    carry(f, row, contacts, scale, positions);
     Leg legs[2];
     float *drop = f->drop + row, need = 0.0f;
-    int still = *drop <= f->least_drop;
+    int still = *drop <= f->least_change;
     for (int side = 0; side < 2; side++) {
-        const float foot = contacts[2 * side], toe = contacts[2 * side + 1];
         Leg *leg = legs + side;
         *leg = (Leg){positions[f->hip[side]], positions[f->knee[side]], positions[f->ankle[side]], positions[f->toe[side]],
-                     {0}, 0, 0};
-        const Vec3 shift = foot_shift(f, 2 * row + side, leg->toe, foot > toe ? foot : toe, scale);
-        leg->target = plus(leg->ankle, shift);
-        leg->thigh = length(minus(leg->knee, leg->hip)), leg->shin = length(minus(leg->ankle, leg->knee));
+                     {0, 0, 0}, {1, 0, 0, 0}};
+        const Vec3 shift = toe_shift(f, 2 * row + side, leg->toe, contacts + 2 * side, scale);
         if (shift.x != 0.0f || shift.y != 0.0f || shift.z != 0.0f) still = 0;
-        const float needed = needed_drop(f, leg, scale);
-        need = needed > need ? needed : need;
+        const Vec3 foot = minus(leg->toe, leg->ankle);
+        leg->pitch = pitched(f, foot, shift.y);
+        leg->shift = minus(plus(shift, foot), turned(leg->pitch, foot));
+        need = larger(need, needed_drop(f, leg, scale));
     }
     if (still) {
         *drop = 0.0f;
         return;
     }
-    *drop = need > f->hip_return * *drop ? need : f->hip_return * *drop;
+    *drop = larger(need, f->hip_return * *drop);
     for (int64_t j = 0; j < JOINTS; j++) positions[j].y -= *drop;
     for (int side = 0; side < 2; side++) {
         Leg *leg = legs + side;
         leg->hip.y -= *drop, leg->knee.y -= *drop, leg->ankle.y -= *drop, leg->toe.y -= *drop;
-        bend(f, side, leg, world, rotations, positions);
+        leg->shift.y += *drop;
+        move_foot(f, side, leg, world, rotations, positions);
     }
 }

@@ -1,61 +1,54 @@
 """Feet held still while they touch, frame by frame: only the past is known, N characters at once.
 
-motion.foot_ik does the same to a finished motion, where a lock can begin before its contact. Here a
-foot is caught where it is shown when its contact begins, braked over a few frames, held, and let go
-over a few frames; the knee bends to let it, and the hips come down where the leg is too short.
+motion/foot_ik.py does the same to a finished motion, where a lock can begin before its contact. Here a foot is caught
+where it is shown when its contact begins, braked over a few frames, held, and let go over a few frames; the knee bends
+to let it, and the hips come down where the leg is too short. foot_kernel.c does this for single characters.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from motionkit.arrays import Floats, cross
-from motionkit.inference.pose import quat_product
-from motionkit.motion.foot_ik import (
-    CLEARANCE,
-    CONTACT_OFF,
-    CONTACT_ON,
-    EASE_FRAMES,
-    LEGS,
-    MAX_CLEARANCE,
-    MAX_REACH,
-    TOE_HEIGHT,
-)
+from motionkit.arrays import Floats, length
+from motionkit.motion import skeleton
+from motionkit.motion.leg_ik import ANKLES, HIPS, KNEES, LOCK, TOE, TOES, move_feet, pitched_feet, root_slip
 
-# cm; less than in a finished motion, whose locks lie in the middle of the slide.
-MAX_SLIDE = 12.0
-BRAKE_FRAMES = 4  # until a foot that has touched stands still
-LIFT_RISE, LIFT_FALL = 0.5, 0.2  # share of the way to its height that a lifted foot goes in a frame
-HIP_RETURN = 0.85  # share of a lowering of the hips that is left a frame later
-MAX_DROP = 12.0  # cm the hips come down at most
-LEAST_DROP = 1e-4  # cm; what is lowered or lifted less is where it was
-
-_HIPS, _KNEES, _ANKLES, _TOES = (
-    np.array([getattr(leg, joint) for leg in LEGS]) for joint in ("hip", "knee", "ankle", "toe")
-)
-_LEG_JOINTS = np.concatenate([_HIPS, _KNEES, _ANKLES])
-_SIDEWAYS = np.array([-1.0, 0.0, 0.0], np.float32)
+FOOT_JOINTS = np.array(skeleton.FOOT_JOINTS)
 
 
 class FootLock:
-    """The state of the feet of N characters."""
+    """The state of the feet of N characters.
+
+    Attributes:
+        hold: (N,) share of the sliding of feet in contact that is taken out of the root's way over the ground; may be
+            changed between frames.
+        carry: (N, 2) how far the root has been moved by that, x and z in cm.
+    """
 
     def __init__(self, count: int) -> None:
+        self.hold = np.ones(count, np.float32)
+        self.carry = np.zeros((count, 2), np.float32)
+        self.feet = np.zeros(
+            (count, 4, 3), np.float32
+        )  # foot joints of the last frame before they were moved
+        self.moving = np.zeros(count, bool)  # whether there was a last frame
         self.locked = np.zeros((count, 2), bool)
-        # Frames since the foot was caught or let go; below zero before the first frame.
-        self.age = np.full((count, 2), -1.0, np.float32)
+        self.age = np.zeros((count, 2), np.float32)  # frames since the foot was caught or let go
         self.anchor = np.zeros((count, 2, 2), np.float32)  # x, z of a caught toe
         self.shift = np.zeros((count, 2, 2), np.float32)  # from the predicted to the shown toe
         self.released = np.zeros((count, 2, 2), np.float32)  # that shift when the foot was let go
         self.toes = np.zeros((count, 2, 2), np.float32)  # predicted x, z of the last frame
+        self.stands = np.zeros((count, 2), bool)  # whether the toe is in contact
         self.lift = np.zeros((count, 2), np.float32)
         self.drop = np.zeros(count, np.float32)
 
     def reset(self, index: int) -> None:
         """Forget one character's past."""
-        self.locked[index] = False
-        self.age[index] = -1.0
-        self.shift[index] = self.released[index] = self.lift[index] = 0.0
+        self.locked[index] = self.stands[index] = False
+        self.moving[index] = False
+        self.carry[index] = self.age[index] = self.shift[index] = self.released[index] = self.lift[index] = (
+            0.0
+        )
         self.drop[index] = 0.0
 
     def apply(
@@ -71,150 +64,72 @@ class FootLock:
             scale: (N,) size of each character against the canonical body.
         """
         positions = world[..., :3, 3].copy()
-        toes = positions[:, _TOES]
-        shift = self._shifts(toes, contacts, scale)
-        still = ~shift.any(axis=(1, 2)) & (self.drop <= LEAST_DROP)
+        self._carry(positions[:, FOOT_JOINTS], contacts, scale)
+        positions[..., ::2] += self.carry[:, None]
+        root_positions[:, ::2] += self.carry
+        shifts = self._shifts(positions[:, TOES], contacts, scale)
+        still = ~shifts.any(axis=(1, 2)) & (self.drop <= LOCK.least_change)
         self.drop[still] = 0.0
         if still.all():
             return positions
-        hips, knees, ankles = positions[:, _HIPS], positions[:, _KNEES], positions[:, _ANKLES]
-        targets = ankles + shift
-        thigh, shin = _length(knees - hips), _length(ankles - knees)
-        self._lower(hips, ankles, targets, thigh + shin, scale)
-        for part in (positions[..., 1], hips[..., 1], knees[..., 1], ankles[..., 1], toes[..., 1]):
-            part -= self.drop[:, None]
+        pitch, shifts = pitched_feet(positions, shifts)
+        self._lower(positions, shifts, scale)
+        positions[..., 1] -= self.drop[:, None]
         root_positions[:, 1] -= self.drop
-        _bend(rotations, positions, world, (hips, knees, ankles, toes), targets, thigh, shin)
+        shifts[..., 1] += self.drop[:, None]
+        move_feet(rotations, positions, world[..., :3, :3], pitch, shifts)
         return positions
+
+    def _carry(self, feet: Floats, contacts: Floats, scale: Floats) -> None:
+        """Move the root over the ground, so that feet in contact stay where they are."""
+        slip = root_slip(self.feet, feet, contacts, scale)
+        self.carry -= np.where(self.moving, self.hold, np.float32(0.0))[:, None] * slip
+        self.feet, self.moving[:] = feet, True
 
     def _shifts(self, toes: Floats, contacts: Floats, scale: Floats) -> Floats:
         """How far (N, 2, 3) each foot has to move."""
         place = toes[..., ::2]
         level = contacts.reshape(-1, 2, 2).max(axis=-1)
-        first = self.age < 0.0
-        slid = self.locked & (_length(self.anchor - place) > MAX_SLIDE * scale[:, None])
-        free = ~self.locked & ((self.age >= EASE_FRAMES) | (self.released == 0.0).all(axis=-1))
-        caught = ~self.locked & (level > CONTACT_ON) & free
-        let_go = self.locked & ((level < CONTACT_OFF) | slid)
+        slid = self.locked & (length(self.anchor - place) > LOCK.max_slide * scale[:, None])
+        free = ~self.locked & ((self.age >= LOCK.ease_frames) | (self.released == 0.0).all(axis=-1))
+        caught = ~self.locked & (level > LOCK.contact_on) & free
+        let_go = self.locked & ((level < LOCK.contact_off) | slid)
         self.age += 1.0
         self.age[caught | let_go] = 0.0
         self.locked = (self.locked | caught) & ~let_go
         # A caught toe goes on with what is left of its speed while it is braked.
-        speed = np.clip(1.0 - self.age / BRAKE_FRAMES, 0.0, 1.0)[..., None]
-        shown, before = place + self.shift, self.toes + self.shift
+        speed = np.clip(1.0 - self.age / LOCK.brake_frames, 0.0, 1.0)[..., None]
+        shown = place + self.shift
         self.anchor = np.where(caught[..., None], shown, self.anchor + speed * (place - self.toes))
         self.released = np.where(let_go[..., None], self.shift, self.released)
-        rest = np.clip(1.0 - (self.age + 1.0) / EASE_FRAMES, 0.0, 1.0)[..., None]
+        rest = np.clip(1.0 - (self.age + 1.0) / LOCK.ease_frames, 0.0, 1.0)[..., None]
         share = rest * rest * (3.0 - 2.0 * rest)
         self.shift = np.where(self.locked[..., None], self.anchor - place, self.released * share)
-        way = np.where(first, 0.0, _length(place + self.shift - before))
-        self._lift(toes[..., 1], way, scale[:, None])
+        self._lift(toes[..., 1], contacts[:, 1::2], scale[:, None])
         self.toes = place
         out = np.empty_like(toes)
         out[..., ::2] = self.shift
         out[..., 1] = self.lift
         return out
 
-    def _lift(self, height: Floats, way: Floats, scale: Floats) -> None:
-        """Raise the toes (N, 2) that are too low for their way along the ground in this frame."""
-        clear = np.minimum(CLEARANCE * way, MAX_CLEARANCE * scale)
-        missing = np.maximum(TOE_HEIGHT * scale + clear - height, 0.0)
-        pace = np.where(missing > self.lift, LIFT_RISE, LIFT_FALL)
+    def _lift(self, height: Floats, contacts: Floats, scale: Floats) -> None:
+        """Move toes (N, 2) up or down towards the height of standing ones in contact, else only out of the floor."""
+        self.stands = np.where(contacts > LOCK.contact_on, True, self.stands & (contacts >= LOCK.contact_off))
+        stand, slack = TOE.standing * scale, TOE.slack * scale
+        standing = np.clip(height, stand - slack, stand + slack) - height
+        missing = np.where(self.stands, standing, np.maximum(TOE.lowest * scale - height, 0.0))
+        pace = np.where(missing > self.lift, np.float32(TOE.rise), np.float32(TOE.fall))
         self.lift = (self.lift + pace * (missing - self.lift)).astype(np.float32)
-        self.lift[self.lift <= LEAST_DROP] = 0.0
+        self.lift[np.abs(self.lift) <= LOCK.least_change] = 0.0
 
-    def _lower(self, hips: Floats, ankles: Floats, targets: Floats, leg: Floats, scale: Floats) -> None:
+    def _lower(self, positions: Floats, shifts: Floats, scale: Floats) -> None:
         """Bring the hips down, straight, as far as the leg that misses most needs it."""
-        reach = targets - hips
+        hips, knees, ankles = (positions[:, joints] for joints in (HIPS, KNEES, ANKLES))
+        whole = length(knees - hips) + length(ankles - knees)
+        reach = ankles + shifts - hips
         # A leg that was straight before stays so; only what the lock adds is taken from the hips.
-        allowed = np.maximum(MAX_REACH * leg, _length(ankles - hips))
+        allowed = np.maximum(LOCK.max_reach * whole, length(ankles - hips))
         aside = (reach[..., ::2] ** 2).sum(axis=-1)
         below = np.sqrt(np.maximum(allowed * allowed - aside, 0.0))
-        need = np.clip(-reach[..., 1] - below, 0.0, MAX_DROP * scale[:, None]).max(axis=-1)
-        self.drop = np.maximum(need, HIP_RETURN * self.drop)
-
-
-def _bend(
-    rotations: Floats,
-    positions: Floats,
-    world: Floats,
-    joints: tuple[Floats, Floats, Floats, Floats],
-    targets: Floats,
-    thigh: Floats,
-    shin: Floats,
-) -> None:
-    """Turn thighs and shins so that the ankles come to targets (N, 2, 3); feet keep their orientation."""
-    hips, knees, ankles, toes = joints
-    now, then = _length(ankles - hips), _length(targets - hips)
-    then = np.minimum(np.maximum(then, np.abs(thigh - shin) + 0.5), (thigh + shin) * MAX_REACH)
-    down = ankles - knees
-    axis = cross(hips - knees, down)
-    size = _length(axis)
-    # A straight leg has no plane; its knee bends about the thigh's own sideways axis.
-    flat = (size < 1e-2 * thigh * shin)[..., None]
-    if flat.any():
-        sideways = world[:, _HIPS, :3, :3] @ _SIDEWAYS
-        along = down / shin[..., None]
-        sideways -= (sideways * along).sum(axis=-1, keepdims=True) * along
-        axis = np.where(flat, sideways, axis)
-        size = _length(axis)
-    axis /= np.maximum(size, 1e-9)[..., None]
-    opening = _interior_angle(thigh, shin, then) - _interior_angle(thigh, shin, now)
-    # A leg that is longer than MAX_REACH and stays where it is must not be bent by the limit.
-    opened = _about(axis, np.where(_length(targets - ankles) < 1e-3, 0.0, opening))
-    bent = knees + _turn(opened, down) - hips
-    swing = _between(bent, targets - hips)
-    turned = quat_product(swing, opened)
-    frames = np.swapaxes(world[:, _LEG_JOINTS, :3, :3], -1, -2).reshape(-1, 3, 2, 3, 3)
-    parent = np.swapaxes(world[:, :1, :3, :3], -1, -2)
-    changes = np.stack(
-        [_inside(parent, swing), _inside(frames[:, 0], opened), _inside(frames[:, 1], _inverse(turned))],
-        axis=1,
-    ).reshape(-1, 6, 4)
-    rotations[:, _LEG_JOINTS] = quat_product(changes, rotations[:, _LEG_JOINTS])
-    moved = _turn(swing, bent) + hips
-    positions[:, _KNEES] = hips + _turn(swing, knees - hips)
-    positions[:, _ANKLES] = moved
-    positions[:, _TOES] = toes + moved - ankles
-
-
-def _length(vectors: Floats) -> Floats:
-    return np.sqrt((vectors * vectors).sum(axis=-1))
-
-
-def _interior_angle(a: Floats, b: Floats, opposite: Floats) -> Floats:
-    """The angle between sides a and b of triangles."""
-    return np.arccos(np.clip((a * a + b * b - opposite * opposite) / (2.0 * a * b), -1.0, 1.0))
-
-
-def _about(axis: Floats, angle: Floats) -> Floats:
-    """Rotations (..., 4) by angle about unit axes."""
-    half = 0.5 * angle[..., None]
-    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
-
-
-def _between(source: Floats, target: Floats) -> Floats:
-    """The smallest rotation (..., 4) that turns source onto target, which are never opposite here."""
-    lengths = _length(source) * _length(target)
-    quat = np.empty((*source.shape[:-1], 4), np.float32)
-    quat[..., 0] = lengths + (source * target).sum(axis=-1)
-    quat[..., 1:] = cross(source, target)
-    quat /= np.maximum(np.sqrt((quat * quat).sum(axis=-1, keepdims=True)), 1e-9)
-    return quat
-
-
-def _turn(quat: Floats, vectors: Floats) -> Floats:
-    """Vectors (..., 3) turned by unit quaternions (..., 4)."""
-    twice = np.float32(2.0) * cross(quat[..., 1:], vectors)
-    return vectors + quat[..., :1] * twice + cross(quat[..., 1:], twice)
-
-
-def _inside(to_frame: Floats, quat: Floats) -> Floats:
-    """World rotations (..., 4) as seen from frames whose transposed matrices (..., 3, 3) are given."""
-    out = quat.copy()
-    out[..., 1:] = np.matmul(to_frame, quat[..., 1:, None])[..., 0]
-    return out
-
-
-def _inverse(quat: Floats) -> Floats:
-    return quat * np.array([1.0, -1.0, -1.0, -1.0], np.float32)
+        need = np.clip(-reach[..., 1] - below, 0.0, LOCK.max_drop * scale[:, None]).max(axis=-1)
+        self.drop = np.maximum(need, LOCK.hip_return * self.drop)

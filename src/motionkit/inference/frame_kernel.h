@@ -26,14 +26,21 @@ typedef struct {
     float *ground;       /* (B, 3) root x, z, heading */
 } Draw;
 
-/* The feet of all characters and the numbers of foot_lock.py. */
+/* The feet of all characters, and the numbers of motion/leg_ik.py. */
 typedef struct {
     int64_t hip[2], knee[2], ankle[2], toe[2];
-    float contact_on, contact_off, ease, brake, max_slide, max_reach, hip_return, max_drop, least_drop;
-    float toe_height, clearance, max_clearance, lift_rise, lift_fall;
+    float contact_on, contact_off, ease_frames, brake_frames, max_slide, max_reach, hip_return, max_drop, least_change;
+    float standing, slack, lowest, rise, fall, max_pitch;
+    float unsure, sure, ankle_share, ease, enough, limit;
+    float bent, thigh_share, straightening, steep;
+    const float *hold;                         /* (B,) */
+    float *carry;                              /* (B, 2) x, z */
+    float *feet;                               /* (B, 4, 3) of the frame before */
+    uint8_t *moving;                           /* (B,) */
     uint8_t *locked;                           /* (B, 2) */
     float *age;                                /* (B, 2) */
     float *anchor, *shift, *released, *before; /* (B, 2, 2) x, z */
+    uint8_t *stands;                           /* (B, 2) */
     float *lift;                               /* (B, 2) */
     float *drop;                               /* (B,) */
 } Feet;

@@ -9,7 +9,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from ctypes import POINTER, Structure, byref, c_double, c_float, c_int64, c_void_p, pointer
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,13 +20,14 @@ from numpy.typing import NDArray
 from motionkit.arrays import Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference import foot_lock, height_correction, slip_correction
+from motionkit.motion import leg_ik
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
 from motionkit.native import load_library
 
 if TYPE_CHECKING:
     from motionkit.inference.pose import PoseDecoder
 
-VERSION = 8  # of frame_kernel.c
+VERSION = 9  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -48,17 +49,21 @@ class _Draw(Structure):
     )
 
 
+_FEET_SETTINGS = (leg_ik.LOCK, leg_ik.TOE, leg_ik.HOLD)
 _FEET_NUMBERS = (
-    "contact_on contact_off ease brake max_slide max_reach hip_return max_drop least_drop "
-    "toe_height clearance max_clearance lift_rise lift_fall"
+    *(f.name for settings in _FEET_SETTINGS for f in fields(settings)),
+    *("bent", "thigh_share", "straightening", "steep"),
 )
+
+
+_FEET_STATE = "hold carry feet moving locked age anchor shift released toes stands lift drop".split()
 
 
 class _Feet(Structure):
     _fields_ = (
         *((n, c_int64 * 2) for n in ("hip", "knee", "ankle", "toe")),
-        *((n, c_float) for n in _FEET_NUMBERS.split()),
-        *((n, c_void_p) for n in "locked age anchor shift released toes lift drop".split()),
+        *((n, c_float) for n in _FEET_NUMBERS),
+        *((n, c_void_p) for n in _FEET_STATE),
     )
 
 
@@ -207,13 +212,10 @@ def _height_correction(rises: height_correction.HeightCorrection) -> _HeightCorr
 
 
 def _feet(feet: foot_lock.FootLock) -> _Feet:
-    f = foot_lock
-    numbers = (
-        f.CONTACT_ON, f.CONTACT_OFF, f.EASE_FRAMES, f.BRAKE_FRAMES, f.MAX_SLIDE, f.MAX_REACH, f.HIP_RETURN,
-        f.MAX_DROP, f.LEAST_DROP, f.TOE_HEIGHT, f.CLEARANCE, f.MAX_CLEARANCE, f.LIFT_RISE, f.LIFT_FALL,
-    )  # fmt: skip
-    joints = [[getattr(leg, joint) for leg in f.LEGS] for joint in ("hip", "knee", "ankle", "toe")]
-    state = (feet.locked, feet.age, feet.anchor, feet.shift, feet.released, feet.toes, feet.lift, feet.drop)
+    numbers = [value for settings in _FEET_SETTINGS for value in vars(settings).values()]
+    numbers += [leg_ik.BENT, leg_ik.THIGH_SHARE, leg_ik.STRAIGHTENING, leg_ik.STEEP]
+    state = [getattr(feet, name) for name in _FEET_STATE]
+    joints = leg_ik.LEG_JOINTS.tolist()
     return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *(_address(array) for array in state))
 
 

@@ -1,140 +1,148 @@
 """Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
-Works on the canonical joints. While a foot is in contact, its toe is locked to one place on the floor; the knee
-bends to reach it, and the hips move down where the leg is too short.
+Works on the canonical joints. While a foot is in contact, its toe is held in one place at the height of a standing
+one; the knee bends to reach it, and the hips move down where the leg is too short. inference/foot_lock.py does the same
+frame by frame.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from motionkit.arrays import Array, cross, lower_median, normalized
+from motionkit.arrays import Array, length, lower_median
 from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.leg_ik import (
+    ANKLES,
+    HIPS,
+    KNEES,
+    LEG_JOINTS,
+    LOCK,
+    TOE,
+    TOES,
+    move_feet,
+    pitched_feet,
+    root_slip,
+)
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_between, quat_inverse, quat_multiply, quat_normalize, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.rotations import quat_normalize, quat_to_matrix
+from motionkit.motion.skeleton import FOOT_JOINTS
 
-EASE_FRAMES = 8
 MIN_LOCK_FRAMES = 4
-# A contact begins above the first probability and ends below the second; the hysteresis avoids flicker.
-CONTACT_ON, CONTACT_OFF = 0.6, 0.4
-MAX_SLIDE = 16.0  # cm; a foot that slides further during a contact is released
-MAX_REACH = 0.999  # share of the length of the straight leg
-TOE_HEIGHT = 2.5  # cm; lowest height of a toe (standing toes are recorded at 1.8 to 3.6)
-# A toe that moves along the ground is lifted: by this factor times its movement per frame, up to this many cm. A
-# quarter of recorded toes are lower, at any speed.
-CLEARANCE, MAX_CLEARANCE = 2.7, 5.0
 LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
 
 
-@dataclass(frozen=True)
-class _Leg:
-    hip: int
-    knee: int
-    ankle: int
-    toe: int
-    contacts: tuple[int, int]
-
-
-def _leg(side: str, contacts: tuple[int, int]) -> _Leg:
-    hip, knee, ankle, toe = (JOINT_NAMES.index(side + n) for n in ("UpLeg", "Leg", "Foot", "ToeBase"))
-    return _Leg(hip, knee, ankle, toe, contacts)
-
-
-LEGS = (_leg("Left", (0, 1)), _leg("Right", (2, 3)))
-
-
-def lock_feet(motion: Motion, contacts: Array) -> Motion:
-    """Lock the feet of a motion while they touch the floor.
+def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
+    """Hold the feet of a motion while they touch the floor, and keep toes above it.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
+        hold: share of the sliding of feet in contact that is taken out of the root's way over the ground; 0 keeps the
+            way, 1 lets feet decide it.
 
     Returns:
         The motion with changed leg rotations and root positions.
     """
     if len(motion) < 2:
         return motion
-    _, positions = motion_kinematics(motion)
-    shifts = [_toe_shifts(positions[:, leg.toe], contacts[:, list(leg.contacts)]) for leg in LEGS]
-    targets = [positions[:, leg.ankle] + shift for leg, shift in zip(LEGS, shifts, strict=True)]
-    motion = _lower_hips(motion, positions, targets)
-    for leg, target in zip(LEGS, targets, strict=True):
-        # Twice: the plane of a nearly straight leg is known only after it is bent.
-        motion = _reach(_reach(motion, leg, target), leg, target)
-    return motion
+    turns, positions = motion_kinematics(motion)
+    if hold:
+        feet = positions[:, list(FOOT_JOINTS)]
+        slip = np.cumsum(root_slip(feet[:-1], feet[1:], contacts[1:]), axis=0, dtype=np.float64)
+        shift = np.zeros_like(motion.root_positions)
+        shift[1:, ::2] = -hold * slip
+        motion = replace(motion, root_positions=motion.root_positions + shift)
+        positions = positions + shift[:, None]
+    shifts = np.stack(
+        [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2]) for i in range(2)], axis=1
+    )
+    moved = (length(shifts) > LOCK.least_change).any(axis=1)
+    if not moved.any():
+        return motion
+    pitch, ankle_shifts = pitched_feet(positions, shifts)
+    drop = _hip_drop(motion, positions, ankle_shifts)
+    rotations, positions = motion.local_rotations.copy(), positions + drop[:, None]
+    moved |= (drop != 0.0).any(axis=1)
+    turned, places = rotations[moved], positions[moved]
+    move_feet(
+        turned, places, quat_to_matrix(turns[moved]), pitch[moved], (ankle_shifts - drop[:, None])[moved]
+    )
+    legs = LEG_JOINTS[:3].ravel()
+    turned[:, legs] = quat_normalize(turned[:, legs])
+    rotations[moved] = turned
+    return replace(motion, local_rotations=rotations, root_positions=motion.root_positions + drop)
 
 
 def locked_spans(contacts: Array) -> list[tuple[int, int]]:
-    """Spans (start, end) of frames in contact, from probabilities (T, 2) of ankle and toe."""
+    """Spans (start, end) of frames in contact, from probabilities (T, n) of parts of a foot."""
     level = contacts.max(axis=-1).tolist()
     spans, start = [], None
     for t, value in enumerate([*level, 0.0]):
-        if start is None and value > CONTACT_ON:
+        if start is None and value > LOCK.contact_on:
             start = t
-        elif start is not None and value < CONTACT_OFF:
+        elif start is not None and value < LOCK.contact_off:
             if t - start >= MIN_LOCK_FRAMES:
                 spans.append((start, t))
             start = None
     return spans
 
 
-def _still_spans(toe: Array, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Split spans where the foot slides further than MAX_SLIDE; a new lock begins there.
+def _still_spans(place: Array, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+    """Split spans where the foot, at places (T, 2), slides further than max_slide; a new lock begins there.
 
-    EASE_FRAMES before the split are left out, so that the foot does not jump.
+    ease_frames before the split are left out, so that the foot does not jump.
     """
     out = []
     for start, end in spans:
         first = start
-        for t in range(start, end):
-            if float(np.linalg.norm((toe[t] - toe[first])[[0, 2]])) > MAX_SLIDE:
-                out.append((first, t - EASE_FRAMES))
-                first = t
+        while (far := length(place[first:end] - place[first]) > LOCK.max_slide).any():
+            split = first + int(far.argmax())
+            out.append((first, split - LOCK.ease_frames))
+            first = split
         out.append((first, end))
     return [(start, end) for start, end in out if end > start]
 
 
 def _toe_shifts(toe: Array, contacts: Array) -> Array:
-    """The shift (T, 3) of the foot in each frame: full while locked, fading out before and after."""
-    frames = len(toe)
-    pulls, strength = np.zeros((frames, 3), np.float64), np.zeros((frames, 1), np.float64)
-    weights = np.zeros((frames, 1), np.float64)
-    for start, end in _still_spans(toe, locked_spans(contacts)):
-        lock = lower_median(toe[start:end], axis=0)
-        shift = np.zeros_like(pulls)
-        shift[start:end] = lock - toe[start:end]
-        # Outside the lock, the shift at its edge fades out.
-        shift[:start], shift[end:] = shift[start].copy(), shift[end - 1].copy()
-        distance = np.zeros(frames, np.float64)
-        distance[:start] = np.arange(start, 0, -1)
-        distance[end:] = np.arange(1, frames - end + 1)
-        x = np.clip(1.0 - distance / EASE_FRAMES, 0.0, 1.0)
-        share = (x * x * (3.0 - 2.0 * x))[:, None]
-        # Frames between two near locks blend both; within a lock only that lock has weight.
-        weight = share / (1.0 - share + 1e-9)
-        pulls, weights = pulls + weight * shift, weights + weight
-        strength = np.maximum(strength, share)
-    total = (strength * pulls / np.maximum(weights, 1e-12)).astype(toe.dtype)
-    total[:, 1] += _lift(toe + total)
-    return total
+    """How far a toe (T, 3) moves in each frame (T, 3): to where it is held, and up or down to its height."""
+    place, height = toe[:, [0, 2]].astype(np.float64), toe[:, 1:2].astype(np.float64)
+    spans = _still_spans(place, locked_spans(contacts))
+    holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
+    over_ground = _faded(holds, spans, (len(toe), 2))
+    # The ball of the foot stands at one height; a heel that touches first says nothing about it.
+    spans = locked_spans(contacts[:, 1:])
+    standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
+    upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1))
+    missing = np.maximum(TOE.lowest - height - upwards, 0.0)
+    upwards += _eased_most(missing[:, 0], missing, LIFT_FRAMES)
+    return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype)
 
 
-def _lift(toe: Array) -> Array:
-    """The lift (T,) that keeps a toe (T, 3) off a floor that it moves along.
+def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, int]) -> Array:
+    """Shifts (n, k) given for some spans as shifts of all frames, of shape (T, k); those at ends of spans fade out.
 
-    At the ends of a lock the toe comes down and leaves the floor, as in a step.
+    Frames between two near spans blend both; within a span only that one has weight.
     """
-    way = np.linalg.norm(np.diff(toe[:, [0, 2]], axis=0), axis=-1)
-    # The larger of the movements to and from a frame.
-    way = np.maximum(np.pad(way, (1, 0)), np.pad(way, (0, 1)))
-    least = TOE_HEIGHT + np.minimum(CLEARANCE * way, MAX_CLEARANCE)
-    missing = np.maximum(least - toe[:, 1], 0.0)
-    return _eased_most(missing, missing[:, None], LIFT_FRAMES)[:, 0]
+    pulls, weights, strength = np.zeros(shape), np.zeros((shape[0], 1)), np.zeros((shape[0], 1))
+    for shift, (start, end) in zip(shifts, spans, strict=True):
+        around = slice(max(0, start - LOCK.ease_frames), min(shape[0], end + LOCK.ease_frames))
+        before, after = start - around.start, around.stop - end
+        whole = np.pad(shift, ((before, after), (0, 0)), mode="edge")
+        share = np.concatenate([_easing(before)[::-1], np.ones(end - start), _easing(after)])[:, None]
+        weight = share / (1.0 - share + 1e-9)
+        pulls[around] += weight * whole
+        weights[around] += weight
+        strength[around] = np.maximum(strength[around], share)
+    return strength * pulls / np.maximum(weights, 1e-12)
+
+
+def _easing(frames: int) -> Array:
+    """The first frames of a share that falls to 0 in ease_frames."""
+    x = 1.0 - np.arange(1, frames + 1) / LOCK.ease_frames
+    return x * x * (3.0 - 2.0 * x)
 
 
 def _eased_most(size: Array, values: Array, half: int) -> Array:
@@ -150,64 +158,16 @@ def _eased_most(size: Array, values: Array, half: int) -> Array:
     return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
 
 
-def _lower_hips(motion: Motion, positions: Array, targets: list[Array]) -> Motion:
-    """Move the root smoothly towards feet that the legs cannot reach."""
+def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
+    """How far the root moves (T, 3), smoothly, towards ankles that the legs do not reach."""
     need = np.zeros_like(motion.root_positions)
-    for leg, target in zip(LEGS, targets, strict=True):
-        lengths = np.linalg.norm(motion.skeleton.offsets[[leg.knee, leg.ankle]], axis=-1).sum()
-        reach = target - positions[:, leg.hip]
-        distance = np.linalg.norm(reach, axis=-1, keepdims=True)
-        missing = np.maximum(distance - MAX_REACH * lengths, 0.0)
-        already = np.linalg.norm(positions[:, leg.ankle] - positions[:, leg.hip], axis=-1, keepdims=True)
+    for side in range(2):
+        hip, ankle = positions[:, HIPS[side]], positions[:, ANKLES[side]]
+        whole = np.linalg.norm(motion.skeleton.offsets[[KNEES[side], ANKLES[side]]], axis=-1).sum()
+        reach = ankle + shifts[:, side] - hip
+        distance = length(reach)
         # A leg that was straight before stays straight; the hips only move by what the lock adds.
-        missing = np.minimum(missing, np.maximum(distance - already, 0.0))
-        move = reach / np.maximum(distance, 1e-6) * missing
-        need = np.where(missing > np.linalg.norm(need, axis=-1, keepdims=True), move, need)
-    eased = _eased_most(np.linalg.norm(need, axis=-1), need, EASE_FRAMES)
-    return replace(motion, root_positions=motion.root_positions + eased)
-
-
-def _reach(motion: Motion, leg: _Leg, target: Array) -> Motion:
-    """Bend one leg so that its ankle reaches target (T, 3); the foot keeps its world orientation."""
-    rotations, positions = motion_kinematics(motion)
-    hip, knee, ankle = (positions[:, j] for j in (leg.hip, leg.knee, leg.ankle))
-    thigh, shin = np.linalg.norm(knee - hip, axis=-1), np.linalg.norm(ankle - knee, axis=-1)
-    reach = np.linalg.norm(target - hip, axis=-1)
-    reach = np.minimum(np.maximum(reach, np.abs(thigh - shin) + 0.5), (thigh + shin) * MAX_REACH)
-    # Frames already at the target do not change, even those with a fully straight leg.
-    still = np.linalg.norm(target - ankle, axis=-1, keepdims=True) < 1e-3
-    bend_now = _interior_angle(thigh, shin, np.linalg.norm(ankle - hip, axis=-1))
-    bend_then = _interior_angle(thigh, shin, reach)
-    axis = cross(hip - knee, ankle - knee)
-    # A straight leg has no plane; its knee bends about the thigh's sideways axis.
-    sideways = quat_rotate(
-        rotations[:, leg.hip], np.broadcast_to(np.array([1.0, 0.0, 0.0], np.float32), axis.shape)
-    )
-    flat = np.linalg.norm(axis, axis=-1, keepdims=True) < 1e-2 * (thigh * shin)[:, None]
-    axis = normalized(np.where(flat, -sideways, axis))
-    opened = _about(axis, bend_then - bend_now)
-    new_ankle = knee + quat_rotate(opened, ankle - knee)
-    swing = quat_between(new_ankle - hip, target - hip)
-    thigh_turn = quat_multiply(swing, rotations[:, leg.hip])
-    shin_turn = quat_multiply(swing, quat_multiply(opened, rotations[:, leg.knee]))
-    parent = motion.skeleton.parents[leg.hip]
-    local = motion.local_rotations.copy()
-    new = {
-        leg.hip: quat_multiply(quat_inverse(rotations[:, parent]), thigh_turn),
-        leg.knee: quat_multiply(quat_inverse(thigh_turn), shin_turn),
-        leg.ankle: quat_multiply(quat_inverse(shin_turn), rotations[:, leg.ankle]),
-    }
-    for joint, turn in new.items():
-        local[:, joint] = np.where(still, local[:, joint], quat_normalize(turn))
-    return replace(motion, local_rotations=local)
-
-
-def _interior_angle(a: Array, b: Array, opposite: Array) -> Array:
-    """The angle (T,) in radians between sides a and b of a triangle."""
-    return np.arccos(np.clip((a * a + b * b - opposite * opposite) / (2 * a * b), -1.0, 1.0))
-
-
-def _about(axis: Array, angle: Array) -> Array:
-    """Rotations (T, 4) by angles (T,) in radians about unit axes (T, 3)."""
-    half = 0.5 * angle[:, None]
-    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
+        missing = np.maximum(distance - np.maximum(LOCK.max_reach * whole, length(ankle - hip)), 0.0)
+        move = reach / np.maximum(distance, 1e-6)[:, None] * missing[:, None]
+        need = np.where((missing > length(need))[:, None], move, need)
+    return _eased_most(length(need), need, LOCK.ease_frames)

@@ -1,0 +1,235 @@
+"""What both ways of foot locking share: two-bone IK for legs, how feet hold the root, and the settings.
+
+motion/foot_ik.py (whole motions) and inference/foot_lock.py (frame by frame) decide where feet go; both move them with
+move_feet. inference/foot_kernel.c does the same for single characters.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from motionkit.arrays import Array, cross, length, normalized
+from motionkit.motion.rotations import quat_between, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
+
+
+@dataclass(frozen=True)
+class LockSettings:
+    """When feet are held, and how legs reach them; lengths in cm of the canonical body.
+
+    Attributes:
+        contact_on, contact_off: a contact begins above the first probability and ends below the second.
+        ease_frames: frames in which a held foot joins the predicted one again.
+        brake_frames: frames until a foot that has touched stands still, frame by frame.
+        max_slide: a foot that is predicted to slide further from where it is held is released.
+        max_reach: share of the length of the straight leg.
+        hip_return: share of a lowering of the hips that is left a frame later.
+        max_drop: how far the hips come down at most.
+        least_change: smaller changes are left out.
+    """
+
+    contact_on: float = 0.6
+    contact_off: float = 0.4
+    ease_frames: int = 8
+    brake_frames: int = 4
+    max_slide: float = 12.0
+    max_reach: float = 0.999
+    hip_return: float = 0.85
+    max_drop: float = 12.0
+    least_change: float = 1e-4
+
+
+@dataclass(frozen=True)
+class ToeSettings:
+    """At what height toes are held; lengths in cm of the canonical body.
+
+    Attributes:
+        standing, slack: heights of a toe in contact lie within slack of standing.
+        lowest: height under which no toe goes.
+        rise, fall: shares of the way to its height that a toe goes up or down in a frame.
+        max_pitch: radians that a foot is turned for its toe's height; the ankle does the rest.
+    """
+
+    standing: float = STANDING_HEIGHTS[1]
+    slack: float = 1.0
+    lowest: float = 2.0
+    rise: float = 0.5
+    fall: float = 0.2
+    max_pitch: float = 0.2
+
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """How feet in contact hold the root; lengths in cm of the canonical body.
+
+    Attributes:
+        unsure, sure: a foot joint holds not at all below the first contact probability, fully above the second.
+        ankle_share: weight of ankles, which a foot rolls under, against toes.
+        ease: the less a joint moves in a frame beside this, the more it counts.
+        enough: sum of weights that holds fully.
+        limit: movement in a frame of which only half is taken out, and ever less of more: what is so far off is a step.
+    """
+
+    unsure: float = 0.3
+    sure: float = 0.7
+    ankle_share: float = 0.5
+    ease: float = 0.3
+    enough: float = 0.5
+    limit: float = 2.0
+
+
+LOCK, TOE, HOLD = LockSettings(), ToeSettings(), HoldSettings()
+
+# Hips, knees, ankles and toes, left and right.
+LEG_JOINTS = np.array(
+    [[JOINT_NAMES.index(side + n) for side in ("Left", "Right")] for n in ("UpLeg", "Leg", "Foot", "ToeBase")]
+)
+HIPS, KNEES, ANKLES, TOES = LEG_JOINTS
+
+# Knees bent less than this (sine of the angle) take their axis more and more from the thigh.
+BENT, THIGH_SHARE = 0.2, 0.1
+# A knee that is bent backwards goes over to bending forwards while its leg shortens; so many times as fast as a leg
+# would that is bent forwards already.
+STRAIGHTENING = 3.0
+# Feet whose horizontal part is below this share of their length are turned less.
+STEEP = 0.5
+# The thigh's own side (-x in its frame), about which a knee bends.
+_SIDE = np.array([-1.0, 0.0, 0.0], np.float32)
+
+
+def pitched_feet(positions: Array, shifts: Array) -> tuple[Array, Array]:
+    """How feet turn and ankles move for toes to move: a foot pitches for its toe's height, within limits.
+
+    Args:
+        positions: (N, 23, 3) joint positions in cm.
+        shifts: (N, 2, 3) how far each toe moves, in cm.
+
+    Returns:
+        World rotations (N, 2, 4) of the feet, and how far each ankle moves (N, 2, 3).
+    """
+    foot = positions[:, TOES] - positions[:, ANKLES]
+    size = np.maximum(length(foot), 1e-6)
+    flat = np.sqrt(foot[..., 0] * foot[..., 0] + foot[..., 2] * foot[..., 2])
+    now = np.arcsin(np.clip(foot[..., 1] / size, -1.0, 1.0))
+    then = np.arcsin(np.clip((foot[..., 1] + shifts[..., 1]) / size, -1.0, 1.0))
+    angle = np.clip(then - now, -TOE.max_pitch, TOE.max_pitch) * np.clip(flat / (STEEP * size), 0.0, 1.0)
+    axis = np.zeros_like(foot)  # horizontal, to the side of the foot
+    axis[..., 0], axis[..., 2] = -foot[..., 2], foot[..., 0]
+    pitch = _about(axis / np.maximum(flat, 1e-6)[..., None], angle)
+    return pitch, shifts + foot - quat_rotate(pitch, foot)
+
+
+def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, shifts: Array) -> None:
+    """Move feet by turning thighs, shins and feet of N bodies (or frames); legs of feet that stay are left as they are.
+
+    Args:
+        rotations: (N, 23, 4) local quaternions, changed in place.
+        positions: (N, 23, 3) joint positions in cm, changed in place.
+        world: (N, 23, 3, 3) world rotations of the joints before the change.
+        pitch: (N, 2, 4) world rotations of the feet.
+        shifts: (N, 2, 3) how far each ankle moves, in cm.
+    """
+    hips, knees, ankles, toes = (positions[:, joints] for joints in LEG_JOINTS)
+    targets = ankles + shifts
+    side = np.matmul(world[:, HIPS], _SIDE)
+    swing, opened = leg_turns(hips, knees, ankles, side, targets)
+    still = length(targets - ankles) < 1e-3
+    swing[still] = opened[still] = (1.0, 0.0, 0.0, 0.0)
+    shin = quat_multiply(swing, opened)
+    bent = quat_rotate(opened, ankles - knees) + knees - hips
+    moved = hips + quat_rotate(swing, bent)
+    into = np.swapaxes(world, -1, -2)
+    # World rotations of thigh, shin and foot, each as seen from the frame that it is applied in.
+    changes = np.stack(
+        [
+            _inside(into[:, :1], swing),
+            _inside(into[:, HIPS], opened),
+            _inside(into[:, KNEES], quat_multiply(quat_inverse(shin), pitch)),
+        ],
+        axis=1,
+    )
+    joints = LEG_JOINTS[:3]
+    rotations[:, joints] = quat_multiply(changes, rotations[:, joints])
+    positions[:, KNEES] = hips + quat_rotate(swing, knees - hips)
+    positions[:, ANKLES] = moved
+    positions[:, TOES] = moved + quat_rotate(pitch, toes - ankles)
+
+
+def root_slip(before: Array, feet: Array, contacts: Array, scale: Array | float = 1.0) -> Array:
+    """How far feet in contact carry the root along with them over the ground (N, 2) since the frame before.
+
+    What feet say that stand still counts more than what moving ones say.
+
+    Args:
+        before, feet: (N, 4, 3) joints in the order of FOOT_JOINTS, in cm, of a frame and of the one before.
+        contacts: (N, 4) probabilities.
+        scale: (N,) size of each body against the canonical one.
+    """
+    size = np.broadcast_to(np.asarray(scale, feet.dtype), feet.shape[:1])[:, None]
+    moved = (feet - before)[..., ::2]
+    shares = np.array([HOLD.ankle_share, 1.0, HOLD.ankle_share, 1.0], feet.dtype)
+    holds = shares * np.clip((contacts - HOLD.unsure) / (HOLD.sure - HOLD.unsure), 0.0, 1.0)
+    weights = holds / (length(moved) + HOLD.ease * size)
+    mean = (weights[..., None] * moved).sum(axis=1) / (weights.sum(axis=1) + 1e-9)[:, None]
+    far = length(mean)[:, None] / (HOLD.limit * size)
+    strength = np.minimum(holds.sum(axis=1) / HOLD.enough, 1.0)[:, None]
+    return (strength * mean / (1.0 + far * far)).astype(feet.dtype)
+
+
+def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Array) -> tuple[Array, Array]:
+    """World rotations of a thigh and of its shin that bring the ankle to a target.
+
+    The knee keeps the plane it is bent in; that of a nearly straight leg is the thigh's, so that knees always bend
+    forwards, and continuously in time. Targets out of reach are reached for.
+
+    Args:
+        hips, knees, ankles, targets: (..., 3) in cm.
+        side: (..., 3) the thigh's own side: unit axis about which a turn of the shin stretches the leg.
+
+    Returns:
+        swing (..., 4) of thigh and shin, and opened (..., 4) of the shin, which is applied first.
+    """
+    thigh, shin = knees - hips, ankles - knees
+    thigh_length, shin_length = length(thigh), length(shin)
+    axis = _knee_axis(thigh / thigh_length[..., None], shin / shin_length[..., None], side)
+    now = length(ankles - hips)
+    whole = thigh_length + shin_length
+    reach = np.maximum(length(targets - hips), np.abs(thigh_length - shin_length) + 0.5)
+    reach = np.minimum(reach, np.maximum(LOCK.max_reach * whole, now))
+    # Squared distance from hip to ankle over the angle p of the shin about the axis: along + 2 (b cos p + c sin p).
+    turned = cross(axis, shin)
+    on_axis = (thigh * axis).sum(-1) * (shin * axis).sum(-1)
+    b, c = (thigh * shin).sum(-1) - on_axis, (thigh * turned).sum(-1)
+    along = thigh_length * thigh_length + shin_length * shin_length + 2.0 * on_axis
+    flexed = np.arctan2(c, b)  # negative for a knee bent backwards
+    size = np.maximum(np.sqrt(b * b + c * c), 1e-9)
+    wanted = np.arccos(np.clip((reach * reach - along) / (2.0 * size), -1.0, 1.0))
+    more = wanted + flexed
+    backwards = np.where(more > 0.0, np.minimum(wanted, flexed + STRAIGHTENING * more), -wanted)
+    opened = _about(axis, flexed - np.where(flexed < 0.0, backwards, wanted))
+    bent = thigh + quat_rotate(opened, shin)
+    return quat_between(bent, targets - hips), opened
+
+
+def _knee_axis(thigh: Array, shin: Array, side: Array) -> Array:
+    """Unit axes (..., 3) about which knees stretch, from unit vectors (..., 3)."""
+    axis = cross(shin, thigh)
+    along = np.minimum((axis * side).sum(-1), 0.0)
+    axis = axis - along[..., None] * side  # nothing of it is backwards
+    share = THIGH_SHARE * np.clip(1.0 - length(axis) / BENT, 0.0, 1.0)
+    return normalized(axis + share[..., None] * side)
+
+
+def _about(axis: Array, angle: Array) -> Array:
+    """Rotations (..., 4) by angles (...) in radians about unit axes (..., 3)."""
+    half = 0.5 * angle[..., None]
+    return np.concatenate([np.cos(half), np.sin(half) * axis], axis=-1)
+
+
+def _inside(into: Array, quat: Array) -> Array:
+    """World rotations (..., 4) as seen from frames whose transposed matrices (..., 3, 3) are given."""
+    out = quat.copy()
+    out[..., 1:] = np.matmul(into, quat[..., 1:, None])[..., 0]
+    return out
