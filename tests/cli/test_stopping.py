@@ -36,10 +36,7 @@ if __name__ == "__main__":
     ("words", "interrupted"),
     [
         (["preprocess", "clips", "-o", "ds", "--jobs", 1], "data.preprocess._prepare_file"),
-        (
-            ["train", "DATASET", "-o", "m2.safetensors", "--preset", "tiny"],
-            "training.trainer.PartTransformer",
-        ),
+        (["train", "DATASET", "-o", "m2.safetensors", "--preset", "tiny"], "training.trainer.WindowSampler"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "control.synthesize.run"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "motion.bvh._hierarchy_lines"),
         (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "control.follow.finish_motions"),

@@ -243,7 +243,8 @@ def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
     asked = Controls.of_types(weights)
     made = []
     for share in (0.0, 1.0, 2.0):
-        state = RolloutState(with_preset(tiny_model, noise_scale=share), 1, Noise("sample"), seed=5)
+        model = with_preset(tiny_model, noise_scale=share, velocity_blend=0.0, slip_correction=0.0)
+        state = RolloutState(model, 1, Noise("sample"), seed=5)
         state.start(seed.features[None], seed.contacts[None], weights)
         state.step(asked)
         made.append(state.normalised.copy())

@@ -183,9 +183,13 @@ def follow_path(
     state = RolloutState(model, 1, options.noise, options.seed)
     state.start(start.features, start.contacts, weights, place, length)
 
+    furthest = 0.0
+
     def report(frame: int) -> None:
+        nonlocal furthest
+        furthest = max(furthest, follower.arc / path.length)
         if progress:
-            progress(min(1.0, follower.arc / path.length))
+            progress(min(1.0, furthest))
 
     def finished() -> bool:
         return follower.arc >= path.length - SPACING
