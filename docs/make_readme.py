@@ -23,9 +23,17 @@ def rows(page: str) -> list[list[str]]:
 
 def targets(scoreboard: list[list[str]]) -> dict[str, float]:
     """What was measured for each target."""
-    section = {"obedience", "accuracy", "endurance", "stability", "likeness", "reconstruction"}
-    section |= {"paths", "response", "smoothness"}
-    return {row[1]: float(row[2]) for row in scoreboard if row[0] in section}
+    names = {
+        "visible",
+        "accuracy",
+        "variety",
+        "stability",
+        "reconstruction",
+        "paths",
+        "response",
+        "smoothness",
+    }
+    return {row[1]: float(row[2]) for row in scoreboard if row[0] in names and row[2]}
 
 
 def frame_time(scaling: list[list[str]], way: str) -> float:
@@ -45,10 +53,11 @@ def figures() -> dict[str, str]:
     """The text of every mark."""
     scoreboard, scaling = rows("scoreboard.md"), rows("scaling.md")
     found = targets(scoreboard)
-    shares = {name.removesuffix(" shown"): value for name, value in found.items() if name.endswith(" shown")}
+    asked = "accuracy of "
+    shares = {name.removeprefix(asked): value for name, value in found.items() if name.startswith(asked)}
     seeds = re.search(r"^- seeds: (\d+)$", (DOCS / "scoreboard.md").read_text("utf-8"), re.MULTILINE)
     assert seeds is not None
-    paths = {name: value for name, value in found.items() if name.endswith("cm a frame")}
+    paths = {name: value for name, value in found.items() if name.endswith(": mean distance, cm")}
     mixed = [value for name, value in paths.items() if "→" in name or "corner" in name]
     plain = [value for name, value in paths.items() if value not in mixed]
     return {
@@ -57,11 +66,11 @@ def figures() -> dict[str, str]:
         "shown": shown_words(shares, int(seeds[1])),
         "paths": f"{min(plain):.2f} to {max(plain):.2f}",
         "mixed": f"{max(mixed):.1f}",
-        "response": f"{found['response to a change of speed, s']:.2f}",
+        "response": f"{found['mean response time to a change of speed, s']:.2f}",
         "frame": f"{frame_time(scaling, 'stream, C, 16 bits, foot locking'):.2f}",
         "numpy": f"{frame_time(scaling, 'stream, numpy, foot locking'):.1f}",
-        "sliding": f"{found['AFS / real']:.2f}",
-        "held": f"{found['AFS / real with IK']:.2f}",
+        "sliding": f"{found['foot sliding of the raw network / real (afs)']:.2f}",
+        "held": f"{found['foot sliding / real (afs)']:.2f}",
         "ssim": f"{found['SSIM (ssim-window)']:.2f}",
     }
 

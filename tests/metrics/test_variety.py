@@ -38,27 +38,27 @@ def test_a_replay_is_found_with_its_length() -> None:
     recordings = [wandering(10.0, 1), wandering(8.0, 2), wandering(6.0, 3)]
     windows = RecordingWindows([[each] for each in recordings])
     replay = recordings[1][20:120]
-    places, _ = windows.places(replay)
+    places = windows.places(replay)
     assert set(places.recordings.tolist()) == {1} and places.distances.max() < 1e-3
     assert places.poses.tolist() == [20 + 5 * i for i in range(len(places.poses))]
-    assert windows.longest_stretch(replay) == pytest.approx(5.0)
+    assert places.longest_stretch() == pytest.approx(5.0)
     lengths = np.array([10.0, 8.0, 6.0])
     assert drawn_share([places], lengths) == pytest.approx(8.0 / 24.0)
     mixed = np.concatenate([recordings[0][:60], recordings[2][:40]])
-    assert windows.longest_stretch(mixed) == pytest.approx(3.0, abs=0.26)
-    assert drawn_share([places, windows.places(mixed)[0]], lengths) == 1.0
+    assert windows.places(mixed).longest_stretch() == pytest.approx(3.0, abs=0.26)
+    assert drawn_share([places, windows.places(mixed)], lengths) == 1.0
 
 
 def test_a_recording_can_be_left_out_and_have_a_mirrored_track() -> None:
     first, second = wandering(6.0, 4), wandering(6.0, 5)
     windows = RecordingWindows([[first, -first], [second]])
-    assert set(windows.places(-first)[0].recordings.tolist()) == {0}
-    assert windows.longest_stretch(-first) == pytest.approx(6.0)
-    places, _ = windows.places(first, without=0)
+    assert set(windows.places(-first).recordings.tolist()) == {0}
+    assert windows.places(-first).longest_stretch() == pytest.approx(6.0)
+    places = windows.places(first, without=0)
     assert set(places.recordings.tolist()) == {1} and places.distances.min() > 1.0
     # From a track to its mirror image is no way along a recording.
     there_and_back = np.concatenate([first[:60], -first[60:]])
-    assert windows.longest_stretch(there_and_back) < 4.0
+    assert windows.places(there_and_back).longest_stretch() < 4.0
     with pytest.raises(MotionkitError, match="at least 10 poses"):
         RecordingWindows([[first[:9]]])
 

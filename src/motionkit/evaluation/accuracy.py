@@ -204,7 +204,7 @@ class TypeAccuracy:
         type: the name of the type.
         rollouts: number of roll-outs.
         shown: number of roll-outs in which the type is detected.
-        raw_shown: the same for the raw network output.
+        raw_shown: the same for the raw network output; None if it was not judged.
         joint_speed: mean joint speed divided by that of the recordings; None without recordings.
         training_clips: number of training clips of the type.
     """
@@ -212,7 +212,7 @@ class TypeAccuracy:
     type: str
     rollouts: int
     shown: int
-    raw_shown: int
+    raw_shown: int | None
     joint_speed: float | None
     training_clips: int
 
@@ -222,9 +222,9 @@ class TypeAccuracy:
         return self.shown / self.rollouts
 
     @property
-    def raw_share(self) -> float:
+    def raw_share(self) -> float | None:
         """The same for the raw network output."""
-        return self.raw_shown / self.rollouts
+        return None if self.raw_shown is None else self.raw_shown / self.rollouts
 
 
 def measure_accuracy(
@@ -240,8 +240,9 @@ def measure_accuracy(
 
     Args:
         kinds: the types to measure; all types of the model if None.
-        model: another model to roll out, such as the one without reference recordings.
+        model: another model to roll out, such as the one without reference recordings; its raw output is not judged.
     """
+    raw = model is None
     model, judge, settings = model or trial.model, trial.judge, trial.settings
     kinds = tuple(k for k in (kinds or model.types) if judge.knows(k))
     neutral = neutral_types(model)
@@ -262,13 +263,16 @@ def measure_accuracy(
     count = len(seeds)
     return [
         _accuracy(
-            judge, kind, [take.cut(skip, len(take.default)) for take in rolled[i * count : (i + 1) * count]]
+            judge,
+            kind,
+            [take.cut(skip, len(take.default)) for take in rolled[i * count : (i + 1) * count]],
+            raw,
         )
         for i, kind in enumerate(kinds)
     ]
 
 
-def _accuracy(judge: Judge, kind: str, takes: list[Take]) -> TypeAccuracy:
+def _accuracy(judge: Judge, kind: str, takes: list[Take], raw: bool) -> TypeAccuracy:
     bodies = [take.default for take in takes]
     ratios = [judge.speed_ratio(kind, body.cut(round(GRACE * body.fps), len(body))) for body in bodies]
     known = [ratio for ratio in ratios if ratio is not None]
@@ -276,7 +280,7 @@ def _accuracy(judge: Judge, kind: str, takes: list[Take]) -> TypeAccuracy:
         kind,
         len(takes),
         sum(judge.performs(kind, body) for body in bodies),
-        sum(judge.performs(kind, take.raw) for take in takes),
+        sum(judge.performs(kind, take.raw) for take in takes) if raw else None,
         sum(known) / len(known) if known else None,
         len({s.clip for s in judge.real.of_type(kind, "train")}),
     )

@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from motionkit.arrays import Array, distances_between
+from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError
@@ -124,7 +124,11 @@ class RealMotion:
         if not poses:
             raise DatasetError(f"{dataset.folder}: the dataset has no training clips to compare with")
         order = np.argsort(np.concatenate(kinds), kind="stable")
-        self._poses, self._clips = np.concatenate(poses)[order], np.concatenate(clips)[order]
+        bank, self._clips = np.concatenate(poses)[order], np.concatenate(clips)[order]
+        # Around their mean, squared distances of near poses are exact enough in float32, which takes half the time.
+        self._centre = bank.mean(axis=0).astype(np.float32)
+        self._poses = np.ascontiguousarray(bank - self._centre, np.float32)
+        self._squares = np.square(self._poses).sum(axis=1)
         counts = np.bincount(np.concatenate(kinds), minlength=len(self.types))
         self._edges = [0, *np.cumsum(counts, 0).tolist()]
         self._profiles: dict[str, MotionProfile | None] = {}
@@ -141,7 +145,9 @@ class RealMotion:
         Args:
             without: number of a clip whose poses are left out.
         """
-        distances = distances_between(body.poses(POSE_EVERY), self._poses) / JOINT_COUNT**0.5
+        wanted = body.poses(POSE_EVERY).astype(np.float32) - self._centre
+        squares = np.square(wanted).sum(axis=1)[:, None] + self._squares - 2.0 * (wanted @ self._poses.T)
+        distances = np.sqrt(np.maximum(squares, 0.0)) / np.float32(JOINT_COUNT**0.5)
         distances[:, self._clips == without] = np.inf
         out = np.full((len(distances), len(self.types)), np.inf, np.float32)
         for kind, (start, end) in enumerate(pairwise(self._edges)):

@@ -75,11 +75,11 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
         if recorded is None:
             continue
         mine = [poses_of(take.default) for take in takes[kind]]
-        places = [recorded.windows.places(poses)[0] for poses in mine]
+        places = [recorded.windows.places(poses) for poses in mine]
         gap, real_gap = mean_pose_gap(mine), mean_pose_gap(recorded.poses)
         drawn = drawn_share(places, recorded.lengths)
         near = float(np.concatenate([place.distances for place in places]).mean())
-        stretch = max(recorded.windows.longest_stretch(poses) for poses in mine)
+        stretch = max(place.longest_stretch() for place in places)
         take_apart, take_stretch = _against_others(recorded)
         loop = loop_seconds(poses_of(long[number].default)).value
         real_loop = _recorded_loop(recorded)
@@ -127,9 +127,9 @@ def _against_others(recorded: Recorded) -> tuple[float | None, float | None]:
     if len(recorded.poses) < 2:
         return None, None
     longest = np.argsort(-recorded.lengths, kind="stable")[:MOST_RECORDINGS].tolist()
-    distances = [recorded.windows.places(recorded.poses[i], i)[0].distances for i in longest]
-    stretch = max(recorded.windows.longest_stretch(recorded.poses[i], i) for i in longest)
-    return float(np.concatenate(distances).mean()), stretch
+    places = [recorded.windows.places(recorded.poses[i], i) for i in longest]
+    stretch = max(place.longest_stretch() for place in places)
+    return float(np.concatenate([place.distances for place in places]).mean()), stretch
 
 
 def _recorded_loop(recorded: Recorded) -> float | None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import Array, distances_between
+from motionkit.arrays import Array, distances_between, spans
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricValue
 from motionkit.motion.skeleton import JOINT_COUNT
@@ -50,14 +50,24 @@ class Places:
     """Where in the recordings the windows of a motion are nearest.
 
     Attributes:
-        recordings: (W,) numbers of the recordings.
-        poses: (W,) number of the pose in it at which the window begins.
+        recordings, tracks: (W,) numbers of the recordings, and of the tracks among all.
+        poses: (W,) number of the pose in the track at which the window begins.
         distances: (W,) distance in cm per joint.
     """
 
     recordings: Array
+    tracks: Array
     poses: Array
     distances: Array
+
+    def longest_stretch(self) -> float:
+        """Return the longest time in seconds for which the nearest place goes on along one recording."""
+        if not len(self.tracks):
+            return 0.0
+        steps = np.diff(self.poses)
+        along = (np.diff(self.tracks) == 0) & (np.abs(steps - STRIDE) <= STRAY)
+        longest = max((end - start for start, end in spans(along)), default=0)
+        return (longest * STRIDE + WINDOW) / POSE_RATE
 
 
 class RecordingWindows:
@@ -65,51 +75,36 @@ class RecordingWindows:
 
     def __init__(self, recordings: Sequence[Sequence[Array]]) -> None:
         """recordings: for each the poses (T, 69) of its tracks; tracks shorter than a window are left out."""
-        rows, numbers, tracks, starts = [], [], [], []
-        track_number = 0
-        for number, recording in enumerate(recordings):
-            for poses in recording:
-                found = _windows(poses, 1)
-                rows.append(found)
-                numbers.append(np.full(len(found), number))
-                tracks.append(np.full(len(found), track_number))
-                starts.append(np.arange(len(found)))
-                track_number += 1
-        if not rows or not sum(map(len, rows)):
+        tracks = [(number, poses) for number, recording in enumerate(recordings) for poses in recording]
+        rows = [_windows(poses, 1) for _, poses in tracks]
+        if not sum(map(len, rows)):
             raise MotionkitError(f"expected recordings of at least {WINDOW} poses")
-        self._rows = np.concatenate(rows)
-        self._numbers, self._tracks, self._starts = map(np.concatenate, (numbers, tracks, starts))
+        self._rows = np.concatenate(rows).astype(np.float32)
+        self._squares = np.square(self._rows).sum(axis=1)
+        self._numbers = np.concatenate(
+            [np.full(len(row), number) for row, (number, _) in zip(rows, tracks, strict=True)]
+        )
+        self._tracks = np.concatenate([np.full(len(row), track) for track, row in enumerate(rows)])
+        self._starts = np.concatenate([np.arange(len(row)) for row in rows])
 
-    def places(self, poses: Array, without: int = -1) -> tuple[Places, Array]:
-        """Return the nearest places of a motion's windows, STRIDE poses apart, and the tracks (W,) they are on.
+    def places(self, poses: Array, without: int = -1) -> Places:
+        """Return the nearest places of a motion's windows, STRIDE poses apart.
 
         Args:
             poses: (T, 69) of the motion.
             without: number of a recording that is left out.
         """
-        wanted = _windows(poses, STRIDE)
+        wanted = _windows(poses, STRIDE).astype(np.float32)
         left_out = self._numbers == without
-        none = np.zeros(0, np.int64)
         if not len(wanted) or left_out.all():
-            return Places(none, none, np.zeros(0)), none
-        costs = distances_between(wanted, self._rows)
+            none = np.zeros(0, np.int64)
+            return Places(none, none, none, np.zeros(0))
+        # Squared distances but for the length of the window itself, which is the same for all rows.
+        costs = self._squares - 2.0 * (wanted @ self._rows.T)
         costs[:, left_out] = np.inf
         best = costs.argmin(axis=1)
-        distances = costs.min(axis=1) / (WINDOW * JOINT_COUNT) ** 0.5
-        return Places(self._numbers[best], self._starts[best], distances), self._tracks[best]
-
-    def longest_stretch(self, poses: Array, without: int = -1) -> float:
-        """Return the longest time in seconds for which the nearest place goes on along one recording."""
-        places, tracks = self.places(poses, without)
-        if not len(tracks):
-            return 0.0
-        steps = np.diff(places.poses)
-        along = (np.diff(tracks) == 0) & (np.abs(steps - STRIDE) <= STRAY)
-        longest = current = 0
-        for goes_on in along.tolist():
-            current = current + 1 if goes_on else 0
-            longest = max(longest, current)
-        return (longest * STRIDE + WINDOW) / POSE_RATE
+        distances = np.linalg.norm(wanted - self._rows[best], axis=1) / (WINDOW * JOINT_COUNT) ** 0.5
+        return Places(self._numbers[best], self._tracks[best], self._starts[best], distances)
 
 
 def drawn_share(places: Sequence[Places], lengths: Array) -> float:
