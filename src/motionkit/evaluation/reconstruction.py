@@ -9,7 +9,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.reference_player import ReferencePlayer, last_poses
-from motionkit.control.synthesize import finish_motion
+from motionkit.control.synthesize import SynthesisOptions, finish_motions
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.evaluation.body import Body, body_of
@@ -128,8 +128,11 @@ def roll_like(
     skeleton = model.character("default")
     takes = []
     for index, clip in enumerate(clips):
-        mine = rollout.first(clip.frames)
-        held, raw = (finish_motion(model, mine, index, skeleton, ik, None) for ik in (True, False))
+        # The way is given, as on a path: feet that are locked do not change it.
+        held, raw = finish_motions(
+            model, rollout.first(clip.frames), index, skeleton, SynthesisOptions(raw=True)
+        )
+        assert raw is not None, "the options ask for it"
         takes.append(Take(body_of(held), body_of(raw)))
     return takes
 
