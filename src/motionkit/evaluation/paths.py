@@ -22,18 +22,25 @@ from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
 
 SPEED_SHARE = 0.15  # by which the speed may differ from the asked one
-STOPPED = 0.15  # m/s; a root slower than this stands
-STOP_SECONDS = 2.0
+STANDING_SPEED = 0.15  # m/s; a root slower than this stands
+STOP_SECONDS, STOP_SHARE = 2.0, 0.75  # how long a path asks to stand, and the share of it to stand at least
 
 
 @dataclass(frozen=True)
 class PathTrial:
-    """A path with its name and its target: the largest mean distance in cm; speeds are those asked for in m/s."""
+    """A path with its name and its target.
+
+    Attributes:
+        target: the largest mean distance in cm.
+        speeds: those asked for in m/s, of the first parts.
+        stands: seconds to stand somewhere on the way.
+    """
 
     name: str
     path: Path2D
     target: float
     speeds: tuple[float, ...] = ()
+    stands: float = 0.0
 
 
 def path_trials(walking: str = "walking", running: str = "running") -> list[PathTrial]:
@@ -57,8 +64,10 @@ def path_trials(walking: str = "walking", running: str = "running") -> list[Path
     ]
 
 
-def speed_trials(walking: str = "walking", running: str = "running") -> list[PathTrial]:
-    """Return paths from 0.3 to 5 m/s, and one that brakes."""
+def speed_trials(
+    walking: str = "walking", running: str = "running", standing: str = "idle"
+) -> list[PathTrial]:
+    """Return paths from 0.3 to 5 m/s, one that brakes, and one with a stop."""
     trials = []
     for speed, kind in (
         (0.3, walking),
@@ -78,6 +87,14 @@ def speed_trials(walking: str = "walking", running: str = "running") -> list[Pat
         PathPart(np.array([[0.0, 14.0 * METRE]]), walking, 1.0 * METRE),
     ]
     trials.append(PathTrial(f"{running} at 3.6 m/s → {walking} at 1 m/s", make_path(parts), 2.0, (3.6, 1.0)))
+    # The slowest part that a path may have: 10 cm in 2 s.
+    stop = [
+        PathPart(np.array([[0.0, 0.0], [0.0, 5.0 * METRE]]), walking, 1.3 * METRE),
+        PathPart(np.array([[0.0, 5.1 * METRE]]), standing, 0.1 * METRE / STOP_SECONDS),
+        PathPart(np.array([[0.0, 10.1 * METRE]]), walking, 1.3 * METRE),
+    ]
+    name = f"{walking}, {standing} for {STOP_SECONDS:g} s, {walking}"
+    trials.append(PathTrial(name, make_path(stop), 2.0, (1.3,), STOP_SECONDS))
     return trials
 
 
@@ -111,7 +128,8 @@ def paths_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: distance from each path, how often its end was reached, speed, braking and feet."""
     model, settings = trial.model, trial.settings
     gaits = steered_types(model)
-    usual, asked = ([], []) if gaits is None else (path_trials(*gaits), speed_trials(*gaits))
+    standing = next((name for name, kind in model.types.items() if kind.stands), "idle")
+    usual, asked = ([], []) if gaits is None else (path_trials(*gaits), speed_trials(*gaits, standing))
     usual, asked = (
         [t for t in trials if {p.type for p in t.path.parts} <= set(model.types)] for trials in (usual, asked)
     )
@@ -217,6 +235,7 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> 
             sum(walk.finished for walk in walks) == len(walks),
             most,
             limit,
+            min(_standing_seconds(body) for body in bodies) if each.stands else None,
             float(np.mean([_steps(body) for body in bodies])),
             _mean(planted_share, bodies),
             _mean(hover_share, bodies),
@@ -227,11 +246,15 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> 
         ))  # fmt: skip
         off = max(abs(found / speed - 1.0) for found, speed in zip(means, each.speeds, strict=True))
         goals.append(Goal(f"{each.name}: speed off by", off, f"≤ {SPEED_SHARE:.0%}", None, SPEED_SHARE))
+        if each.stands:
+            stood = min(_standing_seconds(body) for body in bodies)
+            least = STOP_SHARE * each.stands
+            goals.append(Goal(f"{each.name}: stands, s", stood, f"≥ {least:g}", least))
         if limit is not None:
             goals.append(Goal(f"{each.name}: acceleration / real", most / limit, "≤ 1", None, 1.0))
     columns = (
-        "path", "speed, m/s", "finished", "acceleration, m/s^2", "real acceleration", "steps a second", "planted",
-        "hovers", "leaps a minute", "flipped", "leaning, degrees", "needed, degrees",
+        "path", "speed, m/s", "finished", "acceleration, m/s^2", "real acceleration", "stands, s", "steps a second",
+        "planted", "hovers", "leaps a minute", "flipped", "leaning, degrees", "needed, degrees",
     )  # fmt: skip
     return Table("Speeds and braking", columns, rows), goals
 
@@ -250,6 +273,13 @@ def _part_speeds(walk: Walk, parts: int) -> list[float]:
         out.append(float(steps.mean()) * body.fps / 100.0 if len(steps) else 0.0)
         start += frames
     return out
+
+
+def _standing_seconds(body: Body) -> float:
+    """Return the longest time for which the root stands, in seconds, without the first and last second."""
+    edge = round(body.fps)
+    still = body.speed[edge:-edge] < STANDING_SPEED
+    return max((end - start for start, end in spans(still)), default=0) / body.fps
 
 
 def _steps(body: Body) -> float:
