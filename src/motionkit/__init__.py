@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion, resample
     from motionkit.motion.skeleton import Skeleton, canonical_skeleton
     from motionkit.training.presets import fine_tune_options, train_options
+    from motionkit.view.notebook import show
 
 __version__ = "0.1.0"
 
@@ -90,6 +91,7 @@ _HOMES = {
     "canonical_skeleton": "motion.skeleton",
     "fine_tune_options": "training.presets",
     "train_options": "training.presets",
+    "show": "view.notebook",
 }
 
 __all__ = [
@@ -128,6 +130,7 @@ __all__ = [
     "read_path",
     "resample",
     "shape_path",
+    "show",
     "synthesize",
     "train",
     "train_options",

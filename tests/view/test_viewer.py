@@ -16,6 +16,7 @@ from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.view.figure_data import Shown, in_metres
+from motionkit.view.notebook import show
 from motionkit.view.viewer import viewer_page, write_viewer
 from synthetic_motions import make_cartwheel, make_walk
 from view.conftest import PATIENCE, drawn
@@ -188,3 +189,43 @@ def test_motion_waits_where_it_is_to_be_reduced(
     page = open_page(file.as_uri(), 400, 700, offline=True, reduced_motion="reduce")
     assert not page.evaluate("motionkit.playing")
     assert page.evaluate("document.documentElement.scrollWidth") == 400, "nothing reaches out of the screen"
+
+
+def test_a_bare_page_has_no_controls_and_a_click_pauses(
+    two_motions: list[Shown], tmp_path: Path, open_page: Callable
+) -> None:
+    file = tmp_path / "bare.html"
+    file.write_text(viewer_page(two_motions[:1], bare=True), "utf-8")
+    page = open_page(file.as_uri(), 320, 240, offline=True)
+    assert not page.locator("header").is_visible() and not page.locator("footer").is_visible()
+    assert page.locator("#stage").bounding_box()["height"] == 240
+    assert page.evaluate("motionkit.playing")
+    page.mouse.click(160, 120)
+    assert not page.evaluate("motionkit.playing")
+
+
+def test_a_notebook_cell_plays_in_a_frame(
+    two_motions: list[Shown], tmp_path: Path, open_page: Callable
+) -> None:
+    player = show(two_motions[0].motion, names=['a "quoted" <name>'], height=300)
+    cell = player._repr_html_()
+    assert cell.startswith("<iframe") and cell.count("<") == 2, "all of the page is an attribute"
+    assert "height: 300px" in cell
+    file = tmp_path / "cell.html"
+    file.write_text(f"<!doctype html><html data-ready><title>x</title>{cell}", "utf-8")
+    page = open_page(file.as_uri(), 400, 320, offline=True)
+    frame = page.frame_locator("iframe")
+    frame.locator("html[data-ready]").wait_for(state="attached", timeout=PATIENCE)
+    assert not frame.locator("footer").is_visible()
+
+
+@pytest.mark.parametrize(
+    ("options", "fault"),
+    [
+        ({"names": ["one", "two"]}, "a name for each of 1 motions, found 2"),
+        ({"height": 0}, "height of 50 to 2000 pixels, found 0"),
+    ],
+)
+def test_what_a_notebook_cell_cannot_show(two_motions: list[Shown], options: dict, fault: str) -> None:
+    with pytest.raises(MotionkitError, match=fault):
+        show(two_motions[0].motion, **options)

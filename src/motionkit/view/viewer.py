@@ -15,8 +15,10 @@ from motionkit.view.figure_data import Shown, figure_data
 MAX_MOTIONS = 32
 
 
-def viewer_page(shown: Sequence[Shown], title: str = "") -> str:
+def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> str:
     """The text of an HTML page that plays the motions; it opens from disk and needs no network.
+
+    bare leaves out the controls, for a small frame in another page; a click then plays or pauses.
 
     Raises:
         MotionkitError: there are no motions, or more than 32.
@@ -24,7 +26,11 @@ def viewer_page(shown: Sequence[Shown], title: str = "") -> str:
     if not 0 < len(shown) <= MAX_MOTIONS:
         raise MotionkitError(f"a viewer file shows 1 to {MAX_MOTIONS} motions, found {len(shown)}")
     named = title or " · ".join(one.name for one in shown)
-    data = {"title": f"{named} · motionkit", "motions": [figure_data(one) for one in shown]}
+    data = {
+        "title": f"{named} · motionkit",
+        "bare": bare,
+        "motions": [figure_data(one) for one in shown],
+    }
     return fill_page("view.html", data)
 
 

@@ -342,6 +342,19 @@ class Viewer {
     this.speeds.value = String(this.speed);
   }
 
+  /** Without controls: a click or Space plays and pauses. */
+  bare(theme) {
+    const canvas = $("scene");
+    let at = null;
+    canvas.tabIndex = 0;
+    canvas.addEventListener("pointerdown", (event) => (at = [event.clientX, event.clientY]));
+    canvas.addEventListener("pointerup", (event) => {
+      if (at && Math.hypot(event.clientX - at[0], event.clientY - at[1]) < 4) this.play();
+    });
+    this.stage.controls.enableZoom = false; // the wheel is the page's around it
+    if (theme) this.theme = theme;
+  }
+
   #key(event) {
     if (event.ctrlKey || event.metaKey || event.altKey || $("help").open) return;
     const rate = this.track.clip.fps;
@@ -371,8 +384,10 @@ class Viewer {
 async function start() {
   const data = JSON.parse($("data").textContent);
   document.title = data.title;
+  document.documentElement.toggleAttribute("data-bare", Boolean(data.bare));
   const viewer = new Viewer(await Promise.all(data.motions.map((motion) => Clip.from(motion))));
   viewer.choose(0);
+  if (data.bare) viewer.bare(data.theme);
   window.motionkit = viewer; // for tests and the curious
   viewer.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   document.documentElement.dataset.ready = "true";

@@ -1,0 +1,55 @@
+"""Motions in a notebook: the viewer as an HTML cell."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from motionkit.errors import MotionkitError
+from motionkit.motion.motion import Motion
+from motionkit.view.figure_data import Shown
+from motionkit.view.viewer import viewer_page
+
+MOST_HEIGHT = 2000  # pixels
+
+
+@dataclass(frozen=True)
+class Player:
+    """A page that plays motions, which a notebook shows as the result of a cell.
+
+    Attributes:
+        page: the HTML document; it needs no network.
+        height: of the frame around it, in pixels.
+    """
+
+    page: str
+    height: int
+
+    def _repr_html_(self) -> str:
+        """What Jupyter asks for: the page in a frame of its own, so that neither can disturb the other."""
+        return (
+            f'<iframe srcdoc="{html.escape(self.page, quote=True)}" title="motionkit player" '
+            f'style="width: 100%; height: {self.height}px; border: 0" sandbox="allow-scripts"></iframe>'
+        )
+
+
+def show(*motions: Motion, names: Sequence[str] = (), height: int = 420, controls: bool = False) -> Player:
+    """Play motions in a notebook cell, side by side.
+
+    Args:
+        motions: of any rig, unit and rate; one to 32.
+        names: what to call them; "motion 1", "motion 2" ... by default.
+        height: of the cell in pixels.
+        controls: with the timeline and the buttons of `motionkit view`; without them a click plays and pauses.
+
+    Raises:
+        MotionkitError: no motions or too many, other names than motions, or an unlikely height.
+    """
+    if names and len(names) != len(motions):
+        raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
+    if not 50 <= height <= MOST_HEIGHT:
+        raise MotionkitError(f"expected a height of 50 to {MOST_HEIGHT} pixels, found {height}")
+    called = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
+    shown = [Shown(name, motion) for name, motion in zip(called, motions, strict=True)]
+    return Player(viewer_page(shown, bare=not controls), height)

@@ -1,0 +1,86 @@
+"""The site of docs/: it builds without warnings, and its generated pages have what they should."""
+
+from __future__ import annotations
+
+import importlib.util
+import shlex
+import subprocess
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import click
+import pytest
+
+import motionkit
+from motionkit.cli.main import cli
+from motionkit.models.bundled import load_bundled_model
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+
+
+def module(name: str) -> ModuleType:
+    """A script of docs as a module."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None and spec.loader is not None
+    loaded = importlib.util.module_from_spec(spec)
+    sys.modules[name] = loaded
+    spec.loader.exec_module(loaded)
+    return loaded
+
+
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    for needed in ("sphinx", "myst_parser", "furo"):
+        pytest.importorskip(needed)
+    words = [
+        "-m",
+        "sphinx",
+        "-W",
+        "--keep-going",
+        "-q",
+        "-D",
+        "motionkit_gallery=0",
+        str(DOCS),
+        str(tmp_path),
+    ]
+    done = subprocess.run(
+        [sys.executable, *words, "-d", str(tmp_path / "trees")], capture_output=True, text=True, timeout=170
+    )
+    assert done.returncode == 0, done.stderr
+    pages = {path.stem for path in tmp_path.glob("*.html")}
+    assert {path.stem for path in DOCS.glob("[a-z]*.md")} <= pages
+    api = (tmp_path / "_generated" / "api.html").read_text("utf-8")
+    assert all(f'id="motionkit.{name}"' in api for name in motionkit.__all__ if name != "__version__")
+    assert "http://" not in (tmp_path / "_static" / "site.css").read_text("utf-8")
+
+
+def test_links_of_the_site() -> None:
+    conf = module("conf")
+    text = "[a](../CONTRIBUTING.md) [b](../src/motionkit/api.py) [c](live.md#safety) [d](https://x.org) ![e](live.png)"
+    expected = "[a](_generated/contributing.md) b [c](live.md#safety) [d](https://x.org) ![e](live.png)"
+    assert conf.site_links(text, DOCS, "") == expected
+    assert (
+        conf.site_links("[l](docs/live.md) [r](README.md)", ROOT, "../") == "[l](../live.md) [r](../index.md)"
+    )
+
+
+def test_the_gallery_has_a_command_for_every_type() -> None:
+    gallery = module("make_gallery")
+    loops = gallery.loops()
+    types = [loop.name for loop in loops if loop.section == "Types"]
+    assert types == list(load_bundled_model().types)
+    assert len({loop.key for loop in loops}) == len(loops)
+    for loop in loops:
+        name, *words = shlex.split(loop.words)
+        command = cli.get_command(click.Context(cli), name)
+        assert command is not None
+        command.make_context(name, words)
+    page = gallery._page(loops)
+    assert all(f"motionkit {loop.words}</pre>" in page for loop in loops)
+
+
+def test_a_loop_is_what_its_command_makes() -> None:
+    gallery = module("make_gallery")
+    shown = gallery._make(gallery.Loop("Walk", "Types", "synthesize --types walking:0.5"))
+    assert shown.name == "Walk" and len(shown.motion) == 30
