@@ -41,7 +41,12 @@ if TYPE_CHECKING:
     type=click.IntRange(1, 500),
     help="Roll-outs per type for accuracy, visible and variety; 20 by default.",
 )
-@click.option("--quick", is_flag=True, help="Measure with 3 seeds and shorter roll-outs.")
+@click.option(
+    "--quick",
+    is_flag=True,
+    help="Only say which types work, and why the others do not, in about two minutes; with --only, measure those "
+    "sections with 3 seeds and shorter roll-outs.",
+)
 @click.option(
     "-o",
     "--output",
@@ -88,6 +93,7 @@ def command(
     paths           distance from the paths to follow
     response        seconds from a command to the response
     smoothness      joints and braking in transitions that no clip contains
+    types           whether each type works, and why not; only with --quick or --only
 
     Motion is measured as users get it by default, with feet locked; other columns have the raw network and the model
     without its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the
@@ -102,12 +108,15 @@ def command(
 
     from motionkit.data.dataset import Dataset
     from motionkit.errors import ControlError
+    from motionkit.evaluation.quick import QUICK_TYPES
     from motionkit.evaluation.scoreboard import evaluate_model
     from motionkit.evaluation.settings import QUICK, EvaluationSettings
     from motionkit.files import atomic_write, check_outputs
     from motionkit.models.bundled import open_model
 
     basis = QUICK if quick else EvaluationSettings()
+    if quick and not sections:
+        sections, basis = ["types"], QUICK_TYPES
     try:
         settings = replace(
             basis,

@@ -24,8 +24,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Command name to the module under motionkit.cli that defines it as `command`.
 COMMANDS = {
+    "doctor": "doctor",
     "preprocess": "preprocess",
     "train": "train",
+    "quickstart": "quickstart",
     "synthesize": "synthesize",
     "follow-path": "follow_path",
     "metrics": "metrics",

@@ -45,6 +45,11 @@ def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]
     }
 
 
+def jumps_of(features: Array, layout: FeatureLayout) -> list[Event]:
+    """Flights of both feet in unnormalised features (T, 276), in temporal order."""
+    return _jumps(_positions(features, layout))
+
+
 def _positions(features: Array, layout: FeatureLayout) -> np.ndarray:
     """Joint positions (T, 23, 3) in the heading frame."""
     block = layout.blocks["joint_positions"]

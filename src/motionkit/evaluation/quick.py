@@ -15,19 +15,21 @@ import numpy as np
 from motionkit.control.path import shape_path
 from motionkit.control.script import TypePart
 from motionkit.control.steering import RUN_SPEED
+from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import detection_windows
 from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.paths import PathTrial, follow_trials
 from motionkit.evaluation.real import PROFILE_SECONDS
-from motionkit.evaluation.report import Section, Table
+from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Take, neutral_types, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.evaluation.trial import Trial
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.models.model import MotionModel
 
-QUICK = EvaluationSettings(split="validation", seeds=8, accuracy_seconds=6.0, repeats=2)
+QUICK_TYPES = EvaluationSettings(seeds=8, accuracy_seconds=6.0, repeats=2)
 # Targets: share of roll-outs that show the type, distance from the path (cm) of walks and of runs, and sliding of
 # held feet relative to the recordings.
 SHOWN, WALKS_WITHIN, RUNS_WITHIN, SLIDING = 0.95, 1.0, 2.0, 1.3
@@ -76,10 +78,15 @@ class TypeVerdict:
 def quick_verdicts(
     model: MotionModel,
     judge: Judge,
-    settings: EvaluationSettings = QUICK,
+    settings: EvaluationSettings = QUICK_TYPES,
     progress: Callable[[float], None] | None = None,
+    each: Map = map,
 ) -> list[TypeVerdict]:
-    """Judge every type of a model that the recordings of judge show, in the order of the model."""
+    """Judge every type of a model that the recordings of judge show, in the order of the model.
+
+    Args:
+        each: a map over roll-outs, such as that of worker processes; results do not depend on it.
+    """
     kinds = [
         kind for kind in model.types if kind in judge.real.types and judge.real.profile(kind) is not None
     ]
@@ -97,7 +104,7 @@ def quick_verdicts(
         for seed in range(first, first + settings.seeds)
     ]
     report = progress or (lambda share: None)
-    takes = roll_plans(model, plans, settings.noise, progress=lambda share: report(0.7 * share))
+    takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.7 * share))
     paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
     size = settings.seeds
     return [
@@ -106,8 +113,13 @@ def quick_verdicts(
     ]
 
 
-def quick_section(verdicts: list[TypeVerdict]) -> Section:
-    """The verdicts as a table of a scoreboard."""
+def types_section(trial: Trial, progress: Callable[[float], None]) -> Section:
+    """Measure the section: a verdict for each type."""
+    return verdict_section(quick_verdicts(trial.model, trial.judge, trial.settings, progress, trial.each))
+
+
+def verdict_section(verdicts: list[TypeVerdict]) -> Section:
+    """The verdicts as a section of a scoreboard."""
     columns = (
         "type",
         "verdict",
@@ -122,7 +134,7 @@ def quick_section(verdicts: list[TypeVerdict]) -> Section:
     rows = [
         (
             v.type,
-            "works" if v.works else "does not work",
+            "works" if v.works else "falls short",
             f"{v.shown} of {v.rollouts}",
             v.joint_speed,
             v.path,
@@ -139,7 +151,10 @@ def quick_section(verdicts: list[TypeVerdict]) -> Section:
         f"to be within {WALKS_WITHIN:g} and {RUNS_WITHIN:g} cm",
         f"sliding: of feet that are held, relative to the recordings; at most {SLIDING:g}",
     ]
-    return Section("quick", "Does each type work?", [Table("Types", columns, rows)], [], notes)
+    goals = [
+        Goal(f"{v.type} works", float(v.works), "yes", 1.0, None, "; ".join(v.reasons)) for v in verdicts
+    ]
+    return Section("types", "Does each type work?", [Table("Types", columns, rows)], goals, notes)
 
 
 def _verdict(

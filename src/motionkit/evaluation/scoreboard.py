@@ -12,6 +12,7 @@ from motionkit.errors import ControlError, DatasetError
 from motionkit.evaluation.accuracy import accuracy_section
 from motionkit.evaluation.judge import Judge
 from motionkit.evaluation.paths import paths_section
+from motionkit.evaluation.quick import types_section
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.reconstruction import reconstruction_section
 from motionkit.evaluation.report import Scoreboard, Section
@@ -37,7 +38,10 @@ SECTIONS: dict[str, Measure] = {
     "paths": paths_section,
     "response": response_section,
     "smoothness": smoothness_section,
+    "types": types_section,
 }
+# Measured only where it is asked for: it sums up in a minute or two what the others measure at length.
+ON_REQUEST = ("types",)
 
 
 def evaluate_model(
@@ -52,7 +56,7 @@ def evaluate_model(
 
     Args:
         settings: how many roll-outs to make, and how long; the defaults if None.
-        only: names of the sections to measure; all sections if empty.
+        only: names of the sections to measure; all but those of ON_REQUEST if empty.
         progress: called with the section's name and the share of it that is done.
         jobs: processes that roll out; the result does not depend on them.
 
@@ -61,7 +65,7 @@ def evaluate_model(
         DatasetError: if the dataset has none of the model's types, or another frame rate.
     """
     settings = settings or EvaluationSettings()
-    wanted = list(only) or list(SECTIONS)
+    wanted = list(only) or [name for name in SECTIONS if name not in ON_REQUEST]
     for name in wanted:
         if name not in SECTIONS:
             raise ControlError(unknown_name("section", name, tuple(SECTIONS)))

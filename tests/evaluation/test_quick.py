@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from motionkit.data.dataset import Dataset
+from motionkit.evaluation.judge import Judge
+from motionkit.evaluation.quick import QUICK_TYPES, TypeVerdict, quick_verdicts, verdict_section
+from motionkit.evaluation.real import RealMotion
+from motionkit.evaluation.scoreboard import evaluate_model
+from motionkit.models.model import MotionModel
+
+GOOD = TypeVerdict("walk", 9, 40.0, 8, 8, 1.0, 0.4, 1.0, 0.6)
+
+
+def test_a_model_that_hardly_moves_is_told_so(tiny_model: MotionModel, dataset: Dataset) -> None:
+    settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
+    verdicts = quick_verdicts(tiny_model, Judge(RealMotion(dataset)), settings)
+    assert {v.type for v in verdicts} <= set(tiny_model.types) and len(verdicts) > 2
+    bad = [v for v in verdicts if not v.works]
+    assert bad and all(v.reasons and v.type in v.sentence() for v in bad)
+    assert all(v.rollouts == 1 and v.clips >= 1 and v.seconds > 0.0 for v in verdicts)
+
+
+def test_types_are_judged_only_on_request(tiny_model: MotionModel, dataset: Dataset) -> None:
+    settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
+    board = evaluate_model(tiny_model, dataset, settings, ["types"])
+    (section,) = board.sections
+    assert section.name == "types" and len(section.goals) == len(section.tables[0].rows)
+
+
+@pytest.mark.parametrize(
+    ("changes", "works"), [({}, True), ({"reasons": ("shown in 3 of 8 roll-outs",)}, False)]
+)
+def test_a_verdict_is_plain(changes: dict, works: bool) -> None:
+    verdict = replace(GOOD, **changes)
+    assert verdict.works == works
+    assert verdict.sentence() == (
+        "walk works: shown in 8 of 8 roll-outs" if works else "walk: shown in 3 of 8 roll-outs"
+    )
+    row = verdict_section([verdict]).tables[0].rows[0]
+    assert row[:3] == ("walk", "works" if works else "falls short", "8 of 8")
