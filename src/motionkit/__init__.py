@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from motionkit.export.onnx_export import export_onnx
     from motionkit.features.decode import decode_motion as decode
     from motionkit.features.encode import encode_motion as encode
+    from motionkit.features.layout import column_names
     from motionkit.inference.character import CharacterStream
     from motionkit.inference.rollout import Noise
     from motionkit.models.model import MotionModel
@@ -79,6 +80,7 @@ _HOMES = {
     "export_onnx": "export.onnx_export",
     "decode": "features.decode:decode_motion",
     "encode": "features.encode:encode_motion",
+    "column_names": "features.layout",
     "CharacterStream": "inference.character",
     "Noise": "inference.rollout",
     "MotionModel": "models.model",
@@ -109,6 +111,7 @@ __all__ = [
     "Wish",
     "__version__",
     "canonical_skeleton",
+    "column_names",
     "decode",
     "encode",
     "evaluate",
