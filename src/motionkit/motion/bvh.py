@@ -35,12 +35,15 @@ class BvhFile:
         channels: the channel names of each joint, in file order.
         values: (T, C) the motion block in degrees and file units; C counts the channels of all joints.
         frame_time: seconds per frame, as declared.
+        hierarchy: text of the hierarchy section to write instead of one made from skeleton and channels; read_bvh
+            gives none.
     """
 
     skeleton: Skeleton
     channels: tuple[tuple[str, ...], ...]
     values: NDArray[np.float64]
     frame_time: float
+    hierarchy: str | None = None
 
     @property
     def fps(self) -> float:
@@ -187,10 +190,9 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
         bvh = _scaled_file(bvh, scale)
     bvh = _depth_first(bvh)
     _check_numbers(path, bvh)
+    hierarchy = bvh.hierarchy or "\n".join(["HIERARCHY", *_hierarchy_lines(bvh)]) + "\n"
     with atomic_write(path) as file:
-        file.write("HIERARCHY\n")
-        for line in _hierarchy_lines(bvh):
-            file.write(line + "\n")
+        file.write(hierarchy)
         file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {bvh.frame_time:.9g}\n")
         np.savetxt(file, bvh.values, fmt="%.6f", delimiter=" ")
 
@@ -237,7 +239,7 @@ def _depth_first(bvh: BvhFile) -> BvhFile:
 def _scaled_file(bvh: BvhFile, scale: float) -> BvhFile:
     names = [name for joint in bvh.channels for name in joint]
     factor = np.array([scale if name.endswith("position") else 1.0 for name in names])
-    return replace(bvh, skeleton=bvh.skeleton.scaled(scale), values=bvh.values * factor)
+    return replace(bvh, skeleton=bvh.skeleton.scaled(scale), values=bvh.values * factor, hierarchy=None)
 
 
 def _hierarchy_lines(bvh: BvhFile) -> list[str]:

@@ -64,6 +64,12 @@ def read_bvh_text(path: str | Path) -> BvhText:
     return BvhText(header, names, channels, frames, frame_time, values)
 
 
+def read_hierarchy(path: str | Path) -> str:
+    """The hierarchy section of a BVH file as it is written there; raises BvhError as read_bvh_text does."""
+    lines = _decode(path, _read_bytes(path)).split("\n")
+    return "\n".join(lines[: _find_motion(path, lines)]) + "\n"
+
+
 def _read_bytes(path: str | Path) -> bytes:
     try:
         data = read_bytes(path, MAX_BYTES, "a BVH file")

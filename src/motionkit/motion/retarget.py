@@ -7,30 +7,20 @@ joints) are included.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from motionkit.arrays import Array, length, lower_median, normalized
+from motionkit.arrays import Array, length, lower_median
 from motionkit.errors import SkeletonError
-from motionkit.motion.bvh import BvhFile, bvh_to_motion, read_bvh
-from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.motion import Motion
-from motionkit.motion.rest_pose import (
-    SIDES,
-    SourceRig,
-    body_frame,
-    bone_end,
-    posed_differences,
-    rest_differences,
-    stands,
-    tiny_length,
-)
-from motionkit.motion.rig_names import RigMap, map_rig
+from motionkit.motion.rest_pose import SIDES, SourceRig
+from motionkit.motion.rig import Rig
+from motionkit.motion.rig_names import RigMap
+from motionkit.motion.rig_pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.motion.rotations import (
-    quat_angle,
-    quat_between,
     quat_continuous,
     quat_inverse,
     quat_multiply,
@@ -86,7 +76,11 @@ def retarget_file(
 
 
 def retarget(
-    bvh: BvhFile, scale: float | None = None, fps: float | None = None, own_body: bool = False
+    bvh: BvhFile,
+    scale: float | None = None,
+    fps: float | None = None,
+    own_body: bool = False,
+    rig: Rig | None = None,
 ) -> tuple[Motion, RetargetReport]:
     """Retarget a BVH file to the canonical skeleton, at its own frame rate.
 
@@ -96,128 +90,44 @@ def retarget(
         fps: frame rate, if the file's header is wrong.
         own_body: keep this body's bone lengths. Otherwise the motion has the canonical body, and root positions are
             scaled about the world's origin by the ratio of leg lengths.
+        rig: what is known of the file's rig (rig.read_rig): its joint map, up axis and rest pose replace what the
+            file itself shows.
 
     Returns:
         The motion and a report.
 
     Raises:
-        SkeletonError: the rig is not a known human rig.
+        SkeletonError: the rig is not a known human rig, or has other joints than rig.
     """
-    bvh = _median_offsets(bvh)
+    bvh = median_offsets(bvh)
     names = bvh.skeleton.names
-    full_rig = map_rig(bvh.skeleton)
-    bvh, rig = _keep_needed(bvh, full_rig)
-    source = SourceRig(bvh.skeleton, rig, bvh.skeleton.rest_positions())
-    rotations, positions = motion_kinematics(bvh_to_motion(bvh, fps=fps))
-    frame = body_frame(source)
-    standing = stands(source, frame)
-    up = _up_axis(source, positions, frame if standing else None)
-    turn = quat_between(up, np.array([0.0, 1.0, 0.0], np.float32))
-    if float(up[1]) < 1.0:
-        rotations, positions = (
-            quat_multiply(np.broadcast_to(turn, rotations.shape), rotations),
-            quat_rotate(turn, positions),
-        )
-    if standing:
-        differences = rest_differences(source, frame)
-    else:
-        differences = posed_differences(source, rotations, positions)
-    leg = _leg(source)
+    if rig is not None and not rig.skeleton.same_hierarchy(bvh.skeleton):
+        raise SkeletonError(f"has other joints than the rig {rig.name}")
+    full_map = map_file(bvh) if rig is None else rig.joints
+    pose = study_rig(bvh, full_map, fps, None if rig is None else (rig.up, rig.differences))
+    leg = pose.leg()
     check_leg(leg)
     scale, scale_source = (scale, "given") if scale is not None else guess_scale(leg)
     root_scale = leg_length(canonical_skeleton()) / (leg * scale)
-    shape = source.rest[None] if standing else positions
-    body, body_notes = _body(source, shape * scale, scale)
+    body, body_notes = _body(pose, scale)
     target = canonical_skeleton(body) if own_body else canonical_skeleton()
-    turned = _canonical_rotations(rig, rotations, differences)
-    places = positions * (scale if own_body else scale * root_scale)
-    roots = _root_positions(rig, places, turned[:, 0], target)
-    motion = Motion(target, _to_local(turned), roots, bvh.fps if fps is None else fps)
-    notes = _pose_notes(up, frame, standing, differences) + body_notes
+    turned = _canonical_rotations(pose.source.rig, pose.rotations, pose.differences)
+    places = pose.positions * (scale if own_body else scale * root_scale)
+    roots = _root_positions(pose.source.rig, places, turned[:, 0], target)
+    motion = Motion(target, to_local(turned), roots, bvh.fps if fps is None else fps)
     report = RetargetReport(
         source_joints=len(names),
-        mapped={name: names[joint] for name, joint in full_rig.places.items()},
-        missing=rig.missing(),
-        ignored=tuple(name for j, name in enumerate(names) if j not in full_rig.places.values()),
+        mapped={name: names[joint] for name, joint in full_map.places.items()},
+        missing=full_map.missing(),
+        ignored=tuple(name for j, name in enumerate(names) if j not in full_map.places.values()),
         scale=scale,
         scale_source=scale_source,
         leg_length=leg * scale,
         root_scale=root_scale,
-        notes=notes,
+        notes=pose_notes(pose) + body_notes,
         body=body,
     )
     return motion, report
-
-
-def _median_offsets(bvh: BvhFile) -> BvhFile:
-    """Replace the OFFSET of six-channel joints by the median of their position channels."""
-    offsets = bvh.skeleton.offsets.copy()
-    for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
-        for name, column in zip(names, columns, strict=True):
-            if joint and name.endswith("position"):
-                offsets[joint, "XYZ".index(name[0])] = float(np.median(bvh.values[:, column]))
-    return replace(bvh, skeleton=replace(bvh.skeleton, offsets=offsets))
-
-
-def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
-    """Remove joints that no canonical joint needs (fingers, meshes, helpers).
-
-    Bones that ended in such joints get an End Site instead.
-    """
-    skeleton = bvh.skeleton
-    needed: set[int] = set()
-    for joint in (*rig.places.values(), *rig.turns.values()):
-        while joint >= 0 and joint not in needed:
-            needed.add(joint)
-            joint = skeleton.parents[joint]
-    keep = sorted(needed)
-    new = {joint: index for index, joint in enumerate(keep)}
-    parents = tuple(new[skeleton.parents[j]] if skeleton.parents[j] >= 0 else -1 for j in keep)
-    ends: dict[int, tuple[float, float, float]] = {}
-    tiny = tiny_length(skeleton)
-    for joint in keep:
-        if new[joint] in parents:
-            continue
-        end = bone_end(skeleton, joint, tiny)
-        if end is not None:
-            ends[new[joint]] = (float(end[0]), float(end[1]), float(end[2]))
-    kept = Skeleton(tuple(skeleton.names[j] for j in keep), parents, skeleton.offsets[keep], ends)
-    columns = bvh.columns()
-    values = bvh.values[:, [column for j in keep for column in columns[j]]]
-    small = BvhFile(kept, tuple(bvh.channels[j] for j in keep), values, bvh.frame_time)
-    places = {name: new[j] for name, j in rig.places.items()}
-    return small, RigMap(places, {name: new[j] for name, j in rig.turns.items()})
-
-
-def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
-    """The up axis (3,) of the world, by the recorded poses, with a preference for Y and the rest pose."""
-    places = source.rig.places
-    arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
-    hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
-    mean = normalized(arms - hips).mean(0)
-    votes = np.abs(mean) + np.array([0.0, 0.3, 0.0], np.float32)
-    sign = np.where(mean < 0, -1.0, 1.0)
-    if frame is not None:  # the body may be on the floor or upside down for a whole clip
-        rest = quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
-        axis = int(np.abs(rest).argmax())
-        votes[axis] += 0.4
-        sign[axis] = 1.0 if rest[axis] > 0 else -1.0
-    best = int(votes.argmax())
-    return np.eye(3, dtype=np.float32)[best] * sign[best].astype(np.float32)
-
-
-def _leg(source: SourceRig) -> float:
-    """Thigh plus shin in file units, the mean of both sides."""
-    total = 0.0
-    for side in SIDES:
-        for part in ("UpLeg", "Leg"):
-            bone = source.bone(f"{side}{part}")
-            if bone is None:
-                raise SkeletonError(
-                    f"{side}{part} is a bone of zero length, so the scale cannot be determined"
-                )
-            total += float(np.linalg.norm(bone[1]))
-    return total / 2.0
 
 
 def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> Array:
@@ -229,7 +139,7 @@ def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> A
     return quat_multiply(rotations[:, sources], differences[carriers])
 
 
-def _to_local(rotations: Array) -> Array:
+def to_local(rotations: Array) -> Array:
     """Local rotations (T, 23, 4) of global ones, with signs continuous in time."""
     parents = rotations[:, list(PARENTS[1:])]
     local = quat_multiply(quat_inverse(parents), rotations[:, 1:])
@@ -247,15 +157,17 @@ def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton
     return middle - quat_rotate(hips, np.broadcast_to(socket, middle.shape))
 
 
-def _body(source: SourceRig, shape: Array, scale: float) -> tuple[Array, tuple[str, ...]]:
+def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
     """This body's offsets (23, 3) in cm, in canonical directions, and notes on assumed lengths.
 
     A length missing in the rig is the canonical one, in proportion to the legs. If the rig's torso lacks joints, the
-    torso is scaled as a whole, by its height and widths in shape (T, J, 3), cm.
+    torso is scaled as a whole, by its height and widths in the rest pose, or in the recorded poses if that is none.
     """
+    source = pose.source
+    shape = (source.rest[None] if pose.standing else pose.positions) * scale
     canonical = canonical_skeleton()
     rest = canonical.rest_positions()
-    share = _leg(source) * scale / leg_length(canonical)
+    share = pose.leg() * scale / leg_length(canonical)
     ratios = np.full(len(JOINT_NAMES), share, np.float32)
     assumed: list[str] = []
     for joint, name in enumerate(JOINT_NAMES[1:], start=1):
@@ -322,25 +234,3 @@ def _torso_ratios(source: SourceRig, shape: Array, rest: Array) -> list[tuple[tu
         below = height * float(rest[JOINT_NAMES.index("LeftArm")][1] - neck[1])
         ratios.append((("Neck1", "Head"), (above + below) / float(head[1] - neck[1])))
     return ratios
-
-
-def _pose_notes(up: Array, frame: Array, standing: bool, differences: Array) -> tuple[str, ...]:
-    """Notes on how the source's axes and rest pose differ."""
-    notes = []
-    if float(up[1]) < 0.5:
-        axis = int(np.abs(up).argmax())
-        notes.append(f"up axis {'+' if float(up[axis]) > 0 else '-'}{'XYZ'[axis]} turned to +Y")
-    if not standing:
-        notes.append("the rest pose is not a standing human; rest rotations were taken from the motion")
-        return tuple(notes)
-    facing = quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
-    axis = int(np.abs(facing).argmax())
-    if axis != 2 or float(facing[axis]) < 0:
-        notes.append(f"the rest pose faces {'+' if float(facing[axis]) > 0 else '-'}{'XYZ'[axis]}")
-    apart = np.rad2deg(quat_angle(np.broadcast_to(frame, differences.shape), differences))
-    turned = [
-        f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
-    ]
-    if turned:
-        notes.append(f"the rest pose differs, in degrees: {', '.join(turned)}")
-    return tuple(notes)

@@ -1,4 +1,4 @@
-"""Maps the joints of other rigs to canonical joints: limbs by name, the torso by hierarchy.
+"""Maps the joints of other rigs to canonical joints: limbs by name or else by shape, the torso by hierarchy.
 
 A name gives a side and a part: "mixamorig:LeftUpLeg", "Bip01 L Thigh", "thigh.L" and "lThigh" are all the left
 thigh. Some words differ between rigs: "LeftShoulder" is a collar bone in one and an upper arm in another, and
@@ -9,13 +9,16 @@ are found on the paths between the limbs, whatever their names.
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 
 import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.motion.mirror import joint_sides
+from motionkit.motion.rig_shape import limbs_by_shape
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
 
 # Part to its words, in lower case, without separators and digits. "shoulder", "arm", "hip" and "leg" are separate
 # parts because they are ambiguous.
@@ -50,6 +53,8 @@ SIDES: dict[str, str] = {"left": "Left", "right": "Right", "l": "Left", "r": "Ri
 # Places of the canonical spine joints between hips (0) and shoulders (1).
 SPINE_SHARES: dict[str, float] = {"LowerBack": 0.0, "Spine": 0.28, "Spine1": 0.56}
 
+_NEEDED = tuple(f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm"))
+_LIMB = re.compile(r"(Left|Right)(Leg|Foot|ToeBase|ForeArm|Hand)")
 _TOKENS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 _SIDE = "|".join(SIDES)
@@ -64,10 +69,14 @@ class RigMap:
         places: canonical name to the index of the source joint at its place.
         turns: canonical name to the index of the source joint with its rotation; this differs from the place if
             twist joints follow along the same bone.
+        by_shape: probability from 0 to 1 of the limb joints that were found by shape and not by name.
+        sides_sure: probability that left is left; below 1 only if no name tells.
     """
 
     places: dict[str, int]
     turns: dict[str, int]
+    by_shape: dict[str, float] = field(default_factory=dict)
+    sides_sure: float = 1.0
 
     def missing(self) -> tuple[str, ...]:
         """Canonical joints that the source lacks."""
@@ -90,15 +99,29 @@ def name_part(name: str) -> tuple[str, str]:
     return "", ""
 
 
-def map_rig(skeleton: Skeleton) -> RigMap:
-    """Find the canonical joints in a skeleton; raises SkeletonError if it is not a known human rig."""
-    return _Mapper(skeleton).map()
+def map_rig(skeleton: Skeleton, poses: Array | None = None) -> RigMap:
+    """Find the canonical joints in a skeleton.
+
+    Args:
+        skeleton: any rig.
+        poses: (P, J, 3) recorded joint positions, of use for limbs whose names are unknown.
+
+    Raises:
+        SkeletonError: it is not a human rig, or a limb is missing.
+    """
+    return _Mapper(skeleton).map(poses)
+
+
+def given_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:
+    """The map of a skeleton whose canonical joints are known; raises SkeletonError if they cannot be a body."""
+    return _Mapper(skeleton).given(places)
 
 
 class _Mapper:
     """The hierarchy with parts by name; its methods map the limbs first, then the torso."""
 
     def __init__(self, skeleton: Skeleton) -> None:
+        self.skeleton = skeleton
         self.names = skeleton.names
         self.parents = skeleton.parents
         self.offsets = skeleton.offsets
@@ -109,18 +132,59 @@ class _Mapper:
             self.subtree[self.parents[joint]] += self.subtree[joint]
         self.places: dict[str, int] = {}
 
-    def map(self) -> RigMap:
+    def map(self, poses: Array | None) -> RigMap:
         for side in ("Left", "Right"):
             self._leg(side)
             self._arm(side)
+        by_shape, sides_sure = self._by_shape(poses)
         self._require()
         self._hips()
         chest = self._spine()
         self._neck(chest)
         for side in ("Left", "Right"):
             self._collar(side, chest)
+        return replace(self._rig_map(), by_shape=by_shape, sides_sure=sides_sure)
+
+    def given(self, places: dict[str, int]) -> RigMap:
+        self.places = places
+        self._require()
+        for name, joint in places.items():
+            above = PARENTS[JOINT_NAMES.index(name)]
+            while above > 0 and JOINT_NAMES[above] not in places:
+                above = PARENTS[above]
+            top = places.get(JOINT_NAMES[above]) if above >= 0 else None
+            if _LIMB.fullmatch(name) and top is not None and top not in self.path(joint)[:-1]:
+                raise SkeletonError(
+                    f"{self.names[joint]} is mapped to {name} but does not hang from {self.names[top]}, "
+                    f"which is mapped to {JOINT_NAMES[above]}"
+                )
+        if "Hips" not in places:
+            raise SkeletonError("no joint is mapped to Hips")
+        return self._rig_map()
+
+    def _rig_map(self) -> RigMap:
         ordered = {name: self.places[name] for name in JOINT_NAMES if name in self.places}
         return RigMap(ordered, {name: self._turn(name) for name in ordered})
+
+    def _by_shape(self, poses: Array | None) -> tuple[dict[str, float], float]:
+        """Fill in the limbs that have no known names; returns how sure each of their joints is, and their sides."""
+        if not self._lacking():
+            return {}, 1.0
+        guess = limbs_by_shape(self.skeleton, joint_sides(self.names), poses)
+        if guess is None:
+            return {}, 1.0
+        found: dict[str, float] = {}
+        for parts in (("UpLeg", "Leg", "Foot", "ToeBase"), ("Arm", "ForeArm", "Hand")):
+            names = [f"{side}{part}" for side in ("Left", "Right") for part in parts]
+            if set(names) & self._lacking():  # a limb half known by names is taken from one source
+                for name in names:
+                    self.places.pop(name, None)
+                    if name in guess.places:
+                        self.places[name], found[name] = guess.places[name], guess.sure[name]
+        return found, guess.sides_sure
+
+    def _lacking(self) -> set[str]:
+        return {name for name in _NEEDED if name not in self.places}
 
     def path(self, joint: int) -> list[int]:
         """The joints from the root to a joint, both included."""
@@ -188,10 +252,7 @@ class _Mapper:
             self.put(f"{side}Hand", self.find(side, "hand", under=lower))
 
     def _require(self) -> None:
-        needed = [
-            f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm")
-        ]
-        lacking = [name for name in needed if name not in self.places]
+        lacking = [name for name in _NEEDED if name in self._lacking()]
         if lacking:
             seen = ", ".join(self.names[:12]) + (", ..." if len(self.names) > 12 else "")
             raise SkeletonError(
@@ -234,14 +295,44 @@ class _Mapper:
     def _neck(self, chest: int) -> None:
         head = self.put("Head", self.find("", "head", under=chest))
         if head is None:
-            self.put("Neck", self.find("", "neck", under=chest))
-            return
+            neck = self.find("", "neck", under=chest)
+            if neck is not None or self.put("Head", self._head_by_shape(chest)) is None:
+                self.put("Neck", neck)
+                return
+            head = self.places["Head"]
         path = self.path(head)
-        neck = path[path.index(chest) + 1 : -1]
-        if neck:
-            self.places["Neck"] = neck[0]
-        if len(neck) > 1:
-            self.places["Neck1"] = neck[-1]
+        neck_joints = path[path.index(chest) + 1 : -1]
+        if neck_joints:
+            self.places["Neck"] = neck_joints[0]
+        if len(neck_joints) > 1:
+            self.places["Neck1"] = neck_joints[-1]
+
+    def _head_by_shape(self, chest: int) -> int | None:
+        """The head of unknown name: along the longest branch of the chest without arms, the third joint at most.
+
+        A joint that branches (into eyes and jaw) ends it, and the last joint of a longer chain is the tip of the head.
+        """
+        arms = {self.places["LeftArm"], self.places["RightArm"]}
+
+        def free(joint: int) -> list[int]:
+            return [j for j in self.children(joint) if not any(j in self.path(arm) for arm in arms)]
+
+        chain: list[int] = []
+        here = chest
+        while below := free(here):
+            here = max(below, key=lambda j: self.reach(j))
+            chain.append(here)
+            if len(free(here)) > 1:
+                return here
+        if not chain or self.reach(chain[0]) < 0.05 * self.reach(0):
+            return None
+        return chain[-1] if len(chain) < 3 else chain[min(len(chain) - 2, 2)]
+
+    def reach(self, joint: int) -> float:
+        """The longest path from a joint's parent through the joint to the end of a branch."""
+        end = float(np.linalg.norm(self.skeleton.end_sites.get(joint, (0.0, 0.0, 0.0))))
+        below = max((self.reach(child) for child in self.children(joint)), default=end)
+        return below + (float(np.linalg.norm(self.offsets[joint])) if joint else 0.0)
 
     def _collar(self, side: str, chest: int) -> None:
         path = self.path(self.places[f"{side}Arm"])

@@ -40,6 +40,12 @@ class Skeleton:
         """Indices of the joint's children."""
         return [j for j, parent in enumerate(self.parents) if parent == joint]
 
+    def descends(self, joint: int, above: int) -> bool:
+        """Whether a joint is another one or descends from it."""
+        while joint > above:
+            joint = self.parents[joint]
+        return joint == above
+
     def rest_positions(self) -> Array:
         """Joint positions (J, 3) of the rest pose, the root at the origin."""
         positions = [np.zeros(3, self.offsets.dtype)]

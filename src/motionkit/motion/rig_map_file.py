@@ -1,0 +1,87 @@
+"""Bone maps as JSON files that a user can edit: joint names of a rig to canonical joints.
+
+{"joints": {"Bip01_Pelvis": "Hips", "Bip01_L_Thigh": "LeftUpLeg", "Bip01_Ponytail": null}}
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from pathlib import Path
+from typing import Any
+
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.files import atomic_write, read_text
+from motionkit.motion.rig_names import RigMap, given_map
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+
+_MOST_BYTES = 2**20
+
+
+def write_rig_map(path: str | Path, skeleton: Skeleton, joints: RigMap) -> None:
+    """Write a bone map: every joint of the rig in its order, null for those without a canonical joint."""
+    names = {joint: name for name, joint in joints.places.items()}
+    value = {"joints": {name: names.get(joint) for joint, name in enumerate(skeleton.names)}}
+    with atomic_write(path) as file:
+        file.write(json.dumps(value, indent=2, ensure_ascii=False) + "\n")
+
+
+def read_rig_map(path: str | Path, skeleton: Skeleton) -> RigMap:
+    """Read a bone map for a skeleton; joints that it does not name have no canonical joint.
+
+    Raises:
+        MotionkitError: the file is not a bone map, names a joint twice, or one that the skeleton does not have.
+        SkeletonError: the map is not a body: a limb is missing, or a shin does not hang from its thigh.
+    """
+    places: dict[str, int] = {}
+    for joint, canonical in _pairs(path):
+        index = _index(path, joint, skeleton)
+        if canonical is None:
+            continue
+        if canonical not in JOINT_NAMES:
+            raise MotionkitError(
+                f"{path}: {joint} is mapped to {str(canonical)[:40]!r}, expected a canonical joint or null"
+                + _near(str(canonical), JOINT_NAMES)
+            )
+        if canonical in places:
+            raise MotionkitError(
+                f"{path}: {canonical} is given to two joints, {skeleton.names[places[canonical]]} and {joint}"
+            )
+        places[canonical] = index
+    try:
+        return given_map(skeleton, {name: places[name] for name in JOINT_NAMES if name in places})
+    except SkeletonError as error:
+        raise SkeletonError(f"{path}: {error}") from None
+
+
+def _pairs(path: str | Path) -> list[tuple[str, Any]]:
+    """Joints and what they are mapped to, in the order of the file."""
+
+    def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        found = dict(pairs)
+        for name, _ in pairs if len(found) < len(pairs) else ():
+            if sum(name == other for other, _ in pairs) > 1:
+                raise MotionkitError(f"{path}: {name[:40]!r} is named twice")
+        return found
+
+    text = read_text(path, "a bone map in JSON", limit=_MOST_BYTES)
+    try:
+        value = json.loads(text, object_pairs_hook=once)
+    except (ValueError, RecursionError) as error:
+        raise MotionkitError(f"{path}: not JSON ({error})") from None
+    joints = value.get("joints") if isinstance(value, dict) else None
+    if not isinstance(joints, dict):
+        raise MotionkitError(f'{path}: expected {{"joints": {{"joint of the rig": "canonical joint"}}}}')
+    return list(joints.items())
+
+
+def _index(path: str | Path, joint: str, skeleton: Skeleton) -> int:
+    name = "_".join(joint.split())  # as read_bvh reads names with spaces
+    if name not in skeleton.names:
+        raise MotionkitError(f"{path}: the rig has no joint {joint[:40]!r}" + _near(name, skeleton.names))
+    return skeleton.names.index(name)
+
+
+def _near(word: str, words: tuple[str, ...]) -> str:
+    near = difflib.get_close_matches(word, words, 1)
+    return f"; did you mean {near[0]}?" if near else ""

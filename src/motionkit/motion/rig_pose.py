@@ -1,0 +1,195 @@
+"""What a BVH file shows of its rig: the mapped joints, the up axis, and how its rest pose differs from the canonical.
+
+Retargeting to the canonical skeleton (retarget) and back to a rig (to_rig) both begin here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.arrays import Array, normalized
+from motionkit.errors import SkeletonError
+from motionkit.motion.bvh import BvhFile, bvh_to_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.rest_pose import (
+    SIDES,
+    SourceRig,
+    body_frame,
+    bone_end,
+    posed_differences,
+    rest_differences,
+    stands,
+    tiny_length,
+)
+from motionkit.motion.rig_names import RigMap, map_rig
+from motionkit.motion.rotations import quat_angle, quat_between, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+
+_SAMPLES = 32  # recorded poses that show the shape of a rig
+
+
+@dataclass(frozen=True, eq=False)
+class RigPose:
+    """The rig of a file, and its motion.
+
+    Attributes:
+        source: the mapped joints, those between them, and their rest positions in file units and axes.
+        rotations: (T, J, 4) recorded global rotations of these joints, turned to Y up.
+        positions: (T, J, 3) recorded positions in file units, turned to Y up.
+        up: (3,) the file's up axis.
+        frame: (4,) the orientation of the body in the rest pose, in the file's axes.
+        standing: whether the rest pose is a standing human; otherwise differences are those of the recorded poses.
+        differences: (23, 4) rotations from canonical rest directions to those of the source (rest_pose).
+    """
+
+    source: SourceRig
+    rotations: Array
+    positions: Array
+    up: Array
+    frame: Array
+    standing: bool
+    differences: Array
+
+    def leg(self) -> float:
+        """Thigh plus shin in file units, the mean of both sides; raises SkeletonError if a bone has no length."""
+        total = 0.0
+        for side in SIDES:
+            for part in ("UpLeg", "Leg"):
+                bone = self.source.bone(f"{side}{part}")
+                if bone is None:
+                    raise SkeletonError(
+                        f"{side}{part} is a bone of zero length, so the scale cannot be determined"
+                    )
+                total += float(np.linalg.norm(bone[1]))
+        return total / 2.0
+
+
+def map_file(bvh: BvhFile) -> RigMap:
+    """The canonical joints of a file; raises SkeletonError if it is not a human rig."""
+    few = replace(bvh, values=bvh.values[:: max(1, len(bvh.values) // _SAMPLES)])
+    return map_rig(bvh.skeleton, motion_kinematics(bvh_to_motion(few))[1])
+
+
+def study_rig(
+    bvh: BvhFile, rig: RigMap, fps: float | None = None, known: tuple[Array, Array] | None = None
+) -> RigPose:
+    """Study the rig of a file whose joints are mapped; median_offsets comes first.
+
+    Args:
+        bvh: the file.
+        rig: its canonical joints.
+        fps: frame rate, if the file's header is wrong.
+        known: the up axis (3,) and the differences (23, 4), where they are known already.
+    """
+    bvh, rig = _keep_needed(bvh, rig)
+    source = SourceRig(bvh.skeleton, rig, bvh.skeleton.rest_positions())
+    rotations, positions = motion_kinematics(bvh_to_motion(bvh, fps=fps))
+    frame = body_frame(source)
+    standing = stands(source, frame)
+    up = known[0] if known else _up_axis(source, positions, frame if standing else None)
+    rotations, positions = _turned_up(up, rotations, positions)
+    if known:
+        differences = known[1]
+    elif standing:
+        differences = rest_differences(source, frame)
+    else:
+        differences = posed_differences(source, rotations, positions)
+    return RigPose(source, rotations, positions, up, frame, standing, differences)
+
+
+def up_turn(up: Array) -> Array:
+    """The rotation (4,) that turns an up axis (3,) to +Y."""
+    return quat_between(up, np.array([0.0, 1.0, 0.0], np.float32))
+
+
+def _turned_up(up: Array, rotations: Array, positions: Array) -> tuple[Array, Array]:
+    """Global rotations (T, J, 4) and positions (T, J, 3) of a world whose up axis (3,) is turned to +Y."""
+    if float(up[1]) >= 1.0:
+        return rotations, positions
+    turn = up_turn(up)
+    return (
+        quat_multiply(np.broadcast_to(turn, rotations.shape), rotations),
+        quat_rotate(turn, positions),
+    )
+
+
+def median_offsets(bvh: BvhFile) -> BvhFile:
+    """Replace the OFFSET of six-channel joints by the median of their position channels."""
+    offsets = bvh.skeleton.offsets.copy()
+    for joint, (names, columns) in enumerate(zip(bvh.channels, bvh.columns(), strict=True)):
+        for name, column in zip(names, columns, strict=True):
+            if joint and name.endswith("position"):
+                offsets[joint, "XYZ".index(name[0])] = float(np.median(bvh.values[:, column]))
+    return replace(bvh, skeleton=replace(bvh.skeleton, offsets=offsets))
+
+
+def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
+    """Remove joints that no canonical joint needs (fingers, meshes, helpers).
+
+    Bones that ended in such joints get an End Site instead.
+    """
+    skeleton = bvh.skeleton
+    needed: set[int] = set()
+    for joint in (*rig.places.values(), *rig.turns.values()):
+        while joint >= 0 and joint not in needed:
+            needed.add(joint)
+            joint = skeleton.parents[joint]
+    keep = sorted(needed)
+    new = {joint: index for index, joint in enumerate(keep)}
+    parents = tuple(new[skeleton.parents[j]] if skeleton.parents[j] >= 0 else -1 for j in keep)
+    ends: dict[int, tuple[float, float, float]] = {}
+    tiny = tiny_length(skeleton)
+    for joint in keep:
+        if new[joint] in parents:
+            continue
+        end = bone_end(skeleton, joint, tiny)
+        if end is not None:
+            ends[new[joint]] = (float(end[0]), float(end[1]), float(end[2]))
+    kept = Skeleton(tuple(skeleton.names[j] for j in keep), parents, skeleton.offsets[keep], ends)
+    columns = bvh.columns()
+    values = bvh.values[:, [column for j in keep for column in columns[j]]]
+    small = BvhFile(kept, tuple(bvh.channels[j] for j in keep), values, bvh.frame_time)
+    places = {name: new[j] for name, j in rig.places.items()}
+    return small, RigMap(places, {name: new[j] for name, j in rig.turns.items()})
+
+
+def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
+    """The up axis (3,) of the world, by the recorded poses, with a preference for Y and the rest pose."""
+    places = source.rig.places
+    arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
+    hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
+    mean = normalized(arms - hips).mean(0)
+    votes = np.abs(mean) + np.array([0.0, 0.3, 0.0], np.float32)
+    sign = np.where(mean < 0, -1.0, 1.0)
+    if frame is not None:  # the body may be on the floor or upside down for a whole clip
+        rest = quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
+        axis = int(np.abs(rest).argmax())
+        votes[axis] += 0.4
+        sign[axis] = 1.0 if rest[axis] > 0 else -1.0
+    best = int(votes.argmax())
+    return np.eye(3, dtype=np.float32)[best] * sign[best].astype(np.float32)
+
+
+def pose_notes(pose: RigPose) -> tuple[str, ...]:
+    """Notes on how the source's axes and rest pose differ."""
+    up, frame, differences = pose.up, pose.frame, pose.differences
+    notes = []
+    if float(up[1]) < 0.5:
+        axis = int(np.abs(up).argmax())
+        notes.append(f"up axis {'+' if float(up[axis]) > 0 else '-'}{'XYZ'[axis]} turned to +Y")
+    if not pose.standing:
+        notes.append("the rest pose is not a standing human; rest rotations were taken from the motion")
+        return tuple(notes)
+    facing = quat_rotate(frame, np.array([0.0, 0.0, 1.0], np.float32))
+    axis = int(np.abs(facing).argmax())
+    if axis != 2 or float(facing[axis]) < 0:
+        notes.append(f"the rest pose faces {'+' if float(facing[axis]) > 0 else '-'}{'XYZ'[axis]}")
+    apart = np.rad2deg(quat_angle(np.broadcast_to(frame, differences.shape), differences))
+    turned = [
+        f"{name} {angle:.0f}" for name, angle in zip(JOINT_NAMES, apart.tolist(), strict=True) if angle > 5
+    ]
+    if turned:
+        notes.append(f"the rest pose differs, in degrees: {', '.join(turned)}")
+    return tuple(notes)

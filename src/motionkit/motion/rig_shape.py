@@ -1,0 +1,355 @@
+"""Finds the legs and arms of a rig by its shape, whatever its joints are called.
+
+Limbs come in pairs: two branches of one joint with the same bone lengths. Of all such pairs, and of all joints along
+them, those are legs and arms whose proportions are most like a human's. Each assignment has a cost, the negative
+logarithm of its likelihood; the costs of the others say how sure the best one is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import combinations, permutations
+
+import numpy as np
+
+from motionkit.arrays import Array, cross, normalized
+from motionkit.motion.skeleton import Skeleton
+
+# Bones of a pair are equal within this share of their length, plus a share of the rig's size.
+_EQUAL, _EQUAL_SIZE = 0.12, 0.005
+_SHORTEST_LIMB = 0.15  # share of the longest path; fingers, eyes and ears are shorter
+_MOST_PAIRS, _MOST_JOINTS, _BEST = (
+    8,
+    24,
+    6,
+)  # pairs, joints along a limb, and assignments of a pair that are compared
+# Mean and standard deviation of proportions, and of logarithms of ratios: those of the recorded rigs this was checked
+# with, widened for toons and for rigs whose joints sit oddly.
+_THIGH_SHIN = (math.log(0.92), 0.18)
+_HIP_WIDTH = (0.3, 0.2)  # from the fork of the legs, as a share of the thigh
+_FOOT_SHIN = (math.log(0.35), 0.5)
+# As shares of the leg: the way from the fork of the arms to the shoulder, upper arm, forearm, and from fork to fork.
+_COLLAR_LEG, _UPPER_LEG, _FORE_LEG = (0.38, 0.13), (math.log(0.32), 0.15), (math.log(0.27), 0.25)
+_TORSO_LEG = (0.45, 0.25)
+_HAND_FORE = (math.log(0.5), 0.8)
+_NO_END = 1.0  # cost of a leg without a foot, or an arm without a hand
+_EXTRA = 0.4  # cost of a joint along a bone, such as a twist joint
+_FINGERS = 1.5  # cost of a hand or foot behind a joint that branches
+_BENT = 0.06  # share by which a bone with joints along it may be shorter than their path
+_LEG_DOWN, _WRIST = (
+    (1.0, 0.35),
+    (0.0, 1.2),
+)  # how far down ankles, and how far up wrists are, as shares of the limb
+_UPSIDE_DOWN = 3.0  # cost of arms whose fork carries that of the legs
+_APART = 1.0  # cost of forks of which neither carries the other
+_NOT_HUMAN = 9.0  # cost at which a human rig is as likely as something else
+
+
+@dataclass(frozen=True)
+class ShapeGuess:
+    """Limbs found by shape.
+
+    Attributes:
+        places: canonical names of limb joints to joints; feet, toes and hands only where the rig has them.
+        sure: probability from 0 to 1 of each of them, left and right aside.
+        sides_sure: probability that left is left.
+    """
+
+    places: dict[str, int]
+    sure: dict[str, float]
+    sides_sure: float
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two branches with equal bones.
+
+    Attributes:
+        fork: the joint that carries both.
+        joints: joints of both branches from the fork on.
+        way: length of the path from the fork to each of them, and to the end behind the last.
+    """
+
+    fork: int
+    joints: tuple[tuple[int, int], ...]
+    way: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Limb:
+    """Upper, middle and lower joint of a pair, as indices into its joints; lower may be the end behind the last."""
+
+    pair: _Pair
+    upper: int
+    middle: int
+    lower: int
+    cost: float
+
+    @property
+    def length(self) -> float:
+        return self.pair.way[self.lower] - self.pair.way[self.upper]
+
+    def named(self, names: tuple[str, ...]) -> dict[str, tuple[int, int]]:
+        """The joints of both branches for names of upper, middle, lower and next joint, as far as there are joints."""
+        at = (self.upper, self.middle, self.lower, self.lower + 1)
+        joints = self.pair.joints
+        return {name: joints[index] for name, index in zip(names, at, strict=False) if index < len(joints)}
+
+
+_LEG_NAMES, _ARM_NAMES = ("UpLeg", "Leg", "Foot", "ToeBase"), ("Arm", "ForeArm", "Hand")
+
+
+def limbs_by_shape(
+    skeleton: Skeleton, sides: tuple[str, ...], poses: Array | None = None
+) -> ShapeGuess | None:
+    """The legs and arms of a rig, None if it has none such.
+
+    Args:
+        skeleton: any rig.
+        sides: "left", "right" or "" for each joint, by its name.
+        poses: (P, J, 3) recorded joint positions; the rest pose by default.
+    """
+    tree = _Tree(skeleton)
+    poses = (tree.rest[None] if poses is None else poses).astype(np.float64)
+    bodies = _bodies(tree, poses)
+    if not bodies or bodies[0][0] > _NOT_HUMAN:
+        return None
+    best, leg, arm = bodies[0]
+    weights = [math.exp(best - cost) for cost, _, _ in bodies]
+    total = sum(weights) + math.exp(best - _NOT_HUMAN)
+    found = leg.named(_LEG_NAMES) | arm.named(_ARM_NAMES)
+    likely = dict.fromkeys(found, 0.0)
+    for weight, (_, other_leg, other_arm) in zip(weights, bodies, strict=True):
+        for name, joints in (other_leg.named(_LEG_NAMES) | other_arm.named(_ARM_NAMES)).items():
+            if found.get(name) == joints:
+                likely[name] += weight / total
+    sides_sure, left_leg, left_arm = _left(tree, sides, (leg, arm), poses)
+    places, sure = {}, {}
+    for name, joints in found.items():
+        left = left_leg if name in _LEG_NAMES else left_arm
+        places[f"Left{name}"], places[f"Right{name}"] = joints[left], joints[1 - left]
+        sure[f"Left{name}"] = sure[f"Right{name}"] = likely[name]
+    return ShapeGuess(places, sure, sides_sure)
+
+
+def _bodies(tree: _Tree, poses: Array) -> list[tuple[float, _Limb, _Limb]]:
+    """Costs, legs and arms of all likely assignments, the best first."""
+    pairs = tree.pairs()
+    legs = {pair: _limbs(tree, pair, _leg_cost) for pair in pairs}
+    arms = {pair: _limbs(tree, pair, _arm_cost) for pair in pairs}
+    found: list[tuple[float, _Limb, _Limb]] = []
+    for one, other in permutations(pairs, 2):
+        if tree.carries(one, other) or tree.carries(other, one):
+            continue
+        shared = _fork_cost(tree, one, other)
+        for leg in legs[one]:
+            for arm in arms[other]:
+                found.append((shared + leg.cost + arm.cost + _body_cost(tree, leg, arm, poses), leg, arm))
+    return sorted(found, key=lambda each: each[0])
+
+
+class _Tree:
+    """The hierarchy, with the pairs of equal branches in it."""
+
+    def __init__(self, skeleton: Skeleton) -> None:
+        self.skeleton = skeleton
+        self.rest = skeleton.rest_positions().astype(np.float64)
+        self.bones = np.linalg.norm(skeleton.offsets.astype(np.float64), axis=-1)
+        self.bones[0] = 0.0
+        self.ends = {joint: math.hypot(*end) for joint, end in skeleton.end_sites.items()}
+        self.children: list[list[int]] = [[] for _ in skeleton.names]
+        for joint, parent in enumerate(skeleton.parents):
+            if parent >= 0:
+                self.children[parent].append(joint)
+        reach = np.array([self.ends.get(joint, 0.0) for joint in range(len(skeleton))])
+        for joint in range(len(skeleton) - 1, 0, -1):
+            parent = skeleton.parents[joint]
+            reach[parent] = max(reach[parent], reach[joint] + self.bones[joint])
+        self.reach = reach + self.bones
+        self.size = float(reach[0])
+        self._matched: dict[tuple[int, int], tuple[float, tuple[tuple[int, int], ...]]] = {}
+
+    def pairs(self) -> list[_Pair]:
+        """The longest pairs of equal branches."""
+        found: list[tuple[float, _Pair]] = []
+        for fork, children in enumerate(self.children):
+            long = [child for child in children if self.reach[child] >= _SHORTEST_LIMB * self.size]
+            for one, other in combinations(sorted(long, key=lambda j: -self.reach[j])[:_MOST_PAIRS], 2):
+                if not self._equal(self.bones[one], self.bones[other]):
+                    continue
+                length, joints = self._match(one, other)
+                if length >= _SHORTEST_LIMB * self.size:
+                    found.append((length, self._pair(fork, joints[:_MOST_JOINTS])))
+        found.sort(key=lambda each: -each[0])
+        return [pair for _, pair in found[:_MOST_PAIRS]]
+
+    def _pair(self, fork: int, joints: tuple[tuple[int, int], ...]) -> _Pair:
+        way, here = [], 0.0
+        for one, other in joints:
+            here += 0.5 * float(self.bones[one] + self.bones[other])
+            way.append(here)
+        one, other = joints[-1]
+        way.append(here + min(self.ends.get(one, 0.0), self.ends.get(other, 0.0)))
+        return _Pair(fork, joints, tuple(way))
+
+    def _equal(self, a: float, b: float) -> bool:
+        return abs(a - b) <= _EQUAL * max(a, b) + _EQUAL_SIZE * self.size
+
+    def _match(self, one: int, other: int) -> tuple[float, tuple[tuple[int, int], ...]]:
+        """Length and joints of the longest equal chain that begins at two joints."""
+        key = (one, other)
+        if key not in self._matched:
+            end = min(self.ends.get(one, 0.0), self.ends.get(other, 0.0))
+            best: tuple[float, tuple[tuple[int, int], ...]] = (end, ())
+            for a in self.children[one]:
+                for b in self.children[other]:
+                    if self._equal(self.bones[a], self.bones[b]):
+                        best = max(best, self._match(a, b), key=lambda each: each[0])
+            bone = 0.5 * float(self.bones[one] + self.bones[other])
+            self._matched[key] = (bone + best[0], (key, *best[1]))
+        return self._matched[key]
+
+    def end(self, joint: int) -> Array:
+        """The End Site (3,) of a joint, zero without one."""
+        return np.array(self.skeleton.end_sites.get(joint, (0.0, 0.0, 0.0)))
+
+    def carries(self, pair: _Pair, other: _Pair) -> bool:
+        """Whether a branch of a pair is, or carries, a branch of another."""
+        return any(self.skeleton.descends(b, a) for a in pair.joints[0] for b in other.joints[0])
+
+    def torso(self, low: int, high: int) -> float | None:
+        """Length of the path between two joints of which one carries the other, None for others."""
+        if not self.skeleton.descends(high, low):
+            low, high = high, low
+        if not self.skeleton.descends(high, low):
+            return None
+        length = 0.0
+        while high != low:
+            length += float(self.bones[high])
+            high = self.skeleton.parents[high]
+        return length
+
+
+def _off(value: float, expected: tuple[float, float]) -> float:
+    """The cost of a value that is expected with this mean and deviation."""
+    return 0.5 * ((value - expected[0]) / expected[1]) ** 2
+
+
+def _limbs(tree: _Tree, pair: _Pair, cost_of: Callable[[float, float, float, float], float]) -> list[_Limb]:
+    """The most likely upper, middle and lower joints of a pair."""
+    found = []
+    for upper, middle, lower in combinations(range(len(pair.way)), 3):
+        if middle >= len(pair.joints):
+            continue
+        first, second = pair.way[middle] - pair.way[upper], pair.way[lower] - pair.way[middle]
+        if min(first, second) < 1e-3 * tree.size:
+            continue
+        behind = pair.way[-1] - pair.way[lower]
+        cost = cost_of(pair.way[upper], first, second, behind if behind > 1e-3 * tree.size else 0.0)
+        cost += _NO_END * (lower >= len(pair.joints)) + _EXTRA * (lower - upper - 2)
+        cost += _FINGERS * any(len(tree.children[pair.joints[j][0]]) > 1 for j in range(middle + 1, lower))
+        cost += _bend_cost(tree, pair, upper, middle) + _bend_cost(tree, pair, middle, lower)
+        found.append(_Limb(pair, upper, middle, lower, cost))
+    return sorted(found, key=lambda limb: limb.cost)[:_BEST]
+
+
+def _leg_cost(before: float, thigh: float, shin: float, foot: float) -> float:
+    end = _off(math.log(foot / shin), _FOOT_SHIN) if foot else _NO_END
+    return _off(math.log(thigh / shin), _THIGH_SHIN) + _off(before / thigh, _HIP_WIDTH) + end
+
+
+def _arm_cost(before: float, upper: float, fore: float, hand: float) -> float:
+    """The cost of an arm by itself; its lengths are compared with those of the legs later."""
+    return _off(math.log(hand / fore), _HAND_FORE) if hand else _NO_END
+
+
+def _bend_cost(tree: _Tree, pair: _Pair, top: int, bottom: int) -> float:
+    """The cost of a bone with joints along it that are not on one line."""
+    if bottom >= len(pair.joints) or bottom == top + 1:
+        return 0.0
+    path = pair.way[bottom] - pair.way[top]
+    ends = zip(pair.joints[top], pair.joints[bottom], strict=True)
+    straight = sum(float(np.linalg.norm(tree.rest[b] - tree.rest[a])) for a, b in ends) / 2
+    return _off(1.0 - straight / path, (0.0, _BENT))
+
+
+def _fork_cost(tree: _Tree, legs: _Pair, arms: _Pair) -> float:
+    if tree.skeleton.descends(arms.fork, legs.fork):
+        return 0.0
+    return _UPSIDE_DOWN if tree.skeleton.descends(legs.fork, arms.fork) else _APART
+
+
+def _body_cost(tree: _Tree, leg: _Limb, arm: _Limb, poses: Array) -> float:
+    """The cost of a leg and an arm together: their lengths, and where they are in the poses."""
+    way, size = arm.pair.way, leg.length
+    cost = _off(way[arm.upper] / size, _COLLAR_LEG)
+    cost += _off(math.log((way[arm.middle] - way[arm.upper]) / size), _UPPER_LEG)
+    cost += _off(math.log((way[arm.lower] - way[arm.middle]) / size), _FORE_LEG)
+    torso = tree.torso(leg.pair.fork, arm.pair.fork)
+    if torso is not None:
+        cost += _off(torso / size, _TORSO_LEG)
+    hips, shoulders = _middle(leg, leg.upper, poses), _middle(arm, arm.upper, poses)
+    up = normalized(shoulders - hips)
+    down = ((hips - _middle(leg, leg.lower, poses)) * up).sum(-1) / size
+    raised = ((_middle(arm, arm.lower, poses) - shoulders) * up).sum(-1) / arm.length
+    return cost + _off(min(float(np.median(down)), 1.0), _LEG_DOWN) + _off(float(np.median(raised)), _WRIST)
+
+
+def _joint(limb: _Limb, index: int, side: int, poses: Array) -> Array:
+    """A joint (P, 3) of a limb; the last one for the end behind it."""
+    return poses[:, limb.pair.joints[min(index, len(limb.pair.joints) - 1)][side]]
+
+
+def _across(limb: _Limb, index: int, poses: Array) -> Array:
+    """The way (P, 3) from a joint of the second branch to that of the first."""
+    return _joint(limb, index, 0, poses) - _joint(limb, index, 1, poses)
+
+
+def _middle(limb: _Limb, index: int, poses: Array) -> Array:
+    """The middle (P, 3) between the joints of both sides."""
+    return 0.5 * (_joint(limb, index, 0, poses) + _joint(limb, index, 1, poses))
+
+
+def _left(
+    tree: _Tree, sides: tuple[str, ...], limbs: tuple[_Limb, _Limb], poses: Array
+) -> tuple[float, int, int]:
+    """How sure left is left, and which branch is the left one of legs and of arms: by names, else by facing."""
+    leg, arm = limbs
+    across = [_across(limb, limb.upper, poses) + _across(limb, limb.middle, poses) for limb in limbs]
+    same = float(np.median((across[0] * across[1]).sum(-1))) >= 0.0
+    votes = 0
+    for limb, sign in ((leg, 1), (arm, 1 if same else -1)):
+        for one, other in limb.pair.joints:
+            votes += sign * (_LEFTNESS[sides[one]] - _LEFTNESS[sides[other]])
+    if votes:
+        first, sure = votes > 0, 1.0
+    else:
+        lateral = _leftward(tree, leg, arm, across[0], poses)
+        first, sure = lateral >= 0.0, 1.0 / (1.0 + math.exp(-_SIDE_STEEP * abs(lateral)))
+    left = 0 if first else 1
+    return sure, left, left if same else 1 - left
+
+
+_LEFTNESS = {"left": 1, "right": -1, "": 0}
+_SIDE_STEEP = 8.0
+
+
+def _leftward(tree: _Tree, leg: _Limb, arm: _Limb, across: Array, poses: Array) -> float:
+    """How far (-1 to 1) the first branch is to the left: feet point forward, knees bend forward, else +Z is."""
+    up = normalized(_middle(arm, arm.upper, poses) - _middle(leg, leg.upper, poses))
+    hip, knee, ankle = (_middle(leg, index, poses) for index in (leg.upper, leg.middle, leg.lower))
+    toe = _middle(leg, len(leg.pair.joints), poses) - ankle
+    ends = [tree.end(leg.pair.joints[-1][side]) for side in (0, 1)]
+    share = ((knee - hip) * (ankle - hip)).sum(-1, keepdims=True) / np.maximum(
+        ((ankle - hip) ** 2).sum(-1, keepdims=True), 1e-9
+    )
+    bend = knee - hip - share * (ankle - hip)
+    rest_toe = np.broadcast_to(0.5 * (ends[0] + ends[1]), up.shape) if len(poses) == 1 else np.zeros_like(up)
+    ahead = np.broadcast_to(np.array([0.0, 0.0, 0.1]) * leg.length, up.shape)
+    for forward in (toe, rest_toe, bend, ahead):
+        forward = forward - (forward * up).sum(-1, keepdims=True) * up
+        if float(np.median(np.linalg.norm(forward, axis=-1))) > 0.04 * leg.length:
+            break
+    return float(np.mean((normalized(across) * cross(up, normalized(forward))).sum(-1)))

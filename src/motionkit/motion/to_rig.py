@@ -1,0 +1,213 @@
+"""Motion of the canonical joints on a user's rig: its rest pose, axes and lengths, its feet held on the floor.
+
+The inverse of retarget: the global rotation of a joint of the rig is that of its canonical joint times the inverse of
+the difference between the rest poses. In between stands a body with the canonical joints and the rig's own bones,
+scaled to canonical legs: wherever a canonical joint of that body is, so is the rig's joint. Feet are held on that body.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from motionkit.arrays import Array, Doubles
+from motionkit.errors import SkeletonError
+from motionkit.motion.bvh import BvhFile, motion_to_bvh
+from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rest_pose import SIDES, SourceRig
+from motionkit.motion.retarget import to_local
+from motionkit.motion.rig import STANCE_QUANTILE, Rig, mover, stance_part
+from motionkit.motion.rig_pose import up_turn
+from motionkit.motion.rotations import quat_identity, quat_inverse, quat_multiply, quat_normalize, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
+
+_THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
+
+
+def to_rig(motion: Motion, rig: Rig, contacts: Array | None = None, clip: Motion | None = None) -> Motion:
+    """Put a motion on a rig.
+
+    Args:
+        motion: T frames on the canonical joints, in cm, the floor at height zero.
+        rig: the rig.
+        contacts: (T, 4) labels or probabilities of left foot, left toe, right foot, right toe: these are held where
+            they stand. None leaves the feet as they come.
+        clip: motion of the rig at the rate of motion: joints without a canonical joint move as they do there, and as
+            in its last frame once it is over. In their rest pose by default.
+
+    Returns:
+        T frames on the rig's skeleton, in its unit and axes.
+
+    Raises:
+        SkeletonError: clip has other joints than the rig.
+    """
+    body = on_body(motion, rig)
+    if contacts is not None and (stance := _stance(motion, rig, contacts)) is not None:
+        body = _lifted(body, stance - (_stance(body, rig, contacts) or 0.0))
+        body = lock_feet(body, contacts)
+        wanted = max(stance if rig.stance is None else rig.stance, _depth(rig))
+        body = _lifted(body, wanted - (_stance(body, rig, contacts) or 0.0))
+    return _from_body(body, rig, clip)
+
+
+def rig_bvh(motion: Motion, rig: Rig) -> BvhFile:
+    """A motion on the rig's skeleton as a file with the rig's hierarchy and channels."""
+    return replace(motion_to_bvh(motion, rig.channels), hierarchy=rig.hierarchy)
+
+
+def rig_body(rig: Rig) -> Skeleton:
+    """The canonical joints with the bones of a rig, scaled to canonical legs.
+
+    Its offsets are those of the rig's joints, turned to canonical rest directions. Joints that the rig lacks are at
+    the place of their parents, or beyond the last joint of a limb as in the canonical skeleton.
+    """
+    source = SourceRig(rig.skeleton, rig.joints, rig.skeleton.rest_positions())
+    canonical = canonical_skeleton()
+    back = quat_inverse(rig.differences)
+    offsets = np.zeros((len(JOINT_NAMES), 3), np.float64)
+    for joint, name in enumerate(JOINT_NAMES[1:], start=1):
+        above = PARENTS[joint]
+        while JOINT_NAMES[above] not in rig.joints.places:
+            above = PARENTS[above]
+        place, bone = source.place(name), source.bone(JOINT_NAMES[above])
+        if place is None and not canonical.children(joint):
+            if bone is None or name == "Head":
+                offsets[joint] = canonical.offsets[joint]
+                continue
+            place = source.place(JOINT_NAMES[above]) + bone[1]
+        if place is not None:
+            way = place - source.place(JOINT_NAMES[above])
+            offsets[joint] = quat_rotate(back[above], way) * rig.scale
+    return canonical_skeleton(offsets)
+
+
+def on_body(motion: Motion, rig: Rig) -> Motion:
+    """The same global rotations on the body of a rig (rig_body), its thighs where those of the motion are.
+
+    Positions are scaled for legs of canonical length. Joints that the rig lacks turn with their parents.
+    """
+    rotations, positions = motion_kinematics(motion)
+    carriers = [0] * len(JOINT_NAMES)
+    for joint, name in enumerate(JOINT_NAMES[1:], start=1):
+        carriers[joint] = joint if name in rig.joints.places else carriers[PARENTS[joint]]
+    rotations = rotations[:, carriers]
+    body = rig_body(rig)
+    share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)
+    middle = positions[:, _THIGHS].mean(axis=1) * share
+    socket = body.offsets[_THIGHS].mean(axis=0)
+    roots = middle - quat_rotate(rotations[:, 0], np.broadcast_to(socket, middle.shape))
+    return Motion(body, to_local(rotations), roots.astype(np.float32), motion.fps)
+
+
+def _stance(motion: Motion, rig: Rig, contacts: Array) -> float | None:
+    """The height at which toes, or ankles for a rig without toes, stand, for canonical legs; None if they never do."""
+    part = stance_part(rig.joints)
+    joints = [JOINT_NAMES.index(f"{side}{part}") for side in SIDES]
+    heights = motion_kinematics(motion)[1][:, joints, 1]
+    standing = heights[contacts[:, [1, 3] if part == "ToeBase" else [0, 2]] > 0.5]
+    share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)
+    return float(np.quantile(standing, STANCE_QUANTILE)) * share if len(standing) else None
+
+
+def _lifted(motion: Motion, height: float) -> Motion:
+    up = np.array([0.0, height, 0.0], motion.root_positions.dtype)
+    return replace(motion, root_positions=motion.root_positions + up)
+
+
+def _depth(rig: Rig) -> float:
+    """How far below its toe, or its ankle, the lowest point of a flat foot is, in cm of the rig's body."""
+    rest, skeleton = rig.skeleton.rest_positions(), rig.skeleton
+    depths = [0.0]
+    for side in SIDES:
+        foot, joint = rig.place(f"{side}Foot"), rig.place(f"{side}{stance_part(rig.joints)}")
+        if foot is None or joint is None:
+            continue
+        flat = quat_inverse(rig.differences[JOINT_NAMES.index(f"{side}Foot")])
+        points = [rest[j] for j in range(len(skeleton)) if skeleton.descends(j, foot)]
+        points += [
+            rest[j] + np.array(end) for j, end in skeleton.end_sites.items() if skeleton.descends(j, foot)
+        ]
+        below = quat_rotate(flat, (np.stack(points) - rest[joint]).astype(np.float32))[:, 1]
+        depths.append(-float(below.min()) * rig.scale)
+    return max(depths)
+
+
+def _from_body(body: Motion, rig: Rig, clip: Motion | None) -> Motion:
+    """The rig's own rotations and positions for a motion of its body."""
+    skeleton, frames = rig.skeleton, len(body)
+    rotations, _ = motion_kinematics(body)
+    down = quat_inverse(up_turn(rig.up)).astype(np.float64)
+    wanted = quat_multiply(
+        np.broadcast_to(down, rotations.shape),
+        quat_multiply(
+            rotations.astype(np.float64), np.broadcast_to(quat_inverse(rig.differences), rotations.shape)
+        ),
+    )
+    local, places = _kept(rig, frames, clip)
+    turned = quat_identity((frames, len(skeleton)), np.float64)
+    carriers = {joint: JOINT_NAMES.index(name) for name, joint in rig.joints.places.items()}
+    above = quat_identity((frames,), np.float64)
+    for joint, parent in enumerate(skeleton.parents):
+        outer = turned[:, parent] if parent >= 0 else above
+        if joint in carriers and _turns(rig, joint):
+            name = JOINT_NAMES[carriers[joint]]
+            aim = wanted[:, carriers[joint]]
+            for between in _between(skeleton, joint, rig.joints.turns[name])[::-1]:
+                aim = quat_multiply(aim, quat_inverse(local[:, between]))
+            local[:, joint] = quat_normalize(quat_multiply(quat_inverse(outer), aim))
+        turned[:, joint] = quat_multiply(outer, local[:, joint])
+    hips = quat_rotate(down, body.root_positions.astype(np.float64)) / rig.scale
+    _move(rig, places, turned, hips)
+    translates = clip is not None and clip.local_positions is not None
+    translates = translates or mover(skeleton, rig.channels, rig.joints) != 0
+    return Motion(
+        skeleton,
+        local.astype(np.float32),
+        places[:, 0].astype(np.float32),
+        body.fps,
+        places.astype(np.float32) if translates else None,
+    )
+
+
+def _turns(rig: Rig, joint: int) -> bool:
+    return any(channel.endswith("rotation") for channel in rig.channels[joint])
+
+
+def _between(skeleton: Skeleton, top: int, bottom: int) -> list[int]:
+    """The joints below top as far as bottom, from above."""
+    out = []
+    while bottom != top:
+        out.append(bottom)
+        bottom = skeleton.parents[bottom]
+    return out[::-1]
+
+
+def _kept(rig: Rig, frames: int, clip: Motion | None) -> tuple[Doubles, Doubles]:
+    """Local rotations (T, J, 4) and positions (T, J, 3) to begin with: those of the rest pose or of a clip."""
+    places = np.broadcast_to(rig.skeleton.offsets.astype(np.float64), (frames, len(rig.skeleton), 3)).copy()
+    if clip is None:
+        return quat_identity((frames, len(rig.skeleton)), np.float64), places
+    if not clip.skeleton.same_hierarchy(rig.skeleton):
+        raise SkeletonError(f"the clip has other joints than the rig {rig.name}")
+    at = np.minimum(np.arange(frames), len(clip) - 1)
+    if clip.local_positions is not None:
+        places = clip.local_positions[at].astype(np.float64)
+    places[:, 0] = clip.root_positions[at]
+    return clip.local_rotations[at].astype(np.float64), places
+
+
+def _move(rig: Rig, places: Doubles, turned: Doubles, hips: Doubles) -> None:
+    """Move the body so that its hips are at hips (T, 3): shifts the local positions of one joint in places."""
+    skeleton = rig.skeleton
+    moved = mover(skeleton, rig.channels, rig.joints)
+    assert moved is not None  # make_rig has checked it
+    now = places[:, 0]
+    for joint in _between(skeleton, 0, rig.joints.places["Hips"]):
+        now = now + quat_rotate(turned[:, skeleton.parents[joint]], places[:, joint])
+    shift = hips - now
+    if skeleton.parents[moved] >= 0:
+        shift = quat_rotate(quat_inverse(turned[:, skeleton.parents[moved]]), shift)
+    places[:, moved] += shift
