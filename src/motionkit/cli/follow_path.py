@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
@@ -22,6 +23,9 @@ from motionkit.cli.synthesis_options import (
     words_console,
     write_motion,
 )
+
+if TYPE_CHECKING:
+    from motionkit.cli.rig_options import RigChoice
 
 
 @click.command("follow-path")
@@ -51,6 +55,7 @@ def command(
     ik: bool,
     fps: float | None,
     root_motion: RootMotion,
+    choice: RigChoice,
     view: bool,
     as_json: bool,
 ) -> None:
@@ -81,7 +86,7 @@ def command(
     target = read_path(path) if is_file else shape_path(path, size, kinds, speed)
     file = output or default_output(f"{Path(path).stem}-{target.parts[0].type}")
     page_file = file.with_suffix(".html")
-    inputs = (path if is_file else None, model_path, init)
+    inputs = (path if is_file else None, model_path, init, *choice.files)
     check_outputs([file, page_file] if view else [] if file == STDOUT else [file], inputs)
     model = model or open_model(model_path, reference)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature), character, init, ik, fps)
@@ -91,7 +96,8 @@ def command(
         result = follow_path(model, target, options, lambda share: bar.update(task, completed=100 * share))
     times = [frames / model.fps for frames in result.part_frames]
     bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
-    write_motion(file, root_motion.applied(result.motion), bands)
+    written = choice.put(result.motion, ik, root_motion)
+    write_motion(file, written, bands, choice)
     metrics = motion_metrics(result.motion)
     parts = [
         {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
@@ -101,7 +107,7 @@ def command(
     if view:
         from motionkit.view.figure_data import Shown
 
-        shown = Shown(file.stem, result.motion, bands, target.points)
+        shown = Shown(file.stem, written, bands, target.points)
         page = write_and_open(page_file, [shown], as_json)
     if as_json:
         print_json(
@@ -122,9 +128,10 @@ def command(
         )
         return
     out = words_console(output)
+    on = "" if choice.rig is None else f" on {choice.rig.name}"
     end = "reached the end" if result.finished else "did not reach the end"
     out.print(
-        f"wrote {shown_name(file)}: {result.frames / model.fps:.1f} s along {target.length / 100:.1f} m, {end}",
+        f"wrote {shown_name(file)}: {result.frames / model.fps:.1f} s along {target.length / 100:.1f} m{on}, {end}",
     )
     for number, part in enumerate(parts, 1):
         if part["mean_cm"] is None:

@@ -32,6 +32,7 @@ COMMANDS = {
     "follow-path": "follow_path",
     "metrics": "metrics",
     "evaluate": "evaluate",
+    "retarget": "retarget",
     "mirror": "mirror",
     "convert": "convert",
     "loop": "loop",

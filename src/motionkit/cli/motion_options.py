@@ -20,8 +20,8 @@ ENDINGS = ".bvh, .glb, .vrma, .usda, .npz or .csv"
 class RootMotion:
     """How the way over the ground is written: in place or not, carried by the hips or by a bone on the ground."""
 
-    in_place: bool
-    root: str
+    in_place: bool = False
+    root: str = "hips"
 
     def applied(self, motion: Motion, cyclic: bool = False) -> Motion:
         """The motion with its way as asked for; cyclic for one whose last frame is its first."""

@@ -13,6 +13,7 @@ import click
 
 from motionkit.cli.common import json_option, remark, seed_option, stderr_console, stdout_console
 from motionkit.cli.motion_options import ENDINGS, checked_ending, root_options
+from motionkit.cli.rig_options import NO_RIG, RigChoice, rig_options
 from motionkit.cli.showing import view_option
 
 if TYPE_CHECKING:
@@ -92,6 +93,7 @@ def synthesis_options(function: Callable) -> Callable:
             help="Frame rate of the file; the model's 60 by default.",
         ),
         root_options,
+        rig_options,
         view_option,
         json_option,
     ]
@@ -114,19 +116,22 @@ def check_stdout(output: Path | None, others: dict[str, bool]) -> None:
             raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
 
 
-def write_motion(path: Path, motion: Motion, types: Sequence[tuple[str, float]] = ()) -> None:
+def write_motion(
+    path: Path, motion: Motion, types: Sequence[tuple[str, float]] = (), choice: RigChoice = NO_RIG
+) -> None:
     """Write a motion to a file or, for "-", as BVH to standard output; nothing is written if it is invalid."""
+    bvh = choice.bvh(motion)
     if path != STDOUT:
         from motionkit.export.clip import Clip
         from motionkit.export.formats import write_motion as write
 
-        write(path, Clip(motion, path.stem, types))
+        write(path, Clip(motion, path.stem, types, bvh))
         return
     from motionkit.motion.bvh import write_bvh
 
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "motion.bvh"
-        write_bvh(made, motion)
+        write_bvh(made, bvh or motion)
         with made.open("rb") as file:
             shutil.copyfileobj(file, sys.stdout.buffer)
     sys.stdout.buffer.flush()

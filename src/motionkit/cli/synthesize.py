@@ -26,8 +26,10 @@ from motionkit.cli.synthesis_options import (
 )
 
 if TYPE_CHECKING:
+    from motionkit.cli.rig_options import RigChoice
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.editing.loop import Loop
+    from motionkit.motion.motion import Motion
 
 LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
 
@@ -77,6 +79,7 @@ def command(
     ik: bool,
     fps: float | None,
     root_motion: RootMotion,
+    choice: RigChoice,
     view: bool,
     as_json: bool,
 ) -> None:
@@ -115,7 +118,7 @@ def command(
     base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
     files = [base] if count == 1 else [_numbered(base, number, count) for number in range(1, count + 1)]
     page_file = [base.with_suffix(".html")] if view else []
-    check_outputs([] if base == STDOUT else files + page_file, (model_path, init))
+    check_outputs([] if base == STDOUT else files + page_file, (model_path, init, *choice.files))
     options = SynthesisOptions(count, seed, make_noise(noise, temperature), character, init, ik, fps)
     frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
     announce(frames / model.fps, model.fps, options)
@@ -125,10 +128,12 @@ def command(
     if loops:
         result, cycles = _looped(result, seconds)
     made: list[dict[str, Any]] = []
+    written: list[Motion] = []
     with progress_bar() as bar:
         for path, synthesis in zip(bar.track(files, description="writing"), result.motions, strict=True):
             parts = [(part.type, part.seconds) for part in synthesis.types]
-            write_motion(path, root_motion.applied(synthesis.motion, cyclic=loops), parts)
+            written.append(choice.put(synthesis.motion, ik, root_motion, cyclic=loops))
+            write_motion(path, written[-1], parts, choice)
             made.append(
                 {
                     "file": str(path),
@@ -139,17 +144,18 @@ def command(
                     **(seam_json(cycles[len(made)]) if loops else {}),
                 }
             )
-    page = _view(base, made, result, as_json) if view else None
+    page = _view(base, made, result, written, as_json) if view else None
     rate = result.frames / max(result.seconds, 1e-9)
     if as_json:
         shown = {"roll_out_seconds": result.seconds, "frames_per_second": rate, "seed": seed}
         print_json({"motions": made, **shown, **({"view": str(page)} if page else {})})
         return
     out = words_console(output)
+    on = "" if choice.rig is None else f" on {choice.rig.name}"
     for entry in made:
         kinds = ", ".join(f"{kind} {time:g} s" for kind, time in entry["types"])
         out.print(
-            f"wrote {shown_name(entry['file'])}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps",
+            f"wrote {shown_name(entry['file'])}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps{on}",
         )
         out.print(f"  {metrics_line(entry['metrics'])}")
         if loops:
@@ -181,13 +187,15 @@ def _numbered(base: Path, number: int, count: int) -> Path:
     return base.with_name(f"{base.stem}-{number:0{len(str(count))}}{base.suffix}")
 
 
-def _view(base: Path, made: list[dict[str, Any]], result: SynthesisResult, quiet: bool) -> Path:
+def _view(
+    base: Path, made: list[dict[str, Any]], result: SynthesisResult, motions: list[Motion], quiet: bool
+) -> Path:
     """Write a viewer page of all motions beside the BVH files."""
     from motionkit.view.figure_data import Shown
 
     shown = [
-        Shown(Path(entry["file"]).stem, one.motion, [(part.type, part.seconds) for part in one.types])
-        for entry, one in zip(made, result.motions, strict=True)
+        Shown(Path(entry["file"]).stem, motion, [(part.type, part.seconds) for part in one.types])
+        for entry, one, motion in zip(made, result.motions, motions, strict=True)
     ]
     return write_and_open(base.with_suffix(".html"), shown, quiet)
 

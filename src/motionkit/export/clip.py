@@ -28,16 +28,25 @@ class Clip:
         name: what the file calls it.
         types: motion types and their seconds in sequence; empty if unknown.
         channels: of each joint in the BVH file the motion was read from, to be kept in a BVH file; None for the usual.
+        hierarchy: the text of that file's hierarchy section, to be kept likewise; None for one made from the skeleton.
     """
 
     motion: Motion
     name: str = "motion"
     types: Sequence[tuple[str, float]] = ()
     channels: tuple[tuple[str, ...], ...] | None = None
+    hierarchy: str | None = None
 
     def with_motion(self, motion: Motion) -> Clip:
-        """The same with an edited motion; the channels are kept if they hold it."""
-        return replace(self, motion=motion, channels=self.channels if self._holds(motion) else None)
+        """The same with an edited motion; channels and hierarchy are kept if they hold it."""
+        kept = self._holds(motion)
+        same = kept and np.array_equal(motion.skeleton.offsets, self.motion.skeleton.offsets)
+        return replace(
+            self,
+            motion=motion,
+            channels=self.channels if kept else None,
+            hierarchy=self.hierarchy if same else None,
+        )
 
     def _holds(self, motion: Motion) -> bool:
         """Whether the channels can hold a motion: three rotations for each joint, and places for those that move."""

@@ -6,6 +6,7 @@ synthesize, follow-path, convert, the other commands that write a motion, and mk
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 
@@ -85,7 +86,10 @@ def _find(table: dict[str, str], path: str | Path, done: str) -> Callable:
 def _write_bvh(path: str | Path, clip: Clip) -> None:
     from motionkit.motion.bvh import motion_to_bvh, write_bvh
 
-    write_bvh(path, clip.motion if clip.channels is None else motion_to_bvh(clip.motion, clip.channels))
+    if clip.channels is None:
+        write_bvh(path, clip.motion)
+    else:
+        write_bvh(path, replace(motion_to_bvh(clip.motion, clip.channels), hierarchy=clip.hierarchy))
 
 
 def _read_bvh(path: str | Path) -> Clip:

@@ -69,6 +69,14 @@ def read_motion(
     return replace(motion, root_positions=motion.root_positions + up), report
 
 
+def read_on_any_rig(
+    path: str | Path, target: Rig | None = None, scale: float | None = None
+) -> tuple[Motion, RetargetReport]:
+    """As read_motion; a file on the target rig itself is read with what is known of that rig."""
+    own = target is not None and target.same_rest(read_bvh(path).skeleton)
+    return read_motion(path, target if own else None, scale)
+
+
 def _places(motion: Motion) -> Array:
     """Joint positions (T, 23, 3) of a motion whose lengths are scaled to canonical legs."""
     share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)

@@ -124,10 +124,20 @@ def retarget(
         scale_source=scale_source,
         leg_length=leg * scale,
         root_scale=root_scale,
-        notes=pose_notes(pose) + body_notes,
+        notes=_map_notes(full_map, names) + pose_notes(pose) + body_notes,
         body=body,
     )
     return motion, report
+
+
+def _map_notes(joints: RigMap, names: tuple[str, ...]) -> tuple[str, ...]:
+    """A note on joints that were found by shape."""
+    if not joints.by_shape:
+        return ()
+    told = ", ".join(f"{names[joints.places[name]]} {name}" for name in sorted(joints.by_shape))
+    return (
+        f"unknown names; found by shape, {100 * min(map(joints.sure, joints.by_shape)):.0f} % sure or more: {told}",
+    )
 
 
 def _canonical_rotations(rig: RigMap, rotations: Array, differences: Array) -> Array:

@@ -14,18 +14,21 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.bvh_text import read_hierarchy
+from motionkit.motion.gltf_rig import read_gltf_rig
 from motionkit.motion.rest_pose import SIDES
 from motionkit.motion.rig_map_file import read_rig_map
-from motionkit.motion.rig_names import RigMap
+from motionkit.motion.rig_names import RigMap, map_around
 from motionkit.motion.rig_pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.motion.units import check_leg
 
+GLTF_ENDINGS = (".glb", ".vrm")
 # Heights in cm of the canonical body at which toes, or ankles of a rig without toes, can stand. A file whose lowest
 # joints are elsewhere has its floor elsewhere.
 _PLAUSIBLE_STANCE = {"ToeBase": (0.0, 6.0), "Foot": (4.0, 12.0)}
 STANCE_QUANTILE = 0.25  # of heights: low, but robust to feet that sink now and then
 _UPRIGHT_SHARE = 0.5  # of the leg; ankles of a standing body are this far below the hips
+_SAME_REST = 0.01  # share of the leg by which offsets of the same rig may differ
 _FRAMES = 512  # of a rig's own motion that are looked at
 
 
@@ -65,6 +68,13 @@ class Rig:
         """cm of a body with canonical legs per file unit."""
         return leg_length(canonical_skeleton()) / self.leg
 
+    def same_rest(self, skeleton: Skeleton) -> bool:
+        """Whether a skeleton has the same joints and the same rest pose."""
+        near = _SAME_REST * self.leg
+        return self.skeleton.same_hierarchy(skeleton) and bool(
+            np.abs(self.skeleton.offsets[1:] - skeleton.offsets[1:]).max() <= near
+        )
+
     def place(self, name: str) -> int | None:
         """The joint at the place of a canonical joint, or None."""
         return self.joints.places.get(name)
@@ -81,10 +91,17 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
         BvhError, SkeletonError: the file cannot be read, or is not a human rig.
         MotionkitError: the map cannot be used.
     """
-    bvh, hierarchy = read_bvh(path), read_hierarchy(path)
+    hierarchy, humanoid = None, {}
+    if Path(path).suffix.lower() in GLTF_ENDINGS:
+        found = read_gltf_rig(path)
+        bvh, humanoid = found.bvh, found.humanoid
+    else:
+        bvh, hierarchy = read_bvh(path), read_hierarchy(path)
+    joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
     try:
-        places = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
-        return make_rig(bvh, Path(path).name, places, hierarchy)
+        if joints is None and humanoid:
+            joints = map_around(bvh.skeleton, humanoid, "VRM")
+        return make_rig(bvh, Path(path).name, joints, hierarchy)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
 
@@ -152,9 +169,17 @@ def _check_channels(bvh: BvhFile, joints: RigMap) -> None:
         )
 
 
-def mover(skeleton: Skeleton, channels: tuple[tuple[str, ...], ...], joints: RigMap) -> int | None:
-    """The joint whose position channels move the body: the hips or the nearest joint above them that has three."""
+def top_joint(skeleton: Skeleton, joints: RigMap) -> int:
+    """The joint that carries the whole body: the hips, or one above them if the spine hangs from there."""
     joint = joints.places["Hips"]
+    while not all(skeleton.descends(other, joint) for other in joints.places.values()):
+        joint = skeleton.parents[joint]
+    return joint
+
+
+def mover(skeleton: Skeleton, channels: tuple[tuple[str, ...], ...], joints: RigMap) -> int | None:
+    """The joint whose position channels move the body: the top joint or the nearest above it that has three."""
+    joint = top_joint(skeleton, joints)
     while joint >= 0:
         if sum(channel.endswith("position") for channel in channels[joint]) == 3:
             return joint

@@ -17,8 +17,8 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.mirror import joint_sides
-from motionkit.motion.rig_shape import limbs_by_shape
-from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
+from motionkit.motion.rig_shape import ShapeGuess, limbs_by_shape
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 
 # Part to its words, in lower case, without separators and digits. "shoulder", "arm", "hip" and "leg" are separate
 # parts because they are ambiguous.
@@ -54,7 +54,15 @@ SIDES: dict[str, str] = {"left": "Left", "right": "Right", "l": "Left", "r": "Ri
 SPINE_SHARES: dict[str, float] = {"LowerBack": 0.0, "Spine": 0.28, "Spine1": 0.56}
 
 _NEEDED = tuple(f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm"))
-_LIMB = re.compile(r"(Left|Right)(Leg|Foot|ToeBase|ForeArm|Hand)")
+# The ending of a limb joint to the joint it hangs from, without the side; longer endings first.
+_HANGS = {
+    "UpLeg": "Hips",
+    "Leg": "UpLeg",
+    "Foot": "Leg",
+    "ToeBase": "Foot",
+    "ForeArm": "Arm",
+    "Hand": "ForeArm",
+}
 _TOKENS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+")
 _WORD = "|".join(sorted(WORDS, key=len, reverse=True))
 _SIDE = "|".join(SIDES)
@@ -69,14 +77,32 @@ class RigMap:
         places: canonical name to the index of the source joint at its place.
         turns: canonical name to the index of the source joint with its rotation; this differs from the place if
             twist joints follow along the same bone.
-        by_shape: probability from 0 to 1 of the limb joints that were found by shape and not by name.
+        likely: probability from 0 to 1 of limb joints, by the shape of the rig: of those found by shape, and of those
+            whose names say otherwise; 1 for others.
+        by_shape: limb joints that were found by shape, since their names are unknown.
         sides_sure: probability that left is left; below 1 only if no name tells.
+        given: what gave them, such as "map" for a user's bone map; "" if they were found.
     """
 
     places: dict[str, int]
     turns: dict[str, int]
-    by_shape: dict[str, float] = field(default_factory=dict)
+    likely: dict[str, float] = field(default_factory=dict)
+    by_shape: frozenset[str] = frozenset()
     sides_sure: float = 1.0
+    given: str = ""
+
+    def sure(self, name: str) -> float:
+        """How sure a canonical joint is, from 0 to 1."""
+        side = self.sides_sure if name.startswith(("Left", "Right")) else 1.0
+        return self.likely.get(name, 1.0) * side
+
+    def found(self, name: str) -> str:
+        """How a joint was found: "map", "VRM", "name", "shape", or "place" for joints between the limbs."""
+        if self.given:
+            return self.given
+        if name in self.by_shape:
+            return "shape"
+        return "name" if name.startswith(("Left", "Right")) and not name.endswith("Shoulder") else "place"
 
     def missing(self) -> tuple[str, ...]:
         """Canonical joints that the source lacks."""
@@ -117,6 +143,11 @@ def given_map(skeleton: Skeleton, places: dict[str, int]) -> RigMap:
     return _Mapper(skeleton).given(places)
 
 
+def map_around(skeleton: Skeleton, limbs: dict[str, int], given: str) -> RigMap:
+    """The map of a skeleton whose limbs, hips and head a file names (given: what kind of file)."""
+    return _Mapper(skeleton).around(limbs, given)
+
+
 class _Mapper:
     """The hierarchy with parts by name; its methods map the limbs first, then the torso."""
 
@@ -136,52 +167,81 @@ class _Mapper:
         for side in ("Left", "Right"):
             self._leg(side)
             self._arm(side)
-        by_shape, sides_sure = self._by_shape(poses)
+        guess = limbs_by_shape(self.skeleton, joint_sides(self.names), poses)
+        by_shape = self._fill_in(guess)
         self._require()
         self._hips()
+        self._torso()
+        sides_sure = guess.sides_sure if guess and by_shape else 1.0
+        return replace(
+            self._rig_map(), likely=self._likely(guess, by_shape), by_shape=by_shape, sides_sure=sides_sure
+        )
+
+    def around(self, limbs: dict[str, int], given: str) -> RigMap:
+        """The map around limbs, hips and head that are known."""
+        self.places = dict(limbs)
+        self._require()
+        self._check_limbs()
+        if "Hips" not in limbs:
+            self._hips()
+        self._torso()
+        return replace(self._rig_map(), given=given)
+
+    def _torso(self) -> None:
         chest = self._spine()
         self._neck(chest)
         for side in ("Left", "Right"):
             self._collar(side, chest)
-        return replace(self._rig_map(), by_shape=by_shape, sides_sure=sides_sure)
 
     def given(self, places: dict[str, int]) -> RigMap:
         self.places = places
-        self._require()
-        for name, joint in places.items():
-            above = PARENTS[JOINT_NAMES.index(name)]
-            while above > 0 and JOINT_NAMES[above] not in places:
-                above = PARENTS[above]
-            top = places.get(JOINT_NAMES[above]) if above >= 0 else None
-            if _LIMB.fullmatch(name) and top is not None and top not in self.path(joint)[:-1]:
+        lacking = [name for name in ("Hips", *_NEEDED) if name not in places]
+        if lacking:
+            raise SkeletonError(f"no joint is mapped to {', '.join(lacking)}")
+        self._check_limbs()
+        return replace(self._rig_map(), given="map")
+
+    def _check_limbs(self) -> None:
+        """Raise SkeletonError for a limb joint that does not hang from the one above it."""
+        for name, joint in self.places.items():
+            above = next((top for part, top in _HANGS.items() if name.endswith(part)), None)
+            if above is None:
+                continue
+            side = "Left" if name.startswith("Left") else "Right"
+            above = above if above == "Hips" else f"{side}{above}"
+            top = self.places.get(above)
+            if top is not None and top not in self.path(joint)[:-1]:
                 raise SkeletonError(
                     f"{self.names[joint]} is mapped to {name} but does not hang from {self.names[top]}, "
-                    f"which is mapped to {JOINT_NAMES[above]}"
+                    f"which is mapped to {above}"
                 )
-        if "Hips" not in places:
-            raise SkeletonError("no joint is mapped to Hips")
-        return self._rig_map()
 
     def _rig_map(self) -> RigMap:
         ordered = {name: self.places[name] for name in JOINT_NAMES if name in self.places}
         return RigMap(ordered, {name: self._turn(name) for name in ordered})
 
-    def _by_shape(self, poses: Array | None) -> tuple[dict[str, float], float]:
-        """Fill in the limbs that have no known names; returns how sure each of their joints is, and their sides."""
-        if not self._lacking():
-            return {}, 1.0
-        guess = limbs_by_shape(self.skeleton, joint_sides(self.names), poses)
-        if guess is None:
-            return {}, 1.0
-        found: dict[str, float] = {}
+    def _fill_in(self, guess: ShapeGuess | None) -> frozenset[str]:
+        """Take the limbs that have no known names from the shape; returns their joints."""
+        found: set[str] = set()
         for parts in (("UpLeg", "Leg", "Foot", "ToeBase"), ("Arm", "ForeArm", "Hand")):
-            names = [f"{side}{part}" for side in ("Left", "Right") for part in parts]
-            if set(names) & self._lacking():  # a limb half known by names is taken from one source
+            names = {f"{side}{part}" for side in ("Left", "Right") for part in parts}
+            if guess and names & self._lacking():  # a limb half known by names is taken from one source
                 for name in names:
                     self.places.pop(name, None)
                     if name in guess.places:
-                        self.places[name], found[name] = guess.places[name], guess.sure[name]
-        return found, guess.sides_sure
+                        self.places[name] = guess.places[name]
+                        found.add(name)
+        return frozenset(found)
+
+    def _likely(self, guess: ShapeGuess | None, by_shape: frozenset[str]) -> dict[str, float]:
+        if guess is None:
+            return {}
+        likely = {name: guess.sure[name] for name in by_shape}
+        for part in ("UpLeg", "Leg", "Foot", "Arm", "ForeArm"):
+            for name in (f"Left{part}", f"Right{part}"):
+                if name in guess.places and guess.places[name] != self.places.get(name):
+                    likely[name] = 1.0 - guess.sure[name] * guess.sides_sure
+        return likely
 
     def _lacking(self) -> set[str]:
         return {name for name in _NEEDED if name not in self.places}
@@ -293,7 +353,8 @@ class _Mapper:
         return float(sum(np.linalg.norm(self.offsets[j]) for j in path[start + 1 :]))
 
     def _neck(self, chest: int) -> None:
-        head = self.put("Head", self.find("", "head", under=chest))
+        head = self.places.get("Head", self.find("", "head", under=chest))
+        self.put("Head", head)
         if head is None:
             neck = self.find("", "neck", under=chest)
             if neck is not None or self.put("Head", self._head_by_shape(chest)) is None:
@@ -310,7 +371,8 @@ class _Mapper:
     def _head_by_shape(self, chest: int) -> int | None:
         """The head of unknown name: along the longest branch of the chest without arms, the third joint at most.
 
-        A joint that branches (into eyes and jaw) ends it, and the last joint of a longer chain is the tip of the head.
+        A joint that branches (into eyes and jaw) ends it; the last joint of a longer chain is the tip of the head if it
+        has no length of its own.
         """
         arms = {self.places["LeftArm"], self.places["RightArm"]}
 
@@ -326,7 +388,9 @@ class _Mapper:
                 return here
         if not chain or self.reach(chain[0]) < 0.05 * self.reach(0):
             return None
-        return chain[-1] if len(chain) < 3 else chain[min(len(chain) - 2, 2)]
+        end = float(np.linalg.norm(self.skeleton.end_sites.get(chain[-1], (0.0, 0.0, 0.0))))
+        tip = len(chain) > 2 and end < 0.03 * self.reach(0)
+        return chain[min(len(chain) - 1 - tip, 2)]
 
     def reach(self, joint: int) -> float:
         """The longest path from a joint's parent through the joint to the end of a branch."""

@@ -19,7 +19,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rest_pose import SIDES, SourceRig
 from motionkit.motion.retarget import to_local
-from motionkit.motion.rig import STANCE_QUANTILE, Rig, mover, stance_part
+from motionkit.motion.rig import STANCE_QUANTILE, Rig, mover, stance_part, top_joint
 from motionkit.motion.rig_pose import up_turn
 from motionkit.motion.rotations import quat_identity, quat_inverse, quat_multiply, quat_normalize, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
@@ -149,13 +149,15 @@ def _from_body(body: Motion, rig: Rig, clip: Motion | None) -> Motion:
     local, places = _kept(rig, frames, clip)
     turned = quat_identity((frames, len(skeleton)), np.float64)
     carriers = {joint: JOINT_NAMES.index(name) for name, joint in rig.joints.places.items()}
+    carriers.setdefault(top_joint(skeleton, rig.joints), 0)  # a spine beside the hips turns with them
     above = quat_identity((frames,), np.float64)
     for joint, parent in enumerate(skeleton.parents):
         outer = turned[:, parent] if parent >= 0 else above
         if joint in carriers and _turns(rig, joint):
             name = JOINT_NAMES[carriers[joint]]
             aim = wanted[:, carriers[joint]]
-            for between in _between(skeleton, joint, rig.joints.turns[name])[::-1]:
+            last = rig.joints.turns[name] if rig.joints.places[name] == joint else joint
+            for between in _between(skeleton, joint, last)[::-1]:
                 aim = quat_multiply(aim, quat_inverse(local[:, between]))
             local[:, joint] = quat_normalize(quat_multiply(quat_inverse(outer), aim))
         turned[:, joint] = quat_multiply(outer, local[:, joint])

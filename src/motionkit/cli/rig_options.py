@@ -1,0 +1,112 @@
+"""Options of the commands that write motion on a user's rig."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from motionkit.cli.motion_options import RootMotion
+
+if TYPE_CHECKING:
+    from motionkit.motion.bvh import BvhFile
+    from motionkit.motion.motion import Motion
+    from motionkit.motion.rig import Rig
+
+_FILE: Any = click.Path(exists=True, dir_okay=False, path_type=Path)
+
+rig_option = click.option(
+    "--rig",
+    "rig_path",
+    type=_FILE,
+    help="Write the motion on the rig of this file (.bvh, .glb, .vrm): same joints, names, rest pose, channels, unit "
+    "and axes; by default on the 23 canonical joints.",
+)
+map_option = click.option(
+    "--map",
+    "map_path",
+    type=_FILE,
+    help="Bone map of the --rig file (JSON, from `motionkit retarget --save-map`); found by names and shape by "
+    "default.",
+)
+clip_option = click.option(
+    "--from",
+    "clip_path",
+    type=_FILE,
+    help="BVH file of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
+    "their rest pose by default.",
+)
+
+
+@dataclass(frozen=True)
+class RigChoice:
+    """The rig that --rig, --map and --from ask for; without --rig, motion stays on the canonical joints.
+
+    Attributes:
+        rig: the rig, or None.
+        clip: its motion from --from, or None.
+        files: the files that were read.
+    """
+
+    rig: Rig | None
+    clip: Motion | None
+    files: tuple[Path, ...]
+
+    def put(self, motion: Motion, ik: bool, way: RootMotion = RootMotion(), cyclic: bool = False) -> Motion:
+        """What to write for a motion on the canonical joints: itself, or the motion on the rig.
+
+        Args:
+            motion: on the canonical joints.
+            ik: hold the feet of the rig.
+            way: how the way over the ground is written.
+            cyclic: the last frame of the motion is its first.
+        """
+        if self.rig is not None:
+            from motionkit.export.on_rig import on_rig
+
+            if way.root == "ground":
+                raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
+            motion = on_rig(motion, self.rig, ik, self.clip)
+        return way.applied(motion, cyclic)
+
+    def bvh(self, motion: Motion) -> BvhFile | None:
+        """A motion on the rig as the BVH file to write, None without a rig."""
+        if self.rig is None:
+            return None
+        from motionkit.motion.to_rig import rig_bvh
+
+        return rig_bvh(motion, self.rig)
+
+
+NO_RIG = RigChoice(None, None, ())
+
+
+def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | None) -> RigChoice:
+    """Read what the options name; raises UsageError for --map or --from without --rig."""
+    for name, path in (("--map", map_path), ("--from", clip_path)):
+        if path is not None and rig_path is None:
+            raise click.UsageError(f"{name} needs --rig, the file of the rig")
+    if rig_path is None:
+        return NO_RIG
+    from motionkit.export.on_rig import read_clip
+    from motionkit.motion.rig import read_rig
+
+    rig = read_rig(rig_path, map_path)
+    clip = None if clip_path is None else read_clip(clip_path, rig)
+    return RigChoice(rig, clip, tuple(path for path in (rig_path, map_path, clip_path) if path is not None))
+
+
+def rig_options(function: Callable) -> Callable:
+    """The options --rig, --map and --from; the command gets what they name as `choice`."""
+
+    @functools.wraps(function)
+    def with_rig(
+        *arguments: Any, rig_path: Path | None, map_path: Path | None, clip_path: Path | None, **options: Any
+    ) -> Any:
+        return function(*arguments, choice=open_rig(rig_path, map_path, clip_path), **options)
+
+    return rig_option(map_option(clip_option(with_rig)))
