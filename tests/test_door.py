@@ -120,6 +120,9 @@ ONLY_COMMAND = {
     "noise",
     "model_path",
     "path",
+    "rig_path",
+    "map_path",
+    "clip_path",
 }
 
 

@@ -1,1 +1,1 @@
-"""Motions and models in, files for other programs out: glTF, VRM animation, USD, tables, ONNX graphs."""
+"""Motions and models in, files for other programs out: a user's rig, glTF, VRM animation, USD, tables, ONNX graphs."""

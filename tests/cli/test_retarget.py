@@ -1,0 +1,199 @@
+"""`motionkit retarget`, and --rig of the commands that make motion."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner, Result
+
+import motionkit as mk
+from motionkit.cli.main import cli
+from motionkit.errors import MotionkitError
+from motionkit.motion.bvh import read_bvh, write_bvh
+from motionkit.motion.skeleton import JOINT_NAMES
+from synthetic_motions import make_walk
+from synthetic_rigs import FAMILIES, renamed, walk
+
+NAMES = FAMILIES["bandai-namco"]
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with a rig in metres (my.bvh) and a walk on canonical joints (walk.bvh)."""
+    write_bvh(tmp_path / "my.bvh", renamed(walk(8), NAMES).scaled(0.01))
+    write_bvh(tmp_path / "walk.bvh", make_walk(40))
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def run(*words: str) -> Result:
+    return CliRunner().invoke(cli, list(words))
+
+
+def fault(*words: str) -> str:
+    """The message of a command that the data or the work makes fail, one line without a traceback."""
+    result = run(*words)
+    assert isinstance(result.exception, MotionkitError), result.output
+    said = str(result.exception)
+    assert "\n" not in said
+    return said
+
+
+def hierarchy(path: str) -> str:
+    return Path(path).read_text().split("MOTION")[0]
+
+
+def test_a_clip_on_my_rig(place: Path) -> None:
+    result = run(
+        "retarget", "walk.bvh", "--rig", "my.bvh", "-o", "out.bvh", "--fps", "30", "--save-map", "rig.json"
+    )
+    assert result.exit_code == 0, result.output
+    assert "wrote out.bvh: 20 frames at 30 fps on my.bvh, 21 joints" in result.output
+    assert "UpperLeg_L" in result.output and "LeftUpLeg" in result.output and "100 %" in result.output
+    assert "not on this rig: LowerBack, Neck1" in result.output
+    assert hierarchy("out.bvh") == hierarchy("my.bvh")
+    made = mk.read_canonical("out.bvh")
+    assert (
+        abs(float(made.root_positions[:, 1].mean()) - float(make_walk(40).root_positions[:, 1].mean())) < 3.0
+    )
+    joints = json.loads((place / "rig.json").read_text())["joints"]
+    assert joints == {theirs: ours for ours, theirs in NAMES.items()}
+
+
+def test_without_a_rig_the_canonical_joints(place: Path) -> None:
+    result = run("retarget", "my.bvh")
+    assert result.exit_code == 0 and "my-on-canonical.bvh" in result.output, result.output
+    assert read_bvh("my-on-canonical.bvh").skeleton.names == JOINT_NAMES
+
+
+def test_looking_at_a_rig(place: Path) -> None:
+    shown = run("retarget", "--rig", "my.bvh", "--save-map", "rig.json")
+    assert shown.exit_code == 0 and "wrote rig.json: bone map" in shown.output
+    told = json.loads(run("retarget", "--rig", "my.bvh", "--map", "rig.json", "--json").output)
+    assert told["joints"]["UpperLeg_L"] == "LeftUpLeg" and told["found"]["LeftUpLeg"] == "map"
+    assert told["missing"] == ["LowerBack", "Neck1"]
+
+
+def test_a_map_that_the_user_edited_wins(place: Path) -> None:
+    run("retarget", "--rig", "my.bvh", "--save-map", "rig.json")
+    text = (place / "rig.json").read_text().replace('"Head": "Head"', '"Head": null')
+    (place / "rig.json").write_text(text)
+    result = run("retarget", "walk.bvh", "--rig", "my.bvh", "--map", "rig.json", "-o", "out.bvh")
+    assert result.exit_code == 0 and "not on this rig: LowerBack, Neck1, Head" in result.output
+    out = read_bvh("out.bvh")
+    head = out.columns()[out.skeleton.index("Head")]
+    assert np.abs(out.values[:, list(head)]).max() == 0.0
+
+
+def edited(place: Path, **changes: Any) -> None:
+    run("retarget", "--rig", "my.bvh", "--save-map", "rig.json")
+    value = json.loads((place / "rig.json").read_text())
+    value["joints"].update(changes)
+    (place / "rig.json").write_text(json.dumps(value))
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"Head": "Hips"}, "rig.json: Hips is given to two joints, Hips and Head"),
+        ({"Tail": "Head"}, "rig.json: the rig has no joint 'Tail'"),
+        (
+            {"Head": "Heed"},
+            "rig.json: Head is mapped to 'Heed', expected a canonical joint or null; did you mean Head?",
+        ),
+        ({"Foot_L": 7}, "rig.json: Foot_L is mapped to '7', expected a canonical joint or null"),
+        ({"UpperLeg_L": None}, "rig.json: no joint is mapped to LeftUpLeg"),
+        (
+            {"LowerLeg_L": "LeftUpLeg", "UpperLeg_L": "LeftLeg"},
+            "rig.json: UpperLeg_L is mapped to LeftLeg but does not hang from LowerLeg_L, which is mapped to LeftUpLeg",
+        ),
+    ],
+)
+def test_maps_that_cannot_be_used(place: Path, changes: dict[str, Any], said: str) -> None:
+    edited(place, **changes)
+    assert fault("retarget", "walk.bvh", "--rig", "my.bvh", "--map", "rig.json", "-o", "out.bvh") == said
+    assert not (place / "out.bvh").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('{"joints": {"Hips": "Hips", "Hips": "Spine"}}', "rig.json: 'Hips' is named twice"),
+        ("[1]", 'rig.json: expected {"joints": {"joint of the rig": "canonical joint"}}'),
+        ("hello", "rig.json: not JSON (Expecting value: line 1 column 1 (char 0))"),
+    ],
+)
+def test_files_that_are_no_maps(place: Path, text: str, said: str) -> None:
+    (place / "rig.json").write_text(text)
+    assert fault("retarget", "--rig", "my.bvh", "--map", "rig.json") == said
+
+
+def test_rigs_that_are_refused(place: Path) -> None:
+    broken = Path(__file__).resolve().parents[1] / "broken_bvh" / "two_roots.bvh"
+    assert "second ROOT" in fault("retarget", "walk.bvh", "--rig", str(broken))
+    legless = {name: new for name, new in NAMES.items() if "Leg" not in name and "Foot" not in name}
+    write_bvh("legless.bvh", renamed(walk(2), {n: new for n, new in legless.items() if "Toe" not in n}))
+    said = fault("synthesize", "--types", "walking:0.2", "--rig", "legless.bvh")
+    assert said.startswith(
+        "legless.bvh: not a known human rig: no joint found for LeftUpLeg, LeftLeg, RightUpLeg"
+    )
+    assert not list(place.glob("walking*"))
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("retarget",),
+        ("retarget", "walk.bvh", "--map", "walk.bvh"),
+        ("retarget", "--rig", "my.bvh", "-o", "out.bvh"),
+        ("retarget", "walk.bvh", "--rig", "my.bvh", "--scale", "-1"),
+        ("synthesize", "--types", "walking", "--from", "walk.bvh"),
+        ("retarget", "walk.bvh", "--rig", "my.bvh", "-o", "-", "--json"),
+    ],
+)
+def test_wrong_usage(place: Path, words: tuple[str, ...]) -> None:
+    assert run(*words).exit_code == 2
+
+
+def test_inputs_are_never_overwritten(place: Path) -> None:
+    for words in (("-o", "my.bvh"), ("-o", "walk.bvh"), ("-o", "x.bvh", "--save-map", "x.bvh")):
+        assert "choose another output" in fault("retarget", "walk.bvh", "--rig", "my.bvh", *words)
+    assert fault("synthesize", "--types", "walking:0.2", "--rig", "my.bvh", "-o", "my.bvh").startswith(
+        "my.bvh: is read"
+    )
+
+
+def test_new_motion_on_my_rig(place: Path) -> None:
+    made = run("synthesize", "--types", "walking:0.5", "--rig", "my.bvh", "--from", "my.bvh", "-o", "a.bvh")
+    assert made.exit_code == 0 and "30 frames at 60 fps on my.bvh" in made.output, made.output
+    followed = run("follow-path", "line", "--size", "1", "--rig", "my.bvh", "-o", "b.bvh", "--view")
+    assert followed.exit_code == 0 and "on my.bvh, reached the end" in followed.output, followed.output
+    assert hierarchy("a.bvh") == hierarchy("b.bvh") == hierarchy("my.bvh") and Path("b.html").exists()
+    door = mk.retarget(mk.synthesize("walking:0.5").motion, mk.read_rig("my.bvh"))
+    mk.write_bvh("door.bvh", door)
+    run("synthesize", "--types", "walking:0.5", "--rig", "my.bvh", "-o", "c.bvh")
+    assert Path("door.bvh").read_bytes() == Path("c.bvh").read_bytes()
+    mk.write_view("door.png", door, mk.read_bvh("c.bvh"))
+
+
+def test_the_same_retargeting_from_python(place: Path) -> None:
+    run("retarget", "walk.bvh", "--rig", "my.bvh", "-o", "out.bvh")
+    mk.write_bvh("door.bvh", mk.retarget("walk.bvh", "my.bvh"))
+    assert Path("door.bvh").read_bytes() == Path("out.bvh").read_bytes()
+
+
+def test_a_source_whose_rig_another_file_shows(place: Path) -> None:
+    """A clip of rig and its own joint map: --source-rig and --source-map."""
+    run("retarget", "--rig", "my.bvh", "--save-map", "rig.json")
+    plain = run("retarget", "my.bvh", "-o", "a.bvh")
+    mapped = run("retarget", "my.bvh", "-o", "b.bvh", "--source-rig", "my.bvh", "--source-map", "rig.json")
+    assert plain.exit_code == mapped.exit_code == 0
+    assert Path("a.bvh").read_bytes() == Path("b.bvh").read_bytes()
+    write_bvh("other.bvh", walk(2))
+    assert "has other joints than the rig other.bvh" in fault(
+        "retarget", "my.bvh", "--source-rig", "other.bvh"
+    )
