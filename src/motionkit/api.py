@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessOptions, PreprocessReport
     from motionkit.evaluation.report import Scoreboard
     from motionkit.evaluation.settings import EvaluationSettings
+    from motionkit.export.clip import Clip
     from motionkit.inference.rollout import Noise
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricSettings
     from motionkit.models.model import MotionModel
-    from motionkit.motion.bvh import BvhFile
     from motionkit.motion.motion import Motion
     from motionkit.motion.rig import Rig
     from motionkit.training.options import TrainOptions
@@ -72,15 +72,15 @@ def read_rig(path: str | Path, map: str | Path | None = None) -> Rig:
     Raises:
         MotionkitError: for a file or a map that cannot be read, or a rig that is not a human one.
     """
-    from motionkit.motion import rig
+    from motionkit.export import on_rig
 
-    return rig.read_rig(path, map)
+    return on_rig.read_rig(path, map)
 
 
 def retarget(
     motion: Motion | str | Path, rig: Rig | str | Path, *, ik: bool = True, clip: str | Path | None = None
-) -> BvhFile:
-    """A motion on a user's rig; write_bvh writes it with the rig's hierarchy, channels, unit and axes.
+) -> Clip:
+    """A motion on a user's rig, for mk.write; a .bvh file gets the rig's own hierarchy and channels.
 
     Args:
         motion: on the 23 canonical joints in cm, the floor at height zero, or a BVH file of any human rig.
@@ -88,15 +88,21 @@ def retarget(
         ik: put the feet of the rig on the floor and hold them where those of the motion stand.
         clip: BVH file of the rig, whose other joints (fingers, props) move as they do there; at rest by default.
 
+    Returns:
+        The clip; its `motion` is on the rig's skeleton, in the rig's unit and axes.
+
     Raises:
         MotionkitError: for a file that cannot be read, or a rig that is not a human one.
     """
+    from motionkit.export.clip import Clip
     from motionkit.export.on_rig import on_rig, read_clip, read_on_any_rig
+    from motionkit.motion.to_rig import rig_bvh
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
     if isinstance(motion, (str, Path)):
         motion = read_on_any_rig(motion, target)[0]
-    return on_rig(motion, target, ik, None if clip is None else read_clip(clip, target))
+    made = on_rig(motion, target, ik, None if clip is None else read_clip(clip, target))
+    return Clip(made, bvh=rig_bvh(made, target))
 
 
 def load_model(path: str | Path | None = None) -> MotionModel:
@@ -233,24 +239,22 @@ def _canonical(motion: Motion | str | Path) -> Motion:
 
 
 def write_view(
-    path: str | Path, *motions: Motion | BvhFile, names: Sequence[str] = (), width: int | None = None
+    path: str | Path, *motions: Motion, names: Sequence[str] = (), width: int | None = None
 ) -> None:
     """Write motions as a page that plays them (.html), a contact sheet (.png), a GIF or a film (.mp4).
 
     Args:
         path: the file; its ending says what it is.
-        motions: of any rig and rate, also as retarget makes them.
+        motions: of any rig and rate.
         names: what to call them; "motion 1", "motion 2" ... by default.
         width: in pixels, of a sheet (1800), a GIF (480) or a film (960).
 
     Raises MotionkitError for another ending, and without Pillow for pictures (`pip install 'motionkit[view]'`).
     """
-    from motionkit.motion.bvh import BvhFile, bvh_to_motion
     from motionkit.view.figure_data import Shown
 
     names = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
-    drawn = [bvh_to_motion(one) if isinstance(one, BvhFile) else one for one in motions]
-    shown = [Shown(name, motion) for name, motion in zip(names, drawn, strict=True)]
+    shown = [Shown(name, motion) for name, motion in zip(names, motions, strict=True)]
     kind = Path(path).suffix.lower()
     if kind == ".html":
         from motionkit.view.viewer import write_viewer

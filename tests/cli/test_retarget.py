@@ -174,15 +174,15 @@ def test_new_motion_on_my_rig(place: Path) -> None:
     assert followed.exit_code == 0 and "on my.bvh, reached the end" in followed.output, followed.output
     assert hierarchy("a.bvh") == hierarchy("b.bvh") == hierarchy("my.bvh") and Path("b.html").exists()
     door = mk.retarget(mk.synthesize("walking:0.5").motion, mk.read_rig("my.bvh"))
-    mk.write_bvh("door.bvh", door)
+    mk.write("door.bvh", door)
     run("synthesize", "--types", "walking:0.5", "--rig", "my.bvh", "-o", "c.bvh")
     assert Path("door.bvh").read_bytes() == Path("c.bvh").read_bytes()
-    mk.write_view("door.png", door, mk.read_bvh("c.bvh"))
+    mk.write_view("door.png", door.motion, mk.read_bvh("c.bvh"))
 
 
 def test_the_same_retargeting_from_python(place: Path) -> None:
     run("retarget", "walk.bvh", "--rig", "my.bvh", "-o", "out.bvh")
-    mk.write_bvh("door.bvh", mk.retarget("walk.bvh", "my.bvh"))
+    mk.write("door.bvh", mk.retarget("walk.bvh", "my.bvh"))
     assert Path("door.bvh").read_bytes() == Path("out.bvh").read_bytes()
 
 

@@ -12,14 +12,14 @@ import pytest
 import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.export.on_rig import on_rig, read_clip
+from motionkit.export.on_rig import on_rig, read_clip, read_rig
 from motionkit.features.contacts import foot_contacts
-from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.retarget import retarget
-from motionkit.motion.rig import Rig, make_rig, read_rig
+from motionkit.motion.rig import Rig, make_rig
 from motionkit.motion.rig_pose import up_turn
 from motionkit.motion.rotations import (
     expmap_to_quat,
@@ -223,7 +223,7 @@ def messy_file(path: Path) -> None:
 def test_the_hierarchy_is_the_files_own(tmp_path: Path) -> None:
     messy_file(tmp_path / "my rig.bvh")
     rig = read_rig(tmp_path / "my rig.bvh")
-    write_bvh(tmp_path / "out.bvh", on_rig(make_walk(30), rig))
+    write_bvh(tmp_path / "out.bvh", rig_bvh(on_rig(make_walk(30), rig), rig))
     before, after = (
         path.read_text().split("MOTION")[0] for path in (tmp_path / "my rig.bvh", tmp_path / "out.bvh")
     )
@@ -238,7 +238,7 @@ def test_other_joints_stay_at_rest_or_move_as_in_a_clip(tmp_path: Path) -> None:
     rig = rig_of(rig_motion, tmp_path)
     names = rig.skeleton.names
     others = [names.index(name) for name in ("Thumb", "Sword", "LeftForeArmTwist")]
-    out = bvh_to_motion(on_rig(make_walk(60), rig))
+    out = on_rig(make_walk(60), rig)
     assert np.abs(out.local_rotations[:, others, 1:]).max() < 1e-6
     turns = rig_motion.local_rotations.copy()
     about = np.array([0.02, 0.0, 0.0], np.float32)
@@ -247,7 +247,7 @@ def test_other_joints_stay_at_rest_or_move_as_in_a_clip(tmp_path: Path) -> None:
     write_bvh(tmp_path / "clip.bvh", replace(rig_motion, local_rotations=turns))
     clip = read_clip(tmp_path / "clip.bvh", rig)
     source = make_walk(90, fps=30.0)
-    out = bvh_to_motion(on_rig(source, rig, ik=False, clip=clip))
+    out = on_rig(source, rig, ik=False, clip=clip)
     at = np.minimum(np.arange(90), len(clip) - 1)
     assert np.rad2deg(quat_angle(out.local_rotations[:, others], turns[at][:, others])).max() < 0.01
     back, _ = retarget(motion_to_bvh(out), rig=rig)
@@ -287,10 +287,7 @@ def test_feet_of_another_body_hold_and_stand_on_the_floor(tmp_path: Path) -> Non
     places = motion_kinematics(source)[1]
     touching = foot_contacts(places, source.fps)[:, [1, 3]]
     assert touching.sum() > 50
-    raw, held = (
-        motion_kinematics(bvh_to_motion(on_rig(source, rig, ik)))[1][:, toes] * rig.scale
-        for ik in (False, True)
-    )
+    raw, held = (motion_kinematics(on_rig(source, rig, ik))[1][:, toes] * rig.scale for ik in (False, True))
     assert sliding(raw, touching) > 2.0 * sliding(places[:, toes], touching)
     assert sliding(held, touching) <= sliding(places[:, toes], touching)
     heights = held[..., 1][touching > 0.5]
@@ -301,7 +298,7 @@ def test_feet_of_another_body_hold_and_stand_on_the_floor(tmp_path: Path) -> Non
 
 def test_feet_without_ik_come_as_they_are(tmp_path: Path) -> None:
     rig, source = rig_of(stocky(), tmp_path), make_walk(60)
-    back, _ = retarget(on_rig(source, rig, ik=False), rig=rig)
+    back, _ = retarget(rig_bvh(on_rig(source, rig, ik=False), rig), rig=rig)
     assert worst_turn(source, back, list(JOINT_NAMES)) < 0.01
 
 
@@ -360,5 +357,5 @@ def test_four_hundred_joints_take_no_time_worth_mentioning(tmp_path: Path) -> No
     big = Skeleton(tuple(names), tuple(parents), np.stack(offsets).astype(np.float32), skeleton.end_sites)
     rig = rig_of(Motion(big, turns, source.root_positions, 30.0), tmp_path)
     assert len(rig.skeleton) == 400 and rig.joints.missing() == ()
-    made = on_rig(make_walk(30), rig)
+    made = rig_bvh(on_rig(make_walk(30), rig), rig)
     assert set(made.skeleton.names) == set(big.names) and made.values.shape == (30, 3 + 3 * 400)

@@ -34,6 +34,9 @@ class RootMotion:
         return with_ground_root(motion, cyclic) if self.root == "ground" else motion
 
 
+HIPS = RootMotion()  # the way as it is, carried by the hips
+
+
 def root_options(function: Callable) -> Callable:
     """The options --in-place and --root, which arrive as one argument, root_motion."""
 

@@ -28,7 +28,7 @@ _SHOWN_OTHERS = 12  # joints without a canonical joint that are named
 
 @click.command("retarget")
 @click.argument("source", required=False, type=click.Path(exists=True, dir_okay=False, path_type=Path))
-@output_option("BVH file to write; named after SOURCE and the rig by default")
+@output_option("File to write; named after SOURCE and the rig by default")
 @rig_option
 @map_option
 @clip_option
@@ -99,7 +99,7 @@ def command(
 
         motion = resample(motion, fps)
     made = choice.put(motion, ik)
-    write_motion(file, made)
+    write_motion(file, made, choice=choice)
     if save_map:
         _save_map(save_map, choice.rig or known, source)
     page = None
@@ -107,7 +107,7 @@ def command(
         from motionkit.motion.bvh import bvh_to_motion, read_bvh
         from motionkit.view.figure_data import Shown
 
-        shown = [Shown(source.stem, bvh_to_motion(read_bvh(source))), Shown(file.stem, choice.shown(made))]
+        shown = [Shown(source.stem, bvh_to_motion(read_bvh(source))), Shown(file.stem, made)]
         page = write_and_open(page_file[0], shown, as_json)
     if as_json:
         result: dict[str, Any] = {
@@ -140,8 +140,7 @@ def _read(
     source: Path, source_rig: Path | None, source_map: Path | None, target: Rig | None, scale: float | None
 ) -> tuple[Any, RetargetReport, Rig | None]:
     """The motion of SOURCE, what was found in it, and its rig where that had to be studied."""
-    from motionkit.export.on_rig import read_motion, read_on_any_rig
-    from motionkit.motion.rig import read_rig
+    from motionkit.export.on_rig import read_motion, read_on_any_rig, read_rig
 
     if source_rig is not None or source_map is not None:
         known = read_rig(source_rig or source, source_map)
@@ -150,7 +149,7 @@ def _read(
 
 
 def _save_map(path: Path, rig: Rig | None, source: Path) -> None:
-    from motionkit.motion.rig import read_rig
+    from motionkit.export.on_rig import read_rig
     from motionkit.motion.rig_map_file import write_rig_map
 
     rig = rig or read_rig(source)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.motion_options import RootMotion
+from motionkit.cli.motion_options import HIPS, RootMotion
 
 if TYPE_CHECKING:
     from motionkit.motion.bvh import BvhFile
@@ -56,7 +56,7 @@ class RigChoice:
     clip: Motion | None
     files: tuple[Path, ...]
 
-    def put(self, motion: Motion, ik: bool, way: RootMotion = RootMotion(), cyclic: bool = False) -> Motion:
+    def put(self, motion: Motion, ik: bool, way: RootMotion = HIPS, cyclic: bool = False) -> Motion:
         """What to write for a motion on the canonical joints: itself, or the motion on the rig.
 
         Args:
@@ -92,8 +92,7 @@ def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | Non
             raise click.UsageError(f"{name} needs --rig, the file of the rig")
     if rig_path is None:
         return NO_RIG
-    from motionkit.export.on_rig import read_clip
-    from motionkit.motion.rig import read_rig
+    from motionkit.export.on_rig import read_clip, read_rig
 
     rig = read_rig(rig_path, map_path)
     clip = None if clip_path is None else read_clip(clip_path, rig)

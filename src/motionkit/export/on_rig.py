@@ -9,19 +9,46 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
+from motionkit.export.gltf_rig import read_gltf_rig
 from motionkit.features.contacts import foot_contacts
 from motionkit.metrics.ground import floor_height, foot_positions
-from motionkit.motion.bvh import BvhFile, bvh_to_motion, read_bvh
+from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.retarget import RetargetReport, retarget
-from motionkit.motion.rig import Rig
+from motionkit.motion.rig import Rig, make_rig, read_bvh_rig
+from motionkit.motion.rig_map_file import read_rig_map
+from motionkit.motion.rig_names import map_around
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
-from motionkit.motion.to_rig import rig_bvh, to_rig
+from motionkit.motion.to_rig import to_rig
+
+GLTF_ENDINGS = (".glb", ".vrm")
 
 
-def on_rig(motion: Motion, rig: Rig, ik: bool = True, clip: Motion | None = None) -> BvhFile:
-    """A motion on a rig, as the contents of a BVH file with the rig's hierarchy, channels, unit and axes.
+def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
+    """Read a rig from a BVH, GLB or VRM file.
+
+    Args:
+        path: the file; the frames of a BVH file show how the body stands if its rest pose does not.
+        map_path: bone map (motion.rig_map_file); the bone table of an avatar, or names and shape, by default.
+
+    Raises:
+        MotionkitError: the file or the map cannot be used, or the rig is not a human one.
+    """
+    if Path(path).suffix.lower() not in GLTF_ENDINGS:
+        return read_bvh_rig(path, map_path)
+    found = read_gltf_rig(path)
+    joints = None if map_path is None else read_rig_map(map_path, found.bvh.skeleton)
+    try:
+        if joints is None and found.humanoid:
+            joints = map_around(found.bvh.skeleton, found.humanoid, "VRM")
+        return make_rig(found.bvh, Path(path).name, joints)
+    except SkeletonError as error:
+        raise SkeletonError(f"{path}: {error}") from None
+
+
+def on_rig(motion: Motion, rig: Rig, ik: bool = True, clip: Motion | None = None) -> Motion:
+    """A motion on the skeleton of a rig, in its unit and axes; to_rig.rig_bvh makes a BVH file of it.
 
     Args:
         motion: on the canonical joints, in cm, the floor at height zero.
@@ -35,7 +62,7 @@ def on_rig(motion: Motion, rig: Rig, ik: bool = True, clip: Motion | None = None
     if clip is not None:
         clip = resample(clip, motion.fps)
     contacts = foot_contacts(_places(motion), motion.fps) if ik else None
-    return rig_bvh(to_rig(motion, rig, contacts, clip), rig)
+    return to_rig(motion, rig, contacts, clip)
 
 
 def read_clip(path: str | Path, rig: Rig) -> Motion:

@@ -14,15 +14,13 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.bvh_text import read_hierarchy
-from motionkit.motion.gltf_rig import read_gltf_rig
 from motionkit.motion.rest_pose import SIDES
 from motionkit.motion.rig_map_file import read_rig_map
-from motionkit.motion.rig_names import RigMap, map_around
+from motionkit.motion.rig_names import RigMap
 from motionkit.motion.rig_pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.motion.units import check_leg
 
-GLTF_ENDINGS = (".glb", ".vrm")
 # Heights in cm of the canonical body at which toes, or ankles of a rig without toes, can stand. A file whose lowest
 # joints are elsewhere has its floor elsewhere.
 _PLAUSIBLE_STANCE = {"ToeBase": (0.0, 6.0), "Foot": (4.0, 12.0)}
@@ -80,28 +78,12 @@ class Rig:
         return self.joints.places.get(name)
 
 
-def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
-    """Read a rig from a BVH, GLB or VRM file.
-
-    Args:
-        path: the file; of a BVH file, the frames show how the body stands if its rest pose does not.
-        map_path: bone map (rig_map_file); found by names and shape by default.
-
-    Raises:
-        BvhError, SkeletonError: the file cannot be read, or is not a human rig.
-        MotionkitError: the map cannot be used.
-    """
-    hierarchy, humanoid = None, {}
-    if Path(path).suffix.lower() in GLTF_ENDINGS:
-        found = read_gltf_rig(path)
-        bvh, humanoid = found.bvh, found.humanoid
-    else:
-        bvh, hierarchy = read_bvh(path), read_hierarchy(path)
+def read_bvh_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
+    """The rig of a BVH file; arguments as for export.on_rig.read_rig, which also reads other files."""
+    bvh = read_bvh(path)
     joints = None if map_path is None else read_rig_map(map_path, bvh.skeleton)
     try:
-        if joints is None and humanoid:
-            joints = map_around(bvh.skeleton, humanoid, "VRM")
-        return make_rig(bvh, Path(path).name, joints, hierarchy)
+        return make_rig(bvh, Path(path).name, joints, read_hierarchy(path))
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
 

@@ -1,6 +1,6 @@
 """Reads the rig of a binary glTF file (.glb) or an avatar (.vrm) as a BVH file of one frame, its rest pose.
 
-Only the JSON part of the file is read. Nodes may have any rest rotations; a BVH file has none, so the joints get the
+Nodes may have any rest rotations; a BVH file has none, so the joints get the
 axes of the world, as Blender writes an armature to BVH. Lengths are metres and Y is up, as in every glTF file.
 """
 
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 import re
-import struct
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +16,12 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Doubles
-from motionkit.errors import SkeletonError
-from motionkit.files import open_regular, parse_json
+from motionkit.export.gltf import GltfFile
 from motionkit.motion.bvh import POSITION_CHANNELS, ROTATION_ORDER, BvhFile
 from motionkit.motion.bvh_text import MAX_JOINTS, MAX_NAME
 from motionkit.motion.rotations import quat_to_matrix
 from motionkit.motion.skeleton import Skeleton
 
-MAX_BYTES = 2**31
-_MAX_JSON = 64 * 2**20
-_MAGIC, _JSON_CHUNK = b"glTF", 0x4E4F534A
 _FRAME_TIME = 1.0 / 60.0
 # VRM's names of the bones that have a canonical joint, without the side; spine and collars are found between them.
 _VRM_LIMBS = {
@@ -49,8 +44,8 @@ class GltfRig:
 
 
 def read_gltf_rig(path: str | Path) -> GltfRig:
-    """Read the rig of a .glb or .vrm file; raises SkeletonError, naming the file, if it has none that is usable."""
-    tree = _Nodes(path, _read_json(path))
+    """Read the rig of a .glb or .vrm file; raises MotionkitError, naming the file, if it has none that is usable."""
+    tree = _Nodes(GltfFile(path))
     humanoid = tree.humanoid()
     joints = tree.joints(set(humanoid.values()))
     index = {node: joint for joint, node in enumerate(joints)}
@@ -71,36 +66,12 @@ def read_gltf_rig(path: str | Path) -> GltfRig:
     return GltfRig(bvh, {name: index[node] for name, node in humanoid.items()})
 
 
-def _read_json(path: str | Path) -> dict[str, Any]:
-    """The JSON of a binary glTF file."""
-    with open_regular(path, MAX_BYTES, "a .glb or .vrm file", SkeletonError) as file:
-        head = file.read(20)
-        if len(head) < 20 or head[:4] != _MAGIC:
-            raise SkeletonError(f"{path}: is not a binary glTF file, expected one that begins with glTF")
-        version, _, length, kind = struct.unpack("<IIII", head[4:])
-        if version != 2:
-            raise SkeletonError(f"{path}: is glTF version {version}, expected version 2")
-        if kind != _JSON_CHUNK or length > _MAX_JSON:
-            raise SkeletonError(f"{path}: does not begin with a JSON part of at most {_MAX_JSON // 2**20} MB")
-        data = file.read(length)
-    if len(data) < length:
-        raise SkeletonError(f"{path}: the file is truncated")
-    try:
-        text = data.decode("utf-8")
-    except UnicodeDecodeError:
-        raise SkeletonError(f"{path}: the JSON part is not UTF-8") from None
-    value = parse_json(text, path, SkeletonError)
-    if not isinstance(value, dict):
-        raise SkeletonError(f"{path}: expected a JSON object, found {type(value).__name__}")
-    return value
-
-
 class _Nodes:
     """The nodes of a file, their parents, and their places in the world at rest."""
 
-    def __init__(self, path: str | Path, value: dict[str, Any]) -> None:
-        self.path, self.value = path, value
-        self.nodes = self._list(value, "nodes")
+    def __init__(self, file: GltfFile) -> None:
+        self.file, self.fault = file, file.fault
+        self.nodes = file.items("nodes")
         if not self.nodes:
             raise self.fault("has no nodes, expected a rigged character")
         self.parents = [-1] * len(self.nodes)
@@ -116,18 +87,9 @@ class _Nodes:
             self.transforms[node] = self.transforms[parent] @ own if parent >= 0 else own
         self.places = [transform[:3, 3] for transform in self.transforms]
 
-    def fault(self, message: str) -> SkeletonError:
-        return SkeletonError(f"{self.path}: {message}")
-
     def name(self, node: int) -> str:
         name = self.nodes[node].get("name")
         return name if isinstance(name, str) and name.strip() else f"node{node}"
-
-    def _list(self, value: dict[str, Any], key: str) -> list[dict[str, Any]]:
-        found = value.get(key, [])
-        if not isinstance(found, list) or not all(isinstance(entry, dict) for entry in found):
-            raise self.fault(f"expected a list of objects as {key}")
-        return found
 
     def _indices(self, value: Any, what: str) -> list[int]:
         good = isinstance(value, list) and all(isinstance(i, int) and 0 <= i < len(self.nodes) for i in value)
@@ -175,7 +137,7 @@ class _Nodes:
 
     def humanoid(self) -> dict[str, int]:
         """Canonical limb joints, hips and head to nodes, from the bone table of VRM 0.x or 1.0; empty without one."""
-        extensions = self.value.get("extensions")
+        extensions = self.file.json.get("extensions")
         extensions = extensions if isinstance(extensions, dict) else {}
         table: dict[str, Any] = {}
         for key in ("VRMC_vrm", "VRM"):
@@ -201,7 +163,7 @@ class _Nodes:
     def joints(self, humanoid: set[int]) -> list[int]:
         """The nodes of the rig, from its root down: those of the skins and of the avatar, and all between them."""
         wanted = set(humanoid)
-        for skin in self._list(self.value, "skins"):
+        for skin in self.file.items("skins"):
             wanted |= set(self._indices(skin.get("joints", []), "joints of a skin"))
         if not wanted:
             wanted = {node for node in self.order if "mesh" not in self.nodes[node]}
