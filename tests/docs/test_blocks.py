@@ -17,7 +17,8 @@ from click.testing import CliRunner
 
 import motionkit as mk
 from motionkit.cli.main import cli
-from motionkit.motion.bvh import read_bvh
+from motionkit.motion.bvh import read_bvh, write_bvh
+from synthetic_rigs import FAMILIES, renamed, walk
 
 ROOT = Path(__file__).resolve().parents[2]
 SAMPLE = ROOT / "examples" / "data"
@@ -57,6 +58,7 @@ def workplace(
     shutil.copy(tiny_model_file, tmp_path / "mine.safetensors")
     for name in ("walk", "truth", "made", "ground_truth", "generated"):
         shutil.copy(SAMPLE / "16_45.bvh", tmp_path / f"{name}.bvh")
+    write_bvh(tmp_path / "my.bvh", renamed(walk(8), FAMILIES["unreal"]).scaled(0.01))
     (way,) = (text for language, text in blocks(ROOT / "docs" / "paths.md") if language == "json")
     for name in ("route", "way"):
         (tmp_path / f"{name}.json").write_text(way)
