@@ -96,13 +96,12 @@ def retarget(
     """
     from motionkit.export.clip import Clip
     from motionkit.export.on_rig import on_rig, read_clip, read_on_any_rig
-    from motionkit.motion.to_rig import rig_bvh
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
     if isinstance(motion, (str, Path)):
         motion = read_on_any_rig(motion, target)[0]
     made = on_rig(motion, target, ik, None if clip is None else read_clip(clip, target))
-    return Clip(made, bvh=rig_bvh(made, target))
+    return Clip(made, channels=target.channels, hierarchy=target.hierarchy)
 
 
 def load_model(path: str | Path | None = None) -> MotionModel:

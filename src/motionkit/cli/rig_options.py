@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import click
 from motionkit.cli.motion_options import HIPS, RootMotion
 
 if TYPE_CHECKING:
-    from motionkit.motion.bvh import BvhFile
+    from motionkit.export.clip import Clip
     from motionkit.motion.motion import Motion
     from motionkit.motion.rig import Rig
 
@@ -73,13 +73,13 @@ class RigChoice:
             motion = on_rig(motion, self.rig, ik, self.clip)
         return way.applied(motion, cyclic)
 
-    def bvh(self, motion: Motion) -> BvhFile | None:
-        """A motion on the rig as the BVH file to write, None without a rig."""
-        if self.rig is None:
-            return None
-        from motionkit.motion.to_rig import rig_bvh
+    def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]]) -> Clip:
+        """What writers take for a motion from put; a BVH file gets the hierarchy and channels of the rig."""
+        from motionkit.export.clip import Clip
 
-        return rig_bvh(motion, self.rig)
+        if self.rig is None:
+            return Clip(motion, name, types)
+        return Clip(motion, name, types, self.rig.channels, self.rig.hierarchy)
 
 
 NO_RIG = RigChoice(None, None, ())

@@ -120,18 +120,15 @@ def write_motion(
     path: Path, motion: Motion, types: Sequence[tuple[str, float]] = (), choice: RigChoice = NO_RIG
 ) -> None:
     """Write a motion to a file or, for "-", as BVH to standard output; nothing is written if it is invalid."""
-    bvh = choice.bvh(motion)
+    from motionkit.export.formats import write_motion as write
+
+    clip = choice.clip_of(motion, path.stem, types)
     if path != STDOUT:
-        from motionkit.export.clip import Clip
-        from motionkit.export.formats import write_motion as write
-
-        write(path, Clip(motion, path.stem, types, bvh))
+        write(path, clip)
         return
-    from motionkit.motion.bvh import write_bvh
-
     with tempfile.TemporaryDirectory() as folder:
         made = Path(folder) / "motion.bvh"
-        write_bvh(made, bvh or motion)
+        write(made, clip)
         with made.open("rb") as file:
             shutil.copyfileobj(file, sys.stdout.buffer)
     sys.stdout.buffer.flush()
