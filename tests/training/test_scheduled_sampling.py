@@ -12,9 +12,9 @@ from motionkit.models.presets import preset
 from motionkit.training.losses import Batch
 from motionkit.training.sampler import SamplerOptions, WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
+    PredictedInputs,
     ScheduledSamplingOptions,
     join_batches,
-    run_on_predictions,
     sampled_windows,
     take_windows,
 )
@@ -46,6 +46,16 @@ def network(dataset: Dataset) -> PartTransformer:
     with torch.no_grad():
         network.aggregate.weight.mul_(5.0)
     return network.train()
+
+
+def run_on_predictions(
+    network: PartTransformer,
+    batch: Batch,
+    options: ScheduledSamplingOptions,
+    generators: list[torch.Generator],
+    references: torch.Tensor,
+) -> Batch:
+    return PredictedInputs(network, references)(batch, options, generators)
 
 
 def generators(count: int = 4) -> list[torch.Generator]:
@@ -139,3 +149,14 @@ def test_the_share_of_windows_does_not_depend_on_processes(share: float) -> None
     whole = sampled_windows(0, 16, share)
     halves = sampled_windows(0, 8, share) + [8 + i for i in sampled_windows(8, 8, share)]
     assert whole == halves and len(whole) == int(16 * share)
+
+
+def test_the_step_in_c_and_the_one_in_torch_make_the_same_inputs(
+    network: PartTransformer, batch: Batch, references: torch.Tensor, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    options = ScheduledSamplingOptions(back=0.2, limit=2.0)
+    quick = run_on_predictions(network, batch, options, generators(), references)
+    monkeypatch.setattr("motionkit.training.scheduled_sampling.kernel_library", lambda: None)
+    plain = run_on_predictions(network, batch, options, generators(), references)
+    assert not torch.equal(quick.inputs, batch.inputs)
+    assert torch.allclose(quick.inputs, plain.inputs, atol=2e-2) and torch.equal(quick.mask, plain.mask)

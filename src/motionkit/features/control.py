@@ -188,6 +188,7 @@ def control_vector(
     x: Array,
     trajectory_scaling: Scaling,
     references: ReferenceMap,
+    alone: bool = True,
 ) -> Array:
     """Control vectors (..., C) of controls (...); trajectory and reference are zero where they are not given.
 
@@ -195,10 +196,11 @@ def control_vector(
         skeleton: (69,) of skeleton_signal.
         x: (..., 276) normalised present frames, which references are relative to.
         references: maps reference poses to the reference signal.
+        alone: as in ReferenceMap.shown.
     """
     mask, gain = controls.trajectory_mask[..., None], controls.reference_gain[..., None]
     trajectory = trajectory_scaling.normalize(controls.trajectory) * mask
-    reference = references.shown(controls.reference, x) * gain
+    reference = references.shown(controls.reference, x, alone) * gain
     parts = [skeleton, controls.type_weights, trajectory, mask, phase_signal(controls.phase)]
     parts += [reference, (gain > 0.0).astype(np.float32)]
     shape = controls.type_weights.shape[:-1]

@@ -7,7 +7,7 @@ columns; both body parts share those of the root.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -67,6 +67,10 @@ class FeatureLayout:
 
     def mirror_map(self) -> tuple[Array, Array]:
         """Column indices (276,) and signs (276,): mirrored = features[..., indices] * signs."""
+        return self._mirror_map
+
+    @cached_property
+    def _mirror_map(self) -> tuple[Array, Array]:
         place = {(c.block, c.joint, c.component): index for index, c in enumerate(self.columns)}
         indices = [place[c.block, MIRROR_JOINTS[c.joint], c.component] for c in self.columns]
         return np.array(indices), np.array([c.mirror_sign for c in self.columns], np.float32)

@@ -107,9 +107,13 @@ class ReferenceMap:
     matrix: Array
     constant: Array
 
-    def shown(self, reference: Array, x: Array) -> Array:
-        """Reference poses (..., 72) relative to the current normalised frames x (..., 276)."""
-        return self.gains * reference - (row_products(x, self.matrix) + self.constant)
+    def shown(self, reference: Array, x: Array, alone: bool = True) -> Array:
+        """Reference poses (..., 72) relative to the current normalised frames x (..., 276).
+
+        alone: whether each row is a product of its own, so that its last digits do not depend on the other rows.
+        """
+        product = row_products(x, self.matrix) if alone else x @ self.matrix
+        return self.gains * reference - (product + self.constant)
 
 
 def reference_map(embedding: PoseEmbedding, scaling: Scaling) -> ReferenceMap:

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
 VERSION = 4  # of step_kernel.c
 TILE = 32
 LINE = 64  # bytes of a line of the cache
-ROWS = 16  # characters that go through the network together, so that their activations stay near
+# Characters that go through the network together, so that their activations stay near; more of them in large crowds,
+# of which each core takes its share, so that the weights are read less often.
+ROWS, MOST_ROWS = 16, 48
 
 
 class _Map(Structure):
@@ -128,10 +130,11 @@ class StepKernel:
         frame = _Frame(*(array.ctypes.data for array in arrays), 0)
         places = [self._position[slot].ctypes.data for slot in range(len(self._position))]
         program, call = byref(self._program), self._library.step
-        size = self._library.scratch_size(program, min(ROWS, state.batch))
+        together = max(ROWS, min(MOST_ROWS, -(-state.batch // cores())))
+        size = self._library.scratch_size(program, min(together, state.batch))
         shares = [
-            (first, min(ROWS, state.batch - first), np.empty(size, np.float32))
-            for first in range(0, state.batch, ROWS)
+            (first, min(together, state.batch - first), np.empty(size, np.float32))
+            for first in range(0, state.batch, together)
         ]
         calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
 

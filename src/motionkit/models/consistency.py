@@ -24,7 +24,9 @@ class ConsistencyModules(nn.Module):
 
     def forward(self, shallow: Tensor, deep: Tensor) -> tuple[Tensor, Tensor]:
         """Decode features (P, B, T, D) of both levels to data (P, B, T, 12 S)."""
-        return self.shallow(shallow[..., : self.channels]), self.deep(deep[..., : self.channels])
+        return self.shallow(shallow[..., : self.channels].float()), self.deep(
+            deep[..., : self.channels].float()
+        )
 
 
 def shared_data(network: PartTransformer, x_BTF: Tensor) -> Tensor:
@@ -35,7 +37,7 @@ def shared_data(network: PartTransformer, x_BTF: Tensor) -> Tensor:
 
 def feature_difference(features: Tensor, channels: int) -> Tensor:
     """Return the mean distance between the shared channels of pairs of parts (paper L_feat), a scalar."""
-    shared = features[..., :channels]
+    shared = features[..., :channels].float()
     pairs = [(p, q) for p in range(len(shared)) for q in range(p)]
     if not pairs:
         return torch.zeros((), device=features.device)

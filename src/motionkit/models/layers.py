@@ -33,6 +33,14 @@ class PartLinear(nn.Module):
         out = torch.bmm(x, self.weight) if self.bias is None else torch.baddbmm(self.bias, x, self.weight)
         return out.reshape(shape)
 
+    def shared(self, x: Tensor) -> Tensor:
+        """Map an input (..., in) that all parts share to (P, ..., out), in one product."""
+        P, N, M = self.weight.shape
+        weight = self.weight.transpose(0, 1).reshape(N, P * M)
+        assert self.bias is not None
+        out = torch.addmm(self.bias.reshape(P * M), x.reshape(-1, N), weight)
+        return out.reshape(-1, P, M).transpose(0, 1).reshape(P, *x.shape[:-1], M)
+
 
 class PartNorm(nn.Module):
     """Layer normalisation. Scale and shift per part are optional, because a following linear map can absorb them."""

@@ -113,8 +113,7 @@ class AutoRegressiveModule(nn.Module):
             T = x_PBTD.shape[2]
             x_PBTD = torch.cat([padded[:, :, i : i + T] for i in range(self.kernel)], dim=-1)
         motion = self.embed_motion(x_PBTD)
-        P = motion.shape[0]
-        controls = self.embed_controls(controls_BTC.expand(P, *controls_BTC.shape))
+        controls = self.embed_controls.shared(controls_BTC)
         if self.config.position == "sinusoidal":
             motion = motion + sinusoidal_positions(motion.shape[2], motion.shape[3], motion.device)
         motion = spatial_dropout(motion, self.config.spatial_dropout, self.training)

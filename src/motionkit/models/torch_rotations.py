@@ -98,6 +98,7 @@ def decode_rotations(
     root = features[..., columns.blocks["root_rotation"]]
     root = (sixd_to_quat if columns.root_is_sixd else expmap_to_quat)(root)
     expmaps = features[..., columns.blocks["joint_rotations"]]
-    expmaps = expmaps.reshape(*expmaps.shape[:-1], -1, 3)[..., [joint - 1 for joint in joints], :]
-    references = reference_rotations[list(joints)].to(expmaps)
+    # Slices, not a list of indices: that would have to come from the CPU, which a CUDA graph cannot wait for.
+    expmaps = torch.stack([expmaps[..., 3 * j - 3 : 3 * j] for j in joints], dim=-2)
+    references = torch.stack([reference_rotations[j] for j in joints]).to(expmaps)
     return torch.cat([root[..., None, :], quat_multiply(references, expmap_to_quat(expmaps))], dim=-2)

@@ -102,7 +102,8 @@ def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Te
     turn = rotations[..., :1, :]  # of both legs, side by side
     places = [torch.zeros_like(features[..., None, :3])]
     for pair, bend in zip((*zip(*LEGS, strict=True), TOES), (*bends, None), strict=True):
-        places.append(places[-1] + quat_rotate(turn, offsets[:, None, list(pair)]))
+        bones = torch.stack([offsets[:, None, joint] for joint in pair], dim=-2)
+        places.append(places[-1] + quat_rotate(turn, bones))
         turn = turn if bend is None else quat_multiply(turn, bend)
     return torch.stack(places[-2:], dim=-2).flatten(-3, -2)
 
@@ -149,7 +150,7 @@ def fk_loss(
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
         moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, space)
         # Vertical movement is left out, because a body that is too high or too low must come back.
-        off = (moves - wanted)[..., [0, 2]].abs().sum(-1) / FOOT_UNIT
+        off = (moves - wanted)[..., ::2].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
         loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
     return loss

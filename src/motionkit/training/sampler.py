@@ -224,7 +224,7 @@ class WindowSampler:
         )
         scaling = self.dataset.trajectory_scaling
         controls = control_vector(
-            self.controls, self.skeletons[body], asked, inputs, scaling, self.reference_map
+            self.controls, self.skeletons[body], asked, inputs, scaling, self.reference_map, alone=False
         )
         # A short window has the same weight as a full one.
         mask = np.full(frames, T / frames, np.float32)

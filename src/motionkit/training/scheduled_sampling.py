@@ -21,6 +21,7 @@ from motionkit.inference.step_weights import why_not_packable
 from motionkit.inference.stepping import NetworkStep, stepper
 from motionkit.models.batch import Batch
 from motionkit.models.predictor import Drawn, NextFrame, Predictor
+from motionkit.training.replay import Replayed
 
 
 @dataclass(frozen=True)
@@ -38,55 +39,73 @@ class ScheduledSamplingOptions:
     rho: float = 0.95  # correlation of the noise from frame to frame
 
 
-@torch.no_grad()
-def run_on_predictions(
-    network: Predictor,
-    batch: Batch,
-    options: ScheduledSamplingOptions,
-    generators: list[torch.Generator],
-    reference_matrix: Tensor,
-) -> Batch:
-    """Return a batch whose inputs and contacts are, in short runs, predictions of the network.
-
-    Each window has its own generator, so that the result does not depend on which windows are run together. Frames
-    at which the recorded frame takes over do not count in the losses, because no body makes that step.
+class PredictedInputs:
+    """Replaces inputs of windows by predictions of a network. On a GPU the whole roll-out is one graph.
 
     Args:
-        generators: one random generator per window.
         reference_matrix: (276, 72) matrix of the ReferenceMap, which makes reference poses relative to predictions.
     """
-    was_training = network.training
-    network.eval()
-    B, T, F = batch.inputs.shape
-    device = batch.inputs.device
-    step = _frame_step(network, B, device)
-    inputs, contacts, mask = batch.inputs.clone(), batch.contacts.clone(), batch.mask.clone()
-    controls = batch.controls.clone()
-    shown = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
-    own = torch.zeros(B, dtype=torch.bool, device=device)
-    fresh = torch.stack([torch.randn(T, F, generator=g) for g in generators]).to(device)
-    reference_gain = batch.controls[..., network.control_size - 1] > 0
-    phase = slice(shown.start - 2, shown.start)
-    timed = reference_gain | (batch.controls[..., phase] != 0.0).any(dim=-1)
-    back = torch.where(timed, options.reference_back, options.back)
-    limit = torch.where(timed, options.reference_limit, options.limit)
-    stays = torch.stack([torch.rand(T, generator=g) for g in generators]).to(device) >= back
-    noise, rho = fresh[:, 0], options.rho
-    for t in range(T - 1):
-        made = step(inputs[:, t], contacts[:, t], controls[:, t])
-        noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t]
-        frame = made.mean + options.temperature * noise * torch.exp(made.log_sigma)
-        error = (frame - batch.targets[:, t]).square().mean(dim=-1).sqrt()
-        now = stays[:, t] & (error < limit[:, t])
-        mask[:, t + 1] *= ~(own & ~now)
-        chosen = now[:, None]
-        moved = torch.where(chosen, frame - inputs[:, t + 1], 0.0)
-        inputs[:, t + 1] += moved
-        controls[:, t + 1, shown] -= reference_gain[:, t + 1, None] * (moved @ reference_matrix)
-        contacts[:, t + 1] = torch.where(chosen, torch.sigmoid(made.contact_logits), contacts[:, t + 1])
-        own = now
-    network.train(was_training)
-    return replace(batch, inputs=inputs, contacts=contacts, controls=controls, mask=mask)
+
+    def __init__(self, network: Predictor, reference_matrix: Tensor) -> None:
+        self.network, self.reference_matrix = network, reference_matrix
+        self.options = ScheduledSamplingOptions()
+        self._roll_out = Replayed(self._frames)
+
+    @torch.no_grad()
+    def __call__(
+        self, batch: Batch, options: ScheduledSamplingOptions, generators: list[torch.Generator]
+    ) -> Batch:
+        """Return a batch whose inputs and contacts are, in short runs, predictions of the network.
+
+        Each window has its own generator, so that the result does not depend on which windows are run together.
+        Frames at which the recorded frame takes over do not count in the losses, because no body makes that step.
+
+        Args:
+            generators: one random generator per window.
+        """
+        if options != self.options:
+            self.options, self._roll_out = options, Replayed(self._frames)
+        _, T, F = batch.inputs.shape
+        device = batch.inputs.device
+        fresh = torch.stack([torch.randn(T, F, generator=g) for g in generators]).to(device)
+        chance = torch.stack([torch.rand(T, generator=g) for g in generators]).to(device)
+        given = (batch.inputs, batch.targets, batch.contacts, batch.controls, batch.mask)
+        was_training = self.network.training
+        self.network.eval()
+        made = self._roll_out(*given, fresh, chance)
+        self.network.train(was_training)
+        # Copies, because the next call overwrites what a graph has made.
+        inputs, contacts, controls, mask = (x.clone() for x in made)
+        return replace(batch, inputs=inputs, contacts=contacts, controls=controls, mask=mask)
+
+    def _frames(self, *tensors: Tensor) -> tuple[Tensor, ...]:
+        """Roll out: tensors are inputs, targets, contacts, controls and mask of a batch, noise and chances."""
+        inputs, targets, contacts, controls, mask, fresh, chance = tensors
+        options, network, device = self.options, self.network, inputs.device
+        step = _frame_step(network, len(inputs), device)
+        shown = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
+        phase = slice(shown.start - 2, shown.start)
+        reference_gain = controls[..., network.control_size - 1] > 0
+        timed = reference_gain | (controls[..., phase] != 0.0).any(dim=-1)
+        stays = chance >= torch.where(timed, options.reference_back, options.back)
+        limit = torch.where(timed, options.reference_limit, options.limit)
+        inputs, contacts, controls, mask = (x.clone() for x in (inputs, contacts, controls, mask))
+        own = torch.zeros_like(stays[:, 0])
+        noise, rho = fresh[:, 0], options.rho
+        for t in range(inputs.shape[1] - 1):
+            made = step(inputs[:, t], contacts[:, t], controls[:, t])
+            noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t]
+            frame = made.mean + options.temperature * noise * torch.exp(made.log_sigma)
+            error = (frame - targets[:, t]).square().mean(dim=-1).sqrt()
+            now = stays[:, t] & (error < limit[:, t])
+            mask[:, t + 1] *= ~(own & ~now)
+            chosen = now[:, None]
+            moved = torch.where(chosen, frame - inputs[:, t + 1], 0.0)
+            inputs[:, t + 1] += moved
+            controls[:, t + 1, shown] -= reference_gain[:, t + 1, None] * (moved @ self.reference_matrix)
+            contacts[:, t + 1] = torch.where(chosen, torch.sigmoid(made.contact_logits), contacts[:, t + 1])
+            own = now
+        return inputs, contacts, controls, mask
 
 
 def _frame_step(

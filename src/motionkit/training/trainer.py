@@ -36,6 +36,7 @@ from motionkit.training.bundle import bundle_model
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
 from motionkit.training.options import OptimizerOptions, TrainOptions, flat_options
 from motionkit.training.rehearsal import keep_types
+from motionkit.training.replay import Replayed
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.scores import TypeScore, score_rollouts
@@ -104,7 +105,6 @@ class TrainingModule(nn.Module):
         with torch.autocast(kind, torch.bfloat16) if autocast else nullcontext():
             prediction = self.network(batch.inputs, batch.contacts, batch.controls)
         # The losses, consistency modules included, are computed in float32.
-        prediction = replace(prediction, shallow=prediction.shallow.float(), deep=prediction.deep.float())
         return training_losses(
             self.network,
             self.consistency,
@@ -287,6 +287,10 @@ class TrainingRun:
         places = range(self.rank * share, (self.rank + 1) * share)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
         self._block: BlockStart | None = None  # of the checkpoint that the run resumes from
+        # On a GPU a step is a graph, made anew for other losses.
+        self._replayed = Replayed(lambda *_: ())
+        self._replayed_options: LossOptions | None = None
+        self._terms: list[str] = []
         self.asked_to_stop = self.stops = False
         self.logs = True  # false once writing log.jsonl has failed
 
@@ -403,28 +407,44 @@ class TrainingRun:
             torch.manual_seed((options.seed + 1) * 1_000_003 + self.step * self.world + self.rank)
         batch = self.blocks.next(self.step, self.progress())
         options = self.blocks.options
-        self.module.use(options.losses)
         for group in self.optimizer.param_groups:
             group["lr"] = self.learning_rate()
-        terms = self.trainable(batch, self.autocast, self.progress())
-        loss = total_loss(terms, options.losses.weights) * LOSS_SCALE
-        self.optimizer.zero_grad(set_to_none=True)
-        loss.backward()
+        terms = self.gradients(batch, options.losses)
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.optimizer.clip_norm)
         if math.isfinite(float(norm)):
             self.optimizer.step()
             self.update_average()
         self.step += 1
-        names = list(terms)
-        stop = loss.new_tensor(float(self.asked_to_stop))  # all processes stop at the same step
-        values = [terms[n].detach() for n in names] + [loss.detach() / LOSS_SCALE, norm.detach(), stop]
-        shared = torch.stack(values)
+        stop = norm.new_tensor(float(self.asked_to_stop))  # all processes stop at the same step
+        shared = torch.stack([*terms.values(), norm.detach(), stop])
         if self.world > 1:
             dist.all_reduce(shared)
             shared = shared / self.world
         *means, stops = shared.tolist()
         self.stops = stops > 0
-        return dict(zip([*names, "total", "gradient"], means, strict=True))
+        return dict(zip([*terms, "gradient"], means, strict=True))
+
+    def gradients(self, batch: Batch, options: LossOptions) -> dict[str, Tensor]:
+        """Compute the gradients of a batch; return the terms of the loss by name, and their "total"."""
+        if not isinstance(self.module, TrainingModule) or self.world > 1:
+            return self._gradients(batch, options)
+        if options != self._replayed_options:  # a new stage: a graph of its own
+            self._replayed_options = options
+            self._replayed = Replayed(lambda *given: tuple(self._gradients(Batch(*given), options).values()))
+        values = self._replayed(*vars(batch).values())
+        return dict(zip(self._terms, values, strict=True))
+
+    def _gradients(self, batch: Batch, options: LossOptions) -> dict[str, Tensor]:
+        self.module.use(options)
+        self.optimizer.zero_grad(set_to_none=True)
+        terms = self.trainable(batch, self.autocast, self.progress())
+        loss = total_loss(terms, options.weights) * LOSS_SCALE
+        loss.backward()
+        found = {name: value.detach() for name, value in terms.items()} | {
+            "total": loss.detach() / LOSS_SCALE
+        }
+        self._terms = list(found)
+        return found
 
     @torch.no_grad()
     def update_average(self) -> None:

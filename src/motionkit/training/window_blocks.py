@@ -7,6 +7,7 @@ kept, so that a run can stop and resume at any step within a block.
 
 from __future__ import annotations
 
+from concurrent.futures import Future
 from dataclasses import dataclass
 
 import torch
@@ -14,11 +15,12 @@ from torch import Tensor
 
 from motionkit.models.batch import Batch
 from motionkit.models.predictor import Predictor
+from motionkit.native import cores, workers
 from motionkit.training.options import TrainOptions
-from motionkit.training.sampler import WindowSampler, window_generator
+from motionkit.training.sampler import SamplerOptions, WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
+    PredictedInputs,
     join_batches,
-    run_on_predictions,
     sampled_windows,
     take_windows,
 )
@@ -47,7 +49,10 @@ class WindowBlocks:
         self.sampler, self.network, self.run, self.places = sampler, network, options, places
         self.options = options.at(0.0)
         self.start: BlockStart | None = None
+        device = next(network.parameters()).device
+        self.predicted = PredictedInputs(network, torch.from_numpy(sampler.reference_map.matrix).to(device))
         self._coming: list[Batch] = []
+        self._ahead: tuple[range, SamplerOptions, list[Future[Batch]]] | None = None
 
     def next(self, step: int, progress: float) -> Batch:
         """Return the batch of a step; progress is the share of the run that is done."""
@@ -88,22 +93,15 @@ class WindowBlocks:
         """Make the batches of some steps, with scheduled sampling in some of their windows."""
         options, places = self.options, self.places
         device = next(self.network.parameters()).device
-        batches = [
-            self.sampler.batch(step, options.batch, places.start, len(places)).to(device) for step in steps
-        ]
+        batches = [batch.to(device) for batch in self._windows(steps, device)]
         fed = sampled_windows(places.start, len(places), options.scheduled_sampling.share)
         if not fed:
             return batches
         generators = [
             window_generator(options.seed, step, places[i], purpose=1) for step in steps for i in fed
         ]
-        joined = run_on_predictions(
-            self.network,
-            join_batches([take_windows(batch, fed) for batch in batches]),
-            options.scheduled_sampling,
-            generators,
-            torch.from_numpy(self.sampler.reference_map.matrix).to(device),
-        )
+        joined = join_batches([take_windows(batch, fed) for batch in batches])
+        joined = self.predicted(joined, options.scheduled_sampling, generators)
         others = [i for i in range(len(places)) if i not in fed]
         return [
             join_batches(
@@ -111,3 +109,18 @@ class WindowBlocks:
             )
             for k, batch in enumerate(batches)
         ]
+
+    def _windows(self, steps: range, device: torch.device) -> list[Batch]:
+        """Return the windows of some steps as they are recorded; for a GPU those of the next block are begun."""
+
+        def make(step: int) -> Batch:
+            return self.sampler.batch(step, self.options.batch, self.places.start, len(self.places))
+
+        if device.type == "cpu":  # which has better things to do meanwhile
+            return [make(step) for step in steps]
+        ahead, options = self._ahead, self.options.sampler
+        known = ahead is not None and ahead[:2] == (steps, options)
+        batches = [future.result() for future in ahead[2]] if ahead and known else [make(s) for s in steps]
+        coming = range(steps.stop, self._end(steps.stop))
+        self._ahead = coming, options, [workers(cores()).submit(make, step) for step in coming]
+        return batches
