@@ -53,6 +53,13 @@ def test_weights_pass_smoothly_from_joint_to_joint(body: tuple[Surface, BodyPose
     assert steps.max() < 0.9 and np.percentile(steps, 99) < 0.5
 
 
+def test_a_coarse_body_has_the_same_shape(body: tuple[Surface, BodyPose]) -> None:
+    fine = body[0].points
+    coarse = make_body(in_metres(make_walk(2))[0], step=0.02)[0].points
+    assert len(coarse) < 0.6 * len(fine)
+    np.testing.assert_allclose(np.ptp(coarse, axis=0), np.ptp(fine, axis=0), atol=0.02)
+
+
 def test_both_sides_are_alike(body: tuple[Surface, BodyPose]) -> None:
     points = body[0].points
     for low, high in ((-0.6, -0.3), (0.1, 0.4), (0.5, 0.7)):

@@ -19,7 +19,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import RigMap, map_rig, name_part
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
-from motionkit.view.flesh import Chain, Piece, skin
+from motionkit.view.flesh import STEP, Chain, Piece, skin
 from motionkit.view.surface import TINTS, Array, Surface, SurfaceBuilder, cross_axes, joined, unit
 
 LEG = 0.834  # m, leg length of the profiles below
@@ -112,13 +112,14 @@ class BodyPose:
         return out
 
 
-def make_body(motion: Motion, figure: Figure | None = None) -> tuple[Surface, BodyPose]:
+def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) -> tuple[Surface, BodyPose]:
     """A skinned body mesh for the rig of a motion, and the pose in which it is made.
 
     Args:
         motion: in metres with Y up (`figure_data.in_metres`); its rest pose, or else its best frame, shows the body
             upright.
         figure: the motion's `motion_figure`, computed if None.
+        step: about the length of the mesh's edges, m.
     """
     bones = (figure or motion_figure(motion)).bones
     drawn = frozenset(joint for _, joint in bones if joint < len(motion.skeleton))
@@ -130,7 +131,7 @@ def make_body(motion: Motion, figure: Figure | None = None) -> tuple[Surface, Bo
     if _stoop(poses[0], rig) > 0.5:  # the rest pose is not a standing human
         poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
     pose = min(poses, key=lambda p: _stoop(p, rig))
-    return _Human(motion, rig, pose).surface()
+    return _Human(motion, rig, pose).surface(step)
 
 
 def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
@@ -253,7 +254,7 @@ class _Human:
         target = np.sqrt(1.0 - drop**2) * ahead - drop * self.up
         self.pose.turn(ankle, _between(bone / length, target))
 
-    def surface(self) -> tuple[Surface, BodyPose]:
+    def surface(self, step: float) -> tuple[Surface, BodyPose]:
         self._torso()
         self._neck_and_head()
         for side in SIDES:
@@ -263,7 +264,7 @@ class _Human:
             self._hand(side)
         self._others()
         axes = np.stack([self.left, self.up, self.front])
-        body = skin(self.pieces, axes, self.size, len(self.names))
+        body = skin(self.pieces, axes, self.size, len(self.names), step)
         return (joined(body, self.builder.surface()) if self.builder.parts else body), self.pose
 
     def _piece(

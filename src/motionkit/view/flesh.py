@@ -17,6 +17,7 @@ from motionkit.view.isosurface import isosurface, neighbour_mean
 from motionkit.view.surface import TINTS, Array, Surface, cross_axes, unit
 
 STEP = 0.0135  # m, grid step for a body of usual size
+COARSE_STEP = 0.02  # m, where few pixels show it
 BLEND = 0.010  # m, how softly pieces join
 GRIP = 0.016  # m, how softly the skin passes from the joints of one piece to those of the next
 DYE = 0.009  # m, the same for tints
@@ -130,7 +131,7 @@ def _chain_weights(shares: Array, first: int, chain: Chain, count: int) -> Array
     return weights
 
 
-def skin(pieces: Sequence[Piece], axes: Array, size: float, joint_count: int) -> Surface:
+def skin(pieces: Sequence[Piece], axes: Array, size: float, joint_count: int, step: float = STEP) -> Surface:
     """The skin over pieces.
 
     Args:
@@ -139,8 +140,9 @@ def skin(pieces: Sequence[Piece], axes: Array, size: float, joint_count: int) ->
             the plane through the first piece gets the same skin there.
         size: of the body; 1 is usual.
         joint_count: of the skeleton.
+        step: about the length of the mesh's edges for a body of usual size, m.
     """
-    step = STEP * size
+    step *= size
     points, triangles, slopes = _net(pieces, axes, step, BLEND * size)
     for _ in range(2):  # even out the points, then back to the skin
         points = 0.5 * (points + neighbour_mean(triangles, points))

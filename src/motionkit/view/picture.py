@@ -16,6 +16,7 @@ from motionkit.view.body import make_body
 from motionkit.view.contact_sheet import load_pillow
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
 from motionkit.view.figure_data import Shown, in_metres
+from motionkit.view.flesh import COARSE_STEP
 from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
 from motionkit.view.picture_labels import Labels
 from motionkit.view.raster import fill_triangles
@@ -44,7 +45,7 @@ class _Actor:
     def _parts(self) -> tuple[Any, ...]:
         motion, _, _ = in_metres(self.shown.motion)
         figure = motion_figure(motion)
-        surface, pose = make_body(motion, figure)
+        surface, pose = make_body(motion, figure, COARSE_STEP)
         turns, places = motion_kinematics(motion)
         return surface, pose, quat_to_matrix(turns).astype(np.float64), places.astype(np.float64), figure
 
