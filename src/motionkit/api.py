@@ -15,6 +15,7 @@ from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
     from motionkit.control.follow import FollowResult
+    from motionkit.control.keys import Key
     from motionkit.control.path import Path2D
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.data.preprocess import PreprocessOptions, PreprocessReport
@@ -121,9 +122,10 @@ def synthesize(
     noise: Noise | None = None,
     reference: str = "auto",
     character: str = "default",
-    init: str | Path | None = None,
+    init: str | Path | Motion | None = None,
     ik: bool = True,
     fps: float | None = None,
+    keys: str | Path | Sequence[Key] = (),
 ) -> SynthesisResult:
     """Synthesize motion types one after another; the same seed gives the same motion.
 
@@ -136,16 +138,18 @@ def synthesize(
         noise: how frames are drawn; correlated noise of temperature 0.05 by default.
         reference: "auto", or "none" for the network without its reference recordings.
         character: the body to move; several names with commas are taken in turn.
-        init: a BVH file to start from.
+        init: a BVH file, or a canonical motion in cm, to start from.
         ik: hold feet still while they touch the floor.
         fps: rate of the motions; the model's 60 by default.
+        keys: poses to meet (docs/keys.md), a JSON file or Key records.
 
     Returns:
         The motions; `motion` is the first one.
 
     Raises:
-        ControlError: for an unknown type or character, or too many frames.
+        ControlError: for an unknown type or character, too many frames, or keys that cannot be met.
     """
+    from motionkit.control.keys import check_keys, read_keys
     from motionkit.control.script import parse_types
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.control.synthesize import synthesize as run
@@ -154,7 +158,10 @@ def synthesize(
     model = (model or load_model()).with_reference(reference)
     texts = [types] if isinstance(types, str) else list(types)
     plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
-    options = SynthesisOptions(max(count, len(plans)), seed, noise or Noise(), character, init, ik, fps)
+    met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
+    options = SynthesisOptions(
+        max(count, len(plans)), seed, noise or Noise(), character, init, ik, fps, keys=met
+    )
     return run(model, plans, options)
 
 

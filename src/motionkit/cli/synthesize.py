@@ -27,6 +27,7 @@ from motionkit.cli.synthesis_options import (
 
 if TYPE_CHECKING:
     from motionkit.cli.rig_options import RigChoice
+    from motionkit.control.keys import Key
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.editing.loop import Loop
     from motionkit.motion.motion import Motion
@@ -61,6 +62,12 @@ LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
     is_flag=True,
     help="Write the best cycle, closed, of one type; --seconds is a wish then. For gaits and dances.",
 )
+@click.option(
+    "--keys",
+    "keys_file",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="JSON file of poses, places and joints to meet at given times (docs/keys.md).",
+)
 @synthesis_options
 def command(
     types: tuple[str, ...],
@@ -69,6 +76,7 @@ def command(
     seconds: float | None,
     count: int,
     loops: bool,
+    keys_file: Path | None,
     model_path: Path | None,
     seed: int,
     character: str,
@@ -103,9 +111,12 @@ def command(
 
         if count > MAX_MOTIONS:
             raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
+    from motionkit.control.keys import check_length, read_keys
     from motionkit.control.script import parse_types
     from motionkit.control.synthesize import SynthesisOptions, synthesize
 
+    if loops and keys_file is not None:
+        raise click.UsageError("--loop and --keys cannot be combined")
     count = max(count, len(types))
     check_stdout(output, {"--view": view, "--json": as_json, f"--count {count}": count > 1})
     model = open_model(model_path, reference)
@@ -118,8 +129,11 @@ def command(
     base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
     files = [base] if count == 1 else [_numbered(base, number, count) for number in range(1, count + 1)]
     page_file = [base.with_suffix(".html")] if view else []
-    check_outputs([] if base == STDOUT else files + page_file, (model_path, init, *choice.files))
-    options = SynthesisOptions(count, seed, make_noise(noise, temperature), character, init, ik, fps)
+    check_outputs([] if base == STDOUT else files + page_file, (model_path, init, keys_file, *choice.files))
+    keys = read_keys(keys_file, model) if keys_file is not None else ()
+    check_length(keys, min(sum(part.seconds for part in plan) for plan in plans))
+    drawn = make_noise(noise, temperature)
+    options = SynthesisOptions(count, seed, drawn, character, init, ik, fps, keys=keys)
     frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
     announce(frames / model.fps, model.fps, options)
     with progress_bar() as bar:
@@ -142,6 +156,7 @@ def command(
                     "types": [list(part) for part in parts],
                     "metrics": motion_metrics(synthesis.motion),
                     **(seam_json(cycles[len(made)]) if loops else {}),
+                    **({"keys": [_arrival(synthesis.motion, key) for key in keys]} if keys else {}),
                 }
             )
     page = _view(base, made, result, written, as_json) if view else None
@@ -160,6 +175,10 @@ def command(
         out.print(f"  {metrics_line(entry['metrics'])}")
         if loops:
             out.print(f"  {seam_words(cycles[made.index(entry)])}")
+        for key in entry.get("keys", ()):
+            out.print(
+                f"  key at {key['seconds']:g} s: {key['cm']:.2f} cm and {key['degrees']:.1f} degrees away"
+            )
     out.print(f"roll-out {result.seconds:.2f} s, {rate:.0f} frames per second")
     if page:
         out.print(f"wrote {page}")
@@ -181,6 +200,14 @@ def _looped(result: SynthesisResult, seconds: float | None) -> tuple[SynthesisRe
         for one, cycle in zip(result.motions, cycles, strict=True)
     )
     return replace(result, motions=motions), cycles
+
+
+def _arrival(motion: Motion, key: Key) -> dict[str, float]:
+    """How far a motion is from a key at its time."""
+    from motionkit.control.meet import arrival
+
+    distance, angle = arrival(motion, key)
+    return {"seconds": key.seconds, "cm": distance, "degrees": angle}
 
 
 def _numbered(base: Path, number: int, count: int) -> Path:

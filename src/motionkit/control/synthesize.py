@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.keys import Key, check_length
+from motionkit.control.meet import Beginning, KeyedController, meet_keys
 from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, crowd_controller, plan_weights
+from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track
 from motionkit.errors import ControlError
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run
-from motionkit.inference.start import clip_start, type_start
+from motionkit.inference.start import clip_motion, clip_start, type_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
@@ -45,17 +47,18 @@ class Synthesis:
 class SynthesisOptions:
     """How to synthesize: the defaults are those of the command; fps None keeps the model's rate.
 
-    raw also keeps the motion without foot locks.
+    raw also keeps the motion without foot locks; keys are poses to meet.
     """
 
     count: int = 1
     seed: int = 0
     noise: Noise = field(default_factory=Noise)
     character: str = "default"
-    init: str | Path | None = None
+    init: str | Path | Motion | None = None
     ik: bool = True
     fps: float | None = None
     raw: bool = False
+    keys: tuple[Key, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +118,14 @@ def synthesize(
     behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
     near = [last_poses(model, start.features[0]) for start in starts]
     controller = crowd_controller(model, plans, [near[t] for t in turn], behind, options.seed)
+    if options.keys:
+        if len(plans) > 1:
+            raise ControlError("keys are met by characters with the same types; give one list of types")
+        check_length(options.keys, min(sum(part.seconds for part in plan) for plan in plans))
+        share = leg_length(skeletons[0]) / leg_length(model.character("default"))
+        begin = Beginning(ground[0], near[0])
+        types = type_track(model, plans[0])
+        controller = KeyedController(model, controller, options.keys, begin, types, share)
     frames = [len(each) for each in weights]
     started = time.perf_counter()
     rollout = run(state, max(frames), controller, progress)
@@ -181,10 +192,23 @@ def finish_motions(
     hold: float = 0.0,
 ) -> tuple[Motion, Motion | None]:
     """One character's motion to write, and the same with feet not locked if the options ask for it."""
-    motion = finish_motion(model, rollout, index, skeleton, options, hold)
     without = replace(options, ik=False)
     raw = finish_motion(model, rollout, index, skeleton, without) if options.raw else None
+    if options.keys:
+        return _meeting(model, rollout, index, skeleton, options), raw
+    motion = finish_motion(model, rollout, index, skeleton, options, hold)
     return motion, raw
+
+
+def _meeting(
+    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, options: SynthesisOptions
+) -> Motion:
+    """One character of a roll-out as a motion that meets the keys of the options, and goes on from their clip."""
+    body = rollout_motion(model, rollout, index, model.character("default"))
+    before = None if options.init is None else on_character(clip_motion(model, options.init), skeleton)
+    contacts = rollout.contacts[index]
+    motion = meet_keys(on_character(body, skeleton), contacts, options.keys, options.ik, before)
+    return motion if options.fps is None else resample(motion, options.fps)
 
 
 def on_character(motion: Motion, skeleton: Skeleton) -> Motion:

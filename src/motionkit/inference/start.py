@@ -11,7 +11,7 @@ from motionkit.arrays import Array
 from motionkit.errors import ControlError
 from motionkit.features.encode import encode_motion
 from motionkit.models.model import MotionModel
-from motionkit.motion.motion import resample
+from motionkit.motion.motion import Motion, resample
 
 INIT_FRAMES = 87  # the receptive field; the paper's number for its comparisons
 
@@ -41,18 +41,28 @@ def type_start(model: MotionModel, kind: str, count: int = 1) -> Start:
     )
 
 
-def clip_start(model: MotionModel, path: str | Path, count: int) -> Start:
-    """The first frames of a BVH file, any rig, for count characters that go on where the last of them is.
+def clip_motion(model: MotionModel, path: str | Path | Motion) -> Motion:
+    """The first frames of a BVH file, any rig, or of a canonical motion in cm, at the model's rate.
 
     Raises MotionkitError if the file cannot be used.
     """
     from motionkit.motion.retarget import retarget_file
 
-    motion, _ = retarget_file(path)
-    motion = resample(motion, model.fps)
+    motion = resample(path if isinstance(path, Motion) else retarget_file(path)[0], model.fps)
     if len(motion) < 2:
-        raise ControlError(f"{path}: expected at least 2 frames to start from, found {len(motion)}")
-    motion = motion.cut(0, INIT_FRAMES)
+        name = "the start" if isinstance(path, Motion) else path
+        raise ControlError(f"{name}: expected at least 2 frames to start from, found {len(motion)}")
+    return motion.cut(0, INIT_FRAMES)
+
+
+def clip_start(model: MotionModel, path: str | Path | Motion, count: int) -> Start:
+    """The first frames of a BVH file, any rig, or of a canonical motion in cm, for count characters.
+
+    They go on where the last of the frames is.
+
+    Raises MotionkitError if the file cannot be used.
+    """
+    motion = clip_motion(model, path)
     encoded = encode_motion(motion, model.reference_rotations, model.config.layout)
     return Start(
         encoded.features[None].repeat(count, axis=0),

@@ -1,0 +1,229 @@
+"""Poses to meet: what a character is to do at given times, read from JSON (docs/keys.md).
+
+Inside, lengths are cm and angles radians; files are in metres and degrees.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.errors import ControlError
+from motionkit.features.encode import encode_motion
+from motionkit.files import read_json
+from motionkit.models.model import MotionModel
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.rotations import (
+    quat_from_yaw,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+    quat_to_expmap,
+    wrap_angle,
+)
+from motionkit.motion.skeleton import JOINT_NAMES, leg_length
+
+METRE = 100.0
+EARLIEST = 0.2  # s; nothing can be met sooner
+NEAREST = 0.2  # s between two keys
+FASTEST = 900.0  # cm/s, of a sprint
+HIGHEST = 300.0  # cm
+MOST_KEYS = 1000
+_FIELDS = ("time", "pose", "position", "facing", "joints")
+
+
+@dataclass(frozen=True, eq=False)
+class KeyPose:
+    """A pose to take.
+
+    Attributes:
+        rotations: (23, 4) local rotations, the root's relative to the heading.
+        height: of the root above the ground, as a share of the legs' length.
+        embedding: (24,) of the pose (features/reference.py).
+        turns: (23, 3) how each joint turns to the next frame, in the parent's space, radians; the root's relative to
+            the heading.
+        step: (3,) how the root moves to the next frame, relative to the heading, as a share of the legs' length.
+    """
+
+    rotations: Array
+    height: float
+    embedding: Array
+    turns: Array
+    step: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Key:
+    """What is to be at a time; None and {} for what is free.
+
+    Attributes:
+        seconds: from the beginning of the motion.
+        pose: the pose to take.
+        position: (2,) x and z of the hips, cm.
+        facing: heading in radians, 0 facing +Z.
+        joints: joint index to its point (3,) in the world, cm.
+    """
+
+    seconds: float
+    pose: KeyPose | None = None
+    position: Array | None = None
+    facing: float | None = None
+    joints: dict[int, Array] = field(default_factory=dict)
+
+    @property
+    def goal(self) -> Array | None:
+        """Where the hips should be about (2,), cm; None for anywhere."""
+        if self.position is not None or not self.joints:
+            return self.position
+        points = np.mean(list(self.joints.values()), axis=0)
+        return np.asarray(points)[[0, 2]]
+
+
+def clip_pose(model: MotionModel, motion: Motion, frame: int) -> tuple[KeyPose, Array]:
+    """The pose of a frame of a canonical motion in cm at the model's rate, and its place (3,): x, z, heading."""
+    encoded = encode_motion(motion, model.reference_rotations, model.config.layout)
+    x, z, heading = encoded.ground[frame].tolist()
+    back = quat_from_yaw(np.array(-heading, np.float32))
+    rotations = motion.local_rotations[frame].copy()
+    rotations[0] = quat_multiply(back, rotations[0])
+    # Central differences: the mean of the steps before and after.
+    before, after = max(frame - 1, 0), min(frame + 1, len(motion) - 1)
+    apart = max(after - before, 1)
+    change = quat_multiply(motion.local_rotations[after], quat_inverse(motion.local_rotations[before]))
+    turns = quat_to_expmap(change) / apart
+    turns[0] = quat_rotate(back, turns[0])
+    step = quat_rotate(back, motion.root_positions[after] - motion.root_positions[before]) / apart
+    legs = leg_length(motion.skeleton)
+    embedding = model.pose_embedding.of(encoded.features[frame])
+    height = float(motion.root_positions[frame, 1]) / legs
+    return KeyPose(rotations, height, embedding, turns, step / legs), np.array([x, z, heading])
+
+
+def read_keys(path: str | Path, model: MotionModel) -> tuple[Key, ...]:
+    """The keys of a JSON file, in order of time.
+
+    Raises:
+        ControlError: the file is not of the form of docs/keys.md, or its keys contradict each other.
+        MotionkitError: a file that it names cannot be read.
+    """
+    value = read_json(path, "a JSON file with keys", ControlError)
+    entries = value.get("keys") if isinstance(value, dict) else None
+    if not isinstance(entries, list) or not 0 < len(entries) <= MOST_KEYS:
+        raise ControlError(f'{path}: expected {{"keys": [...]}} with 1 to {MOST_KEYS} keys')
+    keys = [_key(Path(path), number, entry, model) for number, entry in enumerate(entries, 1)]
+    try:
+        return check_keys(keys)
+    except ControlError as error:
+        raise ControlError(f"{path}: {error}") from None
+
+
+def check_keys(keys: Sequence[Key]) -> tuple[Key, ...]:
+    """The keys in order of time; raises ControlError where they contradict each other."""
+    ordered = tuple(sorted(keys, key=lambda key: key.seconds))
+    before = Key(0.0, position=np.zeros(2))
+    for number, key in enumerate(ordered):
+        if number and key.seconds - ordered[number - 1].seconds < NEAREST - 1e-6:
+            raise ControlError(
+                f"keys at {ordered[number - 1].seconds:g} and {key.seconds:g} s; expected {NEAREST:g} s between keys"
+            )
+        goal, last = key.goal, before.goal
+        if goal is not None and last is not None:
+            away, time = float(np.linalg.norm(goal - last)), key.seconds - before.seconds
+            if away > FASTEST * time + METRE:
+                raise ControlError(
+                    f"the key at {key.seconds:g} s is {away / METRE:.1f} m from the one before, "
+                    f"{away / METRE / time:.1f} m/s; expected at most {FASTEST / METRE:g} m/s"
+                )
+            before = key
+    return ordered
+
+
+def check_length(keys: Sequence[Key], seconds: float) -> None:
+    """Raise ControlError for a key beyond the end of a motion."""
+    if keys and keys[-1].seconds > seconds + 1e-6:
+        raise ControlError(
+            f"a key at {keys[-1].seconds:g} s, but the motion lasts {seconds:g} s; give a longer --seconds"
+        )
+
+
+def _key(path: Path, number: int, entry: Any, model: MotionModel) -> Key:
+    where = f"{path}: key {number}"
+    if not isinstance(entry, dict):
+        raise ControlError(f"{where}: expected an object, found {str(entry)[:40]}")
+    unknown = sorted(set(entry) - set(_FIELDS))
+    if unknown:
+        raise ControlError(f"{where}: unknown field {unknown[0]!r}, expected {', '.join(_FIELDS)}")
+    if len(entry) < 2:
+        raise ControlError(f"{where}: says nothing of what to meet: give pose, position, facing or joints")
+    seconds = _numbers(where, "time", [entry.get("time")], 1, EARLIEST, 3600.0)[0]
+    position, facing = entry.get("position"), entry.get("facing")
+    joints = entry.get("joints", {})
+    if not isinstance(joints, dict):
+        raise ControlError(f"{where}: joints: expected an object of joint names and points")
+    key = Key(
+        float(seconds),
+        position=None if position is None else METRE * _numbers(where, "position", position, 2),
+        facing=None
+        if facing is None
+        else float(wrap_angle(np.deg2rad(_numbers(where, "facing", [facing], 1)))[0]),
+        joints={
+            _joint(where, name): METRE * _numbers(where, name, place, 3) for name, place in joints.items()
+        },
+    )
+    for joint, place in key.joints.items():
+        if not -0.05 * METRE <= place[1] <= HIGHEST:
+            raise ControlError(
+                f"{where}: {JOINT_NAMES[joint]} at a height of {place[1] / METRE:g} m is out of reach"
+            )
+    return replace(key, pose=_pose(where, path.parent, entry["pose"], model)) if "pose" in entry else key
+
+
+def _joint(where: str, name: str) -> int:
+    if name not in JOINT_NAMES:
+        raise ControlError(f"{where}: unknown joint {name!r}, expected one of {', '.join(JOINT_NAMES)}")
+    return JOINT_NAMES.index(name)
+
+
+def _numbers(where: str, name: str, values: Any, count: int, least: float = -1e5, most: float = 1e5) -> Array:
+    numbers = isinstance(values, list) and len(values) == count
+    if not numbers or not all(isinstance(v, (int, float)) and not isinstance(v, bool) for v in values):
+        shown = values[0] if count == 1 and isinstance(values, list) else values
+        raise ControlError(
+            f"{where}: {name}: expected {count} number{'s' * (count > 1)}, found {str(shown)[:40]}"
+        )
+    if not all(least <= v <= most for v in values):
+        raise ControlError(f"{where}: {name}: expected {least:g} to {most:g}, found {values}")
+    return np.array(values, np.float64)
+
+
+def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
+    from motionkit.motion.retarget import retarget_file
+
+    known = ("file", "seconds")
+    if not isinstance(entry, dict) or not isinstance(entry.get("file"), str) or set(entry) - set(known):
+        raise ControlError(f'{where}: pose: expected {{"file": "a.bvh", "seconds": 1.5}}')
+    seconds = _numbers(where, "pose: seconds", [entry.get("seconds", 0.0)], 1, 0.0, 1e5)[0]
+    motion = resample(retarget_file(folder / entry["file"])[0], model.fps)
+    frame = round(float(seconds) * model.fps)
+    if frame >= len(motion) or len(motion) < 2:
+        raise ControlError(
+            f"{where}: pose: {entry['file']} lasts {motion.seconds:.2f} s, found {seconds:g} s"
+        )
+    return clip_pose(model, motion, frame)[0]
+
+
+def smoothed_step(x: Array) -> Array:
+    """Rises from 0 at 0 to 1 at 1, without speed or acceleration at both ends (...)."""
+    x = np.clip(x, 0.0, 1.0)
+    return x * x * x * (x * (6.0 * x - 15.0) + 10.0)
+
+
+def travel_direction(way: Array) -> float:
+    """The heading in radians of a step (2,) over the ground."""
+    return math.atan2(float(way[0]), float(way[1]))

@@ -1,0 +1,425 @@
+"""Makes a character meet keys: controls that lead to them, and what remains spread over the frames around.
+
+The paper names control of key joints as future work. Here the network is shown the way to a key's place as its
+trajectory and the key's pose among its reference poses, so that it arrives nearly there by itself. The rest is a
+smooth offset: over the ground between the keys, in the pose within a fraction of a second of a key.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from motionkit.arrays import Array, lerp
+from motionkit.control.keys import Key, smoothed_step, travel_direction
+from motionkit.errors import ControlError
+from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
+from motionkit.features.heading import heading_angles
+from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS, reference_signal
+from motionkit.inference.rollout import Controller
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionType
+from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.reach import reach
+from motionkit.motion.rotations import (
+    expmap_to_quat,
+    quat_continuous,
+    quat_from_yaw,
+    quat_inverse,
+    quat_multiply,
+    quat_normalize,
+    quat_rotate,
+    quat_to_expmap,
+    rotate_ground,
+    wrap_angle,
+)
+from motionkit.motion.skeleton import JOINT_NAMES, leg_length
+
+SHOWN_SECONDS = 0.6  # a key's pose is among the references so long before and after it
+REACH_SECONDS = 0.6  # what remains in the pose is spread over so long before and after a key
+TURN_SECONDS = 1.0  # a facing asked for is turned to within so long
+STANDING = 30.0  # cm/s; slower ways do not say where to face
+LONGEST_STRETCH = 4.0  # s that a recorded stretch may take to a key
+AHEAD = 35.0  # cm that points of joints lie before the hips, where a key does not say
+SOLVED = 1.0  # cm; a joint that stays further from its point is out of reach
+
+
+@dataclass(frozen=True, eq=False)
+class Beginning:
+    """What is before the first frame: its place (3,) x, z and heading, and embeddings (S, 24) of the last poses."""
+
+    ground: Array
+    poses: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Reference poses (N, 24) for the frames first to end, with their gain."""
+
+    first: int
+    end: int
+    poses: Array
+    gain: float
+
+
+def matched_stretches(
+    model: MotionModel, keys: Sequence[Key], begin: Beginning, types: Array
+) -> list[Stretch]:
+    """For each key with a pose the stretch of a recording of its type that leads from the pose before to the key's.
+
+    The pose before is that of the beginning or of the key before, if that is at most LONGEST_STRETCH away.
+    """
+    out = []
+    before: tuple[int, Array] | None = (0, begin.poses[0])
+    for key in keys:
+        at = round(key.seconds * model.fps)
+        if key.pose is not None and before is not None and 0 < at - before[0] <= LONGEST_STRETCH * model.fps:
+            kind = model.types[model.type_names[int(types[min((before[0] + at) // 2, len(types) - 1)])]]
+            found = _stretch(kind, before[1], key.pose.embedding, at - before[0])
+            if found is not None:
+                out.append(Stretch(before[0], at, found, kind.preset.reference_gain))
+        before = None if key.pose is None else (at, key.pose.embedding)
+    return out
+
+
+def _stretch(kind: MotionType, start: Array, end: Array, frames: int) -> Array | None:
+    """Embeddings of the recorded frames of a type that lead most nearly from one pose to another in so many frames."""
+    best, found = np.inf, None
+    for clip in kind.reference_clips:
+        last = len(clip) - frames - 1
+        if last < 0:
+            continue
+        poses = clip.poses.astype(np.float64)
+        cost = np.square(poses[: last + 1] - start).sum(-1) + np.square(poses[frames:][: last + 1] - end).sum(
+            -1
+        )
+        at = int(cost.argmin())
+        if cost[at] < best:
+            # What differs at both ends is spread over the stretch.
+            share = (np.arange(frames + 1) / frames)[:, None]
+            gap = lerp(start - poses[at], end - poses[at + frames], share)
+            best, found = float(cost[at]), (poses[at : at + frames + 1] + gap).astype(np.float32)
+    return found
+
+
+class KeyedController:
+    """The controls of another controller, with the keys' poses and places shown in time; a Controller."""
+
+    def __init__(
+        self,
+        model: MotionModel,
+        base: Controller,
+        keys: Sequence[Key],
+        begin: Beginning,
+        types: Array,
+        share: float,
+    ) -> None:
+        """types are the type ids (T,) of the frames, share the length of the legs relative to the default body's."""
+        self.model, self.base, self.keys = model, base, keys
+        self.way = planned_way(keys, begin.ground, model.fps, share)
+        self.stretches = matched_stretches(model, keys, begin, types)
+        steered = {model.type_id(name) for name, kind in model.types.items() if kind.steered}
+        self.steered = np.array([i in steered for i in range(len(model.types))], np.float32)
+        poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
+        self.poses = poses
+
+    def __call__(self, frame: int, ground: Array) -> Controls:
+        asked = self.base(frame, ground)
+        if self.way is not None and frame < len(self.way):
+            asked = self._led(asked, frame, ground)
+        if not self.poses or not self.model.uses_references:
+            return asked
+        for stretch in self.stretches:
+            if stretch.first <= frame < stretch.end:
+                count = len(ground)
+                shown = reference_signal(stretch.poses, np.array([frame - stretch.first]))
+                gain = np.full(count, stretch.gain, np.float32)
+                asked = replace(asked, reference=np.repeat(shown, count, axis=0), reference_gain=gain)
+        return self._shown(asked, frame)
+
+    def _led(self, asked: Controls, frame: int, ground: Array) -> Controls:
+        """The same with the planned way as trajectory; gaits follow it without recordings."""
+        assert self.way is not None
+        ahead = self.way[np.minimum(frame + np.array(TRAJECTORY_OFFSETS), len(self.way) - 1)]
+        heading = ground[:, 2:3]
+        places = rotate_ground(-heading, ahead[None, :, :2] - ground[:, None, :2])
+        facing = ahead[None, :, 2] - heading
+        directions = np.stack([np.sin(facing), np.cos(facing)], axis=-1)
+        count = len(ground)
+        trajectory = np.concatenate([places.reshape(count, -1), directions.reshape(count, -1)], axis=-1)
+        free = 1.0 - asked.type_weights @ self.steered
+        return replace(
+            asked,
+            trajectory=trajectory.astype(np.float32),
+            reference_gain=asked.reference_gain * free.astype(np.float32),
+            slip_correction=np.zeros_like(asked.slip_correction),
+        ).with_mask(1.0)
+
+    def _shown(self, asked: Controls, frame: int) -> Controls:
+        """The same with the keys' poses among the reference poses."""
+        reference, gain = asked.reference.copy(), asked.reference_gain.copy()
+        wide = SHOWN_SECONDS * self.model.fps
+        preset = max(kind.preset.reference_gain for kind in self.model.types.values())
+        for at, embedding in self.poses:
+            for block, offset in enumerate(REFERENCE_OFFSETS):
+                share = float(smoothed_step(np.array(1.0 - abs(frame + offset - at) / wide)))
+                columns = slice(block * EMBEDDING_COUNT, (block + 1) * EMBEDDING_COUNT)
+                known = np.where(gain[:, None] > 0.0, reference[:, columns], embedding)
+                reference[:, columns] = lerp(known, embedding, share)
+            nearest = float(smoothed_step(np.array(1.0 - (at - frame) / wide))) if frame <= at else 0.0
+            gain = np.maximum(gain, np.float32(preset * nearest))
+        return replace(asked, reference=reference, reference_gain=gain)
+
+
+def planned_way(keys: Sequence[Key], start: Array, fps: float, share: float) -> Array | None:
+    """Place and heading (T, 3) of every frame up to the last key with a place; None if no key has one.
+
+    Args:
+        start: (3,) x, z in cm and heading, before frame 0.
+        share: length of the legs relative to the body whose way the network goes.
+    """
+    placed = [(key, goal / share) for key in keys if (goal := key.goal) is not None]
+    if not placed and all(key.facing is None for key in keys):
+        return None
+    last = round(keys[-1].seconds * fps) if not placed else round(placed[-1][0].seconds * fps)
+    last = max([last, *(round(key.seconds * fps) for key in keys if key.facing is not None)])
+    times = np.array([-1.0, *(key.seconds * fps for key, _ in placed)])
+    places = [start[:2]]
+    for key, goal in placed:
+        if key.position is None:  # a joint's point lies ahead of the hips
+            ahead = goal - places[-1]
+            goal = goal - ahead * min(1.0, AHEAD / share / max(float(np.linalg.norm(ahead)), 1e-6))
+        places.append(goal)
+    frames = np.arange(last + 1)
+    way = np.empty((last + 1, 3))
+    way[:, :2] = _curve(times, np.stack(places), frames)
+    steps = np.gradient(way[:, :2], axis=0) * fps if last else np.zeros((1, 2))
+    heading, now = np.empty(last + 1), float(start[2])
+    for frame in range(last + 1):
+        if float(np.linalg.norm(steps[frame])) > STANDING:
+            towards = float(wrap_angle(np.array([travel_direction(steps[frame]) - now]))[0])
+            now += float(np.clip(towards, -4.0 / fps, 4.0 / fps))
+        heading[frame] = now
+    for key in keys:
+        if key.facing is not None:
+            at = round(key.seconds * fps)
+            gap = float(wrap_angle(np.array([key.facing - heading[min(at, last)]]))[0])
+            heading = heading + gap * smoothed_step(1.0 - np.abs(frames - at) / (TURN_SECONDS * fps))
+    way[:, 2] = heading
+    return way
+
+
+def _curve(times: Array, places: Array, frames: Array) -> Array:
+    """A cubic curve (T, 2) through places (N, 2) at times (N,), with the mean speeds around them; held at the end."""
+    if len(times) == 1:
+        return np.repeat(places, len(frames), axis=0)
+    speeds = np.diff(places, axis=0) / np.diff(times)[:, None]
+    slopes = np.concatenate([speeds[:1], 0.5 * (speeds[1:] + speeds[:-1]), speeds[-1:]])
+    after = np.clip(np.searchsorted(times, frames, side="right"), 1, len(times) - 1)
+    before = after - 1
+    span = (times[after] - times[before])[:, None]
+    x = np.clip((frames[:, None] - times[before][:, None]) / span, 0.0, 1.0)
+    return (
+        (2 * x**3 - 3 * x**2 + 1) * places[before]
+        + (x**3 - 2 * x**2 + x) * span * slopes[before]
+        + (3 * x**2 - 2 * x**3) * places[after]
+        + (x**3 - x**2) * span * slopes[after]
+    )
+
+
+def meet_keys(
+    motion: Motion, contacts: Array, keys: Sequence[Key], ik: bool = True, before: Motion | None = None
+) -> Motion:
+    """A roll-out that arrives at every key.
+
+    Args:
+        motion: on the canonical joints, in cm; feet not yet locked.
+        contacts: (T, 4) predicted contacts.
+        keys: in order of time, none beyond the end.
+        ik: lock feet while they touch the floor.
+        before: frames on the same body that the motion goes on from without a pop.
+
+    Raises:
+        ControlError: a joint is out of reach of the body where its key has it.
+    """
+    goals = [_reached(motion, key) for key in keys]
+    moved = _over_the_ground(motion, keys, goals)
+    if ik:
+        moved = lock_feet(moved, contacts)
+    if before is not None and len(before) > 1:
+        moved = _continued(moved, before, round(keys[0].seconds * motion.fps))
+    for number, key in enumerate(keys):
+        around = [keys[i].seconds for i in (number - 1, number + 1) if 0 <= i < len(keys)]
+        moved = _posed(moved, key, [0.0, *around] if number == 0 else around)
+    return moved
+
+
+def _frame(motion: Motion, key: Key) -> int:
+    return min(round(key.seconds * motion.fps), len(motion) - 1)
+
+
+def _heading(motion: Motion, frame: int) -> float:
+    """Heading of a frame in radians."""
+    near = motion.cut(max(0, frame - 30), frame + 31)
+    return float(heading_angles(motion_kinematics(near)[1], motion.fps)[frame - max(0, frame - 30)])
+
+
+def _wanted(motion: Motion, key: Key) -> tuple[Array, Array]:
+    """Local rotations (23, 4) and root (3,) of a key's frame, without its joints' points."""
+    frame = _frame(motion, key)
+    rotations, root = motion.local_rotations[frame].copy(), motion.root_positions[frame].copy()
+    heading = _heading(motion, frame)
+    facing = heading if key.facing is None else key.facing
+    if key.pose is not None:
+        rotations = key.pose.rotations.copy()
+        rotations[0] = quat_multiply(quat_from_yaw(np.array(facing, np.float32)), rotations[0])
+        root[1] = key.pose.height * leg_length(motion.skeleton)
+    else:
+        turn = quat_from_yaw(np.array(facing - heading, np.float32))
+        rotations[0] = quat_multiply(turn, rotations[0])
+    if key.position is not None:
+        root[[0, 2]] = key.position
+    return rotations, root
+
+
+def _reached(motion: Motion, key: Key) -> tuple[Array, Array]:
+    """Local rotations (23, 4) and root (3,) of a key's frame.
+
+    Raises:
+        ControlError: a joint is out of reach.
+    """
+    rotations, root = _wanted(motion, key)
+    if not key.joints:
+        return rotations, root
+    if key.position is None:  # from where the body can reach it
+        points = np.mean(list(key.joints.values()), axis=0)
+        away = (points - root)[[0, 2]]
+        length = float(np.linalg.norm(away))
+        root[[0, 2]] += away * max(0.0, 1.0 - AHEAD / max(length, 1e-6))
+    rotations, root, left = reach(rotations, root, motion.skeleton, key.joints, key.position is None)
+    if left > SOLVED:
+        names = ", ".join(JOINT_NAMES[joint] for joint in key.joints)
+        raise ControlError(
+            f"the key at {key.seconds:g} s is out of reach: {names} stays {left:.0f} cm away from its point"
+        )
+    return rotations, root
+
+
+def _over_the_ground(motion: Motion, keys: Sequence[Key], goals: Sequence[tuple[Array, Array]]) -> Motion:
+    """Move and turn the whole motion smoothly, so that the root is at each key's place and faces its way."""
+    shifts, turns = [(0.0, np.zeros(2))], [(0.0, np.zeros(1))]
+    for key, (rotations, root) in zip(keys, goals, strict=True):
+        frame = _frame(motion, key)
+        if key.goal is not None:
+            shifts.append((float(frame), (root - motion.root_positions[frame])[[0, 2]].astype(np.float64)))
+        if key.facing is not None:
+            gap = _yaw(quat_multiply(rotations[0], quat_inverse(motion.local_rotations[frame, 0])))
+            turns.append((float(frame), np.array([gap])))
+    frames = np.arange(len(motion))
+    shift, turn = _spread(shifts, frames), _spread(turns, frames)[:, 0]
+    local, roots = motion.local_rotations.copy(), motion.root_positions.copy()
+    local[:, 0] = quat_multiply(quat_from_yaw(turn.astype(np.float32)), local[:, 0])
+    roots[:, [0, 2]] += shift.astype(np.float32)
+    return replace(motion, local_rotations=local, root_positions=roots)
+
+
+def _yaw(quat: Array) -> float:
+    """The part of a rotation (4,) that turns about the vertical, radians."""
+    return float(wrap_angle(np.array([2.0 * math.atan2(float(quat[2]), float(quat[0]))]))[0])
+
+
+def _spread(knots: Sequence[tuple[float, Array]], frames: Array) -> Array:
+    """Values (T, C) that pass through knots (frame, values) and rest there; held after the last."""
+    out = np.repeat(knots[0][1][None], len(frames), axis=0)
+    for (before, low), (after, high) in pairwise(knots):
+        share = smoothed_step((frames - before) / max(after - before, 1.0))[:, None]
+        out = out + share * (high - low)
+    return out
+
+
+def _posed(motion: Motion, key: Key, around: Sequence[float]) -> Motion:
+    """The motion with a key's pose at its frame, fading over the frames around; the nearest keys stay as they are."""
+    frame = _frame(motion, key)
+    rotations, root = _reached(motion, key)
+    wide = REACH_SECONDS * motion.fps
+    before = min([wide, *(frame - round(s * motion.fps) for s in around if s < key.seconds)])
+    after = min([wide, *(round(s * motion.fps) - frame for s in around if s > key.seconds)])
+    away = np.arange(len(motion)) - frame
+    share = smoothed_step(1.0 - np.where(away < 0, -away / max(before, 1.0), away / max(after, 1.0)))
+    gap = quat_to_expmap(quat_multiply(rotations, quat_inverse(motion.local_rotations[frame])))
+    made = _offset(motion, share[:, None, None] * gap, share[:, None] * (root - motion.root_positions[frame]))
+    if key.pose is None or key.joints:
+        return made
+    # The pose is passed as its recording passes it: the offsets have the missing speed as their slope.
+    facing = key.facing if key.facing is not None else _heading(motion, frame)
+    turn = quat_from_yaw(np.array(facing, np.float32))
+    turns = key.pose.turns.copy()
+    turns[0] = quat_rotate(turn, turns[0])
+    step = quat_rotate(turn, key.pose.step) * leg_length(motion.skeleton)
+    own_turns, own_step = _speeds(made, frame)
+    slope = (away * share)[:, None]
+    return _offset(made, slope[..., None] * (turns - own_turns), slope * (step - own_step))
+
+
+def _continued(motion: Motion, before: Motion, frames: int) -> Motion:
+    """The motion with its first frames bent so that they go on from the frames before, within so many frames."""
+    rotations, roots = before.local_rotations[-2:], before.root_positions[-2:]
+    change = quat_multiply(rotations[1], quat_inverse(rotations[0]))
+    gap = quat_to_expmap(
+        quat_multiply(quat_multiply(change, rotations[1]), quat_inverse(motion.local_rotations[0]))
+    )
+    shift = 2.0 * roots[1] - roots[0] - motion.root_positions[0]
+    wide = max(min(REACH_SECONDS * motion.fps, frames), 2.0)
+    away = np.arange(len(motion))
+    share = smoothed_step(1.0 - away / wide)
+    made = _offset(motion, share[:, None, None] * gap, share[:, None] * shift)
+    turns = quat_to_expmap(quat_multiply(made.local_rotations[1], quat_inverse(made.local_rotations[0])))
+    slope = (away * share)[:, None]
+    steps = (roots[1] - roots[0]) - (made.root_positions[1] - made.root_positions[0])
+    return _offset(made, slope[..., None] * (quat_to_expmap(change) - turns), slope * steps)
+
+
+def _speeds(motion: Motion, frame: int) -> tuple[Array, Array]:
+    """How joints turn (J, 3), in the parent's space, and the root moves (3,) between frames around one."""
+    before, after = max(frame - 1, 0), min(frame + 1, len(motion) - 1)
+    apart = max(after - before, 1)
+    change = quat_multiply(motion.local_rotations[after], quat_inverse(motion.local_rotations[before]))
+    return quat_to_expmap(change) / apart, (
+        motion.root_positions[after] - motion.root_positions[before]
+    ) / apart
+
+
+def _offset(motion: Motion, turns: Array, shifts: Array) -> Motion:
+    """The motion turned by turns (T, J, 3) in the parents' spaces and moved by shifts (T, 3)."""
+    rotations = quat_normalize(quat_multiply(expmap_to_quat(turns), motion.local_rotations))
+    return replace(
+        motion,
+        local_rotations=quat_continuous(rotations).astype(np.float32),
+        root_positions=(motion.root_positions + shifts).astype(np.float32),
+    )
+
+
+def arrival(motion: Motion, key: Key) -> tuple[float, float]:
+    """How far a motion is from a key: largest distance in cm, and largest angle in degrees."""
+    frame = _frame(motion, key)
+    _, positions = motion_kinematics(motion.cut(frame, frame + 1))
+    distances, angles = [0.0], [0.0]
+    if key.position is not None:
+        distances.append(float(np.linalg.norm(positions[0, 0, [0, 2]] - key.position)))
+    distances += [float(np.linalg.norm(positions[0, joint] - place)) for joint, place in key.joints.items()]
+    heading = _heading(motion, frame) if key.pose is None or key.facing is None else key.facing
+    if key.facing is not None:
+        angles.append(abs(float(np.rad2deg(wrap_angle(np.array([key.facing - heading]))[0]))))
+    if key.pose is not None and not key.joints:
+        own = motion.local_rotations[frame].copy()
+        wanted = key.pose.rotations.copy()
+        own[0] = quat_multiply(quat_from_yaw(np.array(-heading, np.float32)), own[0])
+        gap = quat_to_expmap(quat_multiply(quat_inverse(wanted), own))
+        angles.append(float(np.rad2deg(np.linalg.norm(gap, axis=-1)).max()))
+    return max(distances), max(angles)

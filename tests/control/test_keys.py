@@ -1,0 +1,187 @@
+"""Poses to meet: the file, and motions that arrive."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.arrays import Array
+from motionkit.control.keys import Key, check_keys, clip_pose, read_keys, smoothed_step
+from motionkit.control.meet import arrival, planned_way
+from motionkit.control.script import parse_types
+from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.errors import ControlError, MotionkitError
+from motionkit.models.model import MotionModel
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion, resample
+from motionkit.motion.reach import reach
+from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
+
+DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
+RUN = str(DATA / "16_45.bvh")
+HAND = JOINT_NAMES.index("RightHand")
+
+
+@pytest.fixture(scope="module")
+def model() -> MotionModel:
+    return mk.load_model()
+
+
+def write(folder: Path, *keys: object) -> Path:
+    """A file of keys."""
+    path = folder / "keys.json"
+    path.write_text(json.dumps({"keys": list(keys)}))
+    return path
+
+
+def accelerations(motion: Motion) -> Array:
+    """Largest acceleration (T - 2,) of any joint, m/s^2."""
+    at = motion_kinematics(motion)[1].astype(np.float64)
+    return np.linalg.norm(np.diff(at, n=2, axis=0), axis=-1).max(axis=1) * motion.fps**2 / 100.0
+
+
+THREE = (
+    {"time": 1.5, "position": [0.3, 2.0], "facing": 20},
+    {"time": 2.4, "joints": {"RightHand": [0.2, 1.6, 3.2]}},
+    {"time": 3.6, "pose": {"file": RUN, "seconds": 0.5}, "position": [0.8, 4.6], "facing": 10},
+)
+
+
+@pytest.mark.parametrize("kind", ["walking", "running", "dance-salsa"])
+def test_keys_are_met_without_a_pop(model: MotionModel, tmp_path: Path, kind: str) -> None:
+    keys = read_keys(write(tmp_path, *THREE), model)
+    parts = parse_types(f"{kind}:4.5")
+    made = synthesize(model, parts, SynthesisOptions(keys=keys, ik=False)).motion
+    for key in keys:
+        distance, angle = arrival(made, key)
+        assert distance < 2.0 and angle < 5.0
+    # Within what recorded motion does: toes of CMU runs reach 190 m/s^2.
+    assert accelerations(made).max() < 190.0
+    hand = motion_kinematics(made)[1][round(2.4 * 60), HAND]
+    assert hand == pytest.approx([20.0, 160.0, 320.0], abs=2.0)
+
+
+def test_keys_close_together_and_on_another_body(model: MotionModel) -> None:
+    keys = check_keys([Key(0.5 * n, position=np.array([0.0, 60.0 * n]), facing=0.2 * n) for n in (1, 2, 3)])
+    body = next((name for name in model.characters if name != "default"), "default")
+    made = synthesize(model, parse_types("walking:2"), SynthesisOptions(keys=keys, character=body)).motion
+    assert max(arrival(made, key)[0] for key in keys) < 2.0
+    assert max(arrival(made, key)[1] for key in keys) < 5.0
+
+
+def test_without_references_the_keys_are_met_too(tiny_model: MotionModel, tmp_path: Path) -> None:
+    keys = read_keys(write(tmp_path, THREE[2] | {"time": 1.0, "position": [0.0, 1.0]}), tiny_model)
+    made = synthesize(tiny_model, parse_types("walking:1.2"), SynthesisOptions(keys=keys)).motion
+    assert max(arrival(made, keys[0])) < 2.0
+
+
+def test_a_clip_is_filled_in_better_than_by_interpolation(model: MotionModel) -> None:
+    """A second of a recorded walk, from the frames before it and the pose after it."""
+    clip = resample(mk.read_canonical(DATA / "35_30.bvh"), 60.0)
+    first, frames = 45, 60
+    pose, place = clip_pose(model, clip, first + frames)
+    key = Key(frames / 60.0, pose, position=place[:2], facing=float(place[2]))
+    options = SynthesisOptions(noise=mk.Noise("mean", 0.0), init=clip.cut(0, first), keys=(key,), ik=False)
+    made = synthesize(model, parse_types("walking:1.05"), options).motion
+    truth = motion_kinematics(clip)[1]
+    gap = motion_kinematics(made)[1][:frames]
+    share = (np.arange(1, frames + 1) / (frames + 1))[:, None, None]
+    straight = truth[first - 1] + share * (truth[first + frames] - truth[first - 1])
+    off = np.linalg.norm(gap - truth[first : first + frames], axis=-1).mean()
+    straight_off = np.linalg.norm(straight - truth[first : first + frames], axis=-1).mean()
+    assert off < straight_off
+    whole = np.concatenate([truth[first - 2 : first], gap, truth[first + frames : first + frames + 2]])
+    bends = np.linalg.norm(np.diff(whole, n=2, axis=0), axis=-1).max(axis=1) * 36.0
+    assert max(bends[:3].max(), bends[-3:].max()) < 130.0
+
+
+def test_a_way_passes_through_the_keys() -> None:
+    keys = check_keys(
+        [Key(1.0, position=np.array([0.0, 150.0])), Key(2.0, position=np.array([80.0, 250.0]), facing=1.2)]
+    )
+    way = planned_way(keys, np.zeros(3), 60.0, 1.0)
+    assert way is not None and len(way) == 121
+    assert way[60, :2] == pytest.approx([0.0, 150.0], abs=3.0) and way[120, :2] == pytest.approx(
+        [80.0, 250.0]
+    )
+    assert way[120, 2] == pytest.approx(1.2)
+    assert np.linalg.norm(np.diff(way[:, :2], axis=0), axis=-1).max() < 5.0
+    assert planned_way([Key(1.0)], np.zeros(3), 60.0, 1.0) is None
+
+
+def test_a_smoothed_step_rests_at_both_ends() -> None:
+    x = np.linspace(-0.1, 1.1, 1201)
+    y = smoothed_step(x)
+    assert y[0] == 0.0 and y[-1] == 1.0 and (np.diff(y) >= 0.0).all()
+    assert np.abs(np.diff(y, n=2)).max() < 1e-5
+
+
+@pytest.mark.parametrize(
+    "targets", [("RightHand",), ("LeftHand", "RightHand"), ("LeftFoot",), ("Head", "LeftHand")]
+)
+def test_joints_reach_points(targets: tuple[str, ...]) -> None:
+    skeleton = canonical_skeleton()
+    rotations = np.zeros((23, 4), np.float32)
+    rotations[:, 0] = 1.0
+    root = np.array([0.0, 95.0, 0.0], np.float32)
+    rest = skeleton.rest_positions() + root
+    goals = {
+        JOINT_NAMES.index(name): rest[JOINT_NAMES.index(name)] + np.array([0.0, -4.0, 22.0])
+        for name in targets
+    }
+    turned, place, left = reach(rotations, root, skeleton, goals)
+    assert left < 0.1 and place[1] == pytest.approx(95.0)
+    assert np.linalg.norm(turned, axis=-1) == pytest.approx(1.0, abs=1e-5)
+    far = {HAND: np.array([0.0, 320.0, 0.0])}
+    assert reach(rotations, root, skeleton, far)[2] > 50.0
+
+
+FAULTS = [
+    ({"keys": []}, "1 to 1000 keys"),
+    ([1], "expected"),
+    ({"keys": [3]}, "key 1: expected an object"),
+    ({"keys": [{"time": 1}]}, "says nothing"),
+    ({"keys": [{"time": 1, "facing": 0, "speed": 3}]}, "'speed'"),
+    ({"keys": [{"facing": 0, "position": [0, 0]}]}, "time: expected 1 number"),
+    ({"keys": [{"time": 0.05, "facing": 0}]}, "time: expected 0.2"),
+    ({"keys": [{"time": 1, "position": [1, 2, 3]}]}, "position: expected 2 numbers"),
+    ({"keys": [{"time": 1, "joints": {"Tail": [1, 2, 3]}}]}, "'Tail'"),
+    ({"keys": [{"time": 1, "joints": {"RightHand": [0, 9, 0]}}]}, "out of reach"),
+    ({"keys": [{"time": 1, "pose": "a.bvh"}]}, "pose: expected"),
+    ({"keys": [{"time": 1, "pose": {"file": RUN, "seconds": 99}}]}, "lasts"),
+    ({"keys": [{"time": 1, "facing": 0}, {"time": 1.1, "facing": 90}]}, "0.2 s between keys"),
+    ({"keys": [{"time": 1, "position": [0, 30]}]}, "at most 9 m/s"),
+    (
+        {"keys": [{"time": 1, "position": [0, 1]}, {"time": 2, "position": [0, 40]}]},
+        "39.0 m from the one before",
+    ),
+]
+
+
+@pytest.mark.parametrize(("value", "said"), FAULTS, ids=[said for _, said in FAULTS])
+def test_what_keys_may_not_be(tiny_model: MotionModel, tmp_path: Path, value: object, said: str) -> None:
+    (tmp_path / "keys.json").write_text(json.dumps(value))
+    with pytest.raises(ControlError, match=said.replace("'", ".")) as fault:
+        read_keys(tmp_path / "keys.json", tiny_model)
+    assert "keys.json" in str(fault.value) and "\n" not in str(fault.value)
+
+
+def test_files_that_are_not_there(tiny_model: MotionModel, tmp_path: Path) -> None:
+    with pytest.raises(MotionkitError, match=r"gone\.bvh"):
+        read_keys(write(tmp_path, {"time": 1, "pose": {"file": "gone.bvh"}}), tiny_model)
+
+
+def test_what_cannot_be_met_is_said_in_one_line(tiny_model: MotionModel) -> None:
+    late = (Key(3.0, facing=0.0),)
+    with pytest.raises(ControlError, match="lasts 1 s; give a longer"):
+        synthesize(tiny_model, parse_types("walking:1"), SynthesisOptions(keys=late))
+    high = (Key(0.5, joints={HAND: np.array([0.0, 290.0, 0.0])}),)
+    with pytest.raises(ControlError, match="out of reach: RightHand stays"):
+        synthesize(tiny_model, parse_types("walking:1"), SynthesisOptions(keys=high))
+    apart = (Key(0.5, position=np.zeros(2), joints={HAND: np.array([0.0, 100.0, 250.0])}),)
+    with pytest.raises(ControlError, match="out of reach"):
+        synthesize(tiny_model, parse_types("walking:1"), SynthesisOptions(keys=apart))
