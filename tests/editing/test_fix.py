@@ -90,7 +90,7 @@ def test_feet_are_held_on_the_rig_itself(clip: Motion, floor: bool) -> None:
     slid = replace(clip, root_positions=clip.root_positions + drift)
     fixed = fix_motion(slid, replace(NONE, sliding=True, floor=floor))
     before, after = row(fixed, "AFS")
-    assert after < 0.8 * before
+    assert after < 0.9 * before
     offsets = fixed.motion.skeleton.offsets
     assert (
         np.array_equal(offsets, clip.skeleton.offsets) and fixed.motion.skeleton.names == clip.skeleton.names

@@ -46,6 +46,8 @@ REACH_SECONDS = 0.6  # what remains in the pose is spread over so long before an
 TURN_SECONDS = 1.0  # a facing asked for is turned to within so long
 STANDING = 30.0  # cm/s; slower ways do not say where to face
 LONGEST_STRETCH = 4.0  # s that a recorded stretch may take to a key
+# cm, cm and radians by which the way of a stretch may be off for a cost of 1, that of an embedding's value off by 1.
+TRAVEL_SCALES = np.array([15.0, 15.0, 0.3])
 AHEAD = 35.0  # cm that points of joints lie before the hips, where a key does not say
 SOLVED = 1.0  # cm; a joint that stays further from its point is out of reach
 
@@ -69,7 +71,7 @@ class Stretch:
 
 
 def matched_stretches(
-    model: MotionModel, keys: Sequence[Key], begin: Beginning, types: Array
+    model: MotionModel, keys: Sequence[Key], begin: Beginning, types: Array, way: Array | None
 ) -> list[Stretch]:
     """For each key with a pose the stretch of a recording of its type that leads from the pose before to the key's.
 
@@ -81,15 +83,29 @@ def matched_stretches(
         at = round(key.seconds * model.fps)
         if key.pose is not None and before is not None and 0 < at - before[0] <= LONGEST_STRETCH * model.fps:
             kind = model.types[model.type_names[int(types[min((before[0] + at) // 2, len(types) - 1)])]]
-            found = _stretch(kind, before[1], key.pose.embedding, at - before[0])
+            travel = None
+            if way is not None and key.position is not None:
+                start = begin.ground if before[0] == 0 else way[min(before[0], len(way) - 1)]
+                travel = _travel(np.asarray(start, np.float64)[None], way[min(at, len(way) - 1)][None])[0]
+            found = _stretch(kind, before[1], key.pose.embedding, at - before[0], travel)
             if found is not None:
                 out.append(Stretch(before[0], at, found, kind.preset.reference_gain))
         before = None if key.pose is None else (at, key.pose.embedding)
     return out
 
 
-def _stretch(kind: MotionType, start: Array, end: Array, frames: int) -> Array | None:
-    """Embeddings of the recorded frames of a type that lead most nearly from one pose to another in so many frames."""
+def _travel(start: Array, end: Array) -> Array:
+    """The way (N, 3) from places and headings (N, 3) to others, seen from the first: cm and radians."""
+    away = rotate_ground(-start[:, 2:3], (end - start)[:, None, :2])[:, 0]
+    return np.concatenate([away, wrap_angle(end[:, 2:3] - start[:, 2:3])], axis=1)
+
+
+def _stretch(kind: MotionType, start: Array, end: Array, frames: int, travel: Array | None) -> Array | None:
+    """Embeddings of the recorded frames of a type that lead most nearly from one pose to another in so many frames.
+
+    Args:
+        travel: (3,) the way in that time, which the recording should go too: cm and radians; None for any.
+    """
     best, found = np.inf, None
     for clip in kind.reference_clips:
         last = len(clip) - frames - 1
@@ -99,6 +115,10 @@ def _stretch(kind: MotionType, start: Array, end: Array, frames: int) -> Array |
         cost = np.square(poses[: last + 1] - start).sum(-1) + np.square(poses[frames:][: last + 1] - end).sum(
             -1
         )
+        if travel is not None:
+            ground = clip.ground.astype(np.float64)
+            off = (_travel(ground[: last + 1], ground[frames:][: last + 1]) - travel) / TRAVEL_SCALES
+            cost += np.square(off).sum(-1)
         at = int(cost.argmin())
         if cost[at] < best:
             # What differs at both ends is spread over the stretch.
@@ -123,7 +143,7 @@ class KeyedController:
         """types are the type ids (T,) of the frames, share the length of the legs relative to the default body's."""
         self.model, self.base, self.keys = model, base, keys
         self.way = planned_way(keys, begin.ground, model.fps, share)
-        self.stretches = matched_stretches(model, keys, begin, types)
+        self.stretches = matched_stretches(model, keys, begin, types, self.way)
         steered = {model.type_id(name) for name, kind in model.types.items() if kind.steered}
         self.steered = np.array([i in steered for i in range(len(model.types))], np.float32)
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
