@@ -111,6 +111,7 @@ ONLY_COMMAND = {
     "in_place",  # functions of their own: mk.in_place, mk.with_ground_root, mk.make_loop
     "root",
     "loops",
+    "keys_file",  # keys in Python
     "output",
     "list_types",
     "view",
