@@ -289,7 +289,7 @@ class TrainingRun:
         self._block: BlockStart | None = None  # of the checkpoint that the run resumes from
         # On a GPU a step is a graph, made anew for other losses.
         self._replayed = Replayed(lambda *_: ())
-        self._replayed_options: LossOptions | None = None
+        self._loss_options: LossOptions | None = None
         self._terms: list[str] = []
         self.asked_to_stop = self.stops = False
         self.logs = True  # false once writing log.jsonl has failed
@@ -426,16 +426,17 @@ class TrainingRun:
 
     def gradients(self, batch: Batch, options: LossOptions) -> dict[str, Tensor]:
         """Compute the gradients of a batch; return the terms of the loss by name, and their "total"."""
+        if options != self._loss_options:  # a new stage: a graph of its own
+            self._loss_options = options
+            self.module.use(options)
+            self._replayed = Replayed(lambda *given: tuple(self._gradients(Batch(*given), options).values()))
+        # A graph would keep the progress of its capture, which networks with losses of their own are given.
         if not isinstance(self.module, TrainingModule) or self.world > 1:
             return self._gradients(batch, options)
-        if options != self._replayed_options:  # a new stage: a graph of its own
-            self._replayed_options = options
-            self._replayed = Replayed(lambda *given: tuple(self._gradients(Batch(*given), options).values()))
         values = self._replayed(*vars(batch).values())
         return dict(zip(self._terms, values, strict=True))
 
     def _gradients(self, batch: Batch, options: LossOptions) -> dict[str, Tensor]:
-        self.module.use(options)
         self.optimizer.zero_grad(set_to_none=True)
         terms = self.trainable(batch, self.autocast, self.progress())
         loss = total_loss(terms, options.weights) * LOSS_SCALE
