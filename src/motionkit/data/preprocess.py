@@ -233,7 +233,7 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
         return _Prepared(report, motion_file, nothing, [], [], None)
     try:
         fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
-        motion, mapping = retarget_file(source.path, options.scale, fps, own_body=options.own_bodies)
+        motion, mapping = retarget_file(source.path, options.scale, fps, options.own_bodies, plant=True)
         motion, cleaning = clean(motion)
         native_fps = motion.fps
         motion = resample(motion, FPS)

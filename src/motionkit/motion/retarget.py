@@ -16,6 +16,7 @@ from motionkit.arrays import Array, length, lower_median
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.motion import Motion
+from motionkit.motion.planting import plant_feet
 from motionkit.motion.rest_pose import SIDES, SourceRig
 from motionkit.motion.rig import Rig
 from motionkit.motion.rig_names import RigMap
@@ -65,12 +66,16 @@ class RetargetReport:
 
 
 def retarget_file(
-    path: str | Path, scale: float | None = None, fps: float | None = None, own_body: bool = False
+    path: str | Path,
+    scale: float | None = None,
+    fps: float | None = None,
+    own_body: bool = False,
+    plant: bool = False,
 ) -> tuple[Motion, RetargetReport]:
     """Read a BVH file and retarget it; arguments as for retarget. Raises BvhError or SkeletonError."""
     bvh = read_bvh(path)
     try:
-        return retarget(bvh, scale, fps, own_body)
+        return retarget(bvh, scale, fps, own_body, plant=plant)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
 
@@ -81,6 +86,7 @@ def retarget(
     fps: float | None = None,
     own_body: bool = False,
     rig: Rig | None = None,
+    plant: bool = False,
 ) -> tuple[Motion, RetargetReport]:
     """Retarget a BVH file to the canonical skeleton, at its own frame rate.
 
@@ -92,6 +98,7 @@ def retarget(
             scaled about the world's origin by the ratio of leg lengths.
         rig: what is known of the file's rig (rig.read_rig): its joint map, up axis and rest pose replace what the
             file itself shows.
+        plant: put the feet where the source has them, so that they slide no more than there (planting.py).
 
     Returns:
         The motion and a report.
@@ -115,6 +122,9 @@ def retarget(
     places = pose.positions * (scale if own_body else scale * root_scale)
     roots = _root_positions(pose.source.rig, places, turned[:, 0], target)
     motion = Motion(target, to_local(turned), roots, bvh.fps if fps is None else fps)
+    feet = _foot_places(pose.source.rig, places) if plant else None
+    if feet is not None:
+        motion = plant_feet(motion, *feet)
     report = RetargetReport(
         source_joints=len(names),
         mapped={name: names[joint] for name, joint in full_map.places.items()},
@@ -165,6 +175,18 @@ def _root_positions(rig: RigMap, positions: Array, hips: Array, target: Skeleton
     sockets = [target.offsets[target.index(f"{side}UpLeg")] for side in SIDES]
     middle, socket = (thighs[0] + thighs[1]) / 2, (sockets[0] + sockets[1]) / 2
     return middle - quat_rotate(hips, np.broadcast_to(socket, middle.shape))
+
+
+def _foot_places(rig: RigMap, positions: Array) -> tuple[str, Array] | None:
+    """The joint of the feet to put down, and its places (T, 2, 3), left and right, among positions (T, J, 3).
+
+    It is the toe, or the ankle of rigs without toes.
+    """
+    for part in ("ToeBase", "Foot"):
+        found = [rig.places[name] for side in SIDES if (name := f"{side}{part}") in rig.places]
+        if len(found) == len(SIDES):
+            return part, positions[:, found]
+    return None
 
 
 def _body(pose: RigPose, scale: float) -> tuple[Array, tuple[str, ...]]:
