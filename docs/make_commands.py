@@ -24,10 +24,23 @@ stdout, progress and errors to stderr; `--json` prints the result as one JSON do
 
 
 def subcommand(name: str) -> click.Command:
-    """A subcommand of motionkit by name."""
-    command = cli.get_command(click.Context(cli), name)
+    """A subcommand of motionkit by name, "experiment run" for one of a group."""
+    command: click.Command | None = cli
+    for word in name.split():
+        assert isinstance(command, click.Group)
+        command = command.get_command(click.Context(command), word)
     assert command is not None
     return command
+
+
+def names() -> list[str]:
+    """The names of all commands, those of a group after it."""
+    out = []
+    for name in COMMANDS:
+        command = subcommand(name)
+        out.append(name)
+        out += [f"{name} {word}" for word in getattr(command, "commands", {})]
+    return out
 
 
 def help_text(command: click.Command) -> str:
@@ -43,7 +56,7 @@ def help_text(command: click.Command) -> str:
 
 def usage(name: str, command: click.Command) -> str:
     """The line that says how to call the command."""
-    words = ["motionkit", name, "[OPTIONS]"]
+    words = ["motionkit", name, "COMMAND" if isinstance(command, click.Group) else "[OPTIONS]"]
     for parameter in command.params:
         if isinstance(parameter, click.Argument):
             word = parameter.human_readable_name.upper()
@@ -97,6 +110,8 @@ def command_section(name: str) -> str:
     """The page's section on one command."""
     command = subcommand(name)
     rows = [option_row(p) for p in command.params if isinstance(p, click.Option)]
+    if not rows:
+        return "\n".join([f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), ""])
     table = ["| option | value | default | what it does |", "|---|---|---|---|", *rows]
     return "\n".join(
         [f"## {name}", "", f"    {usage(name, command)}", "", help_text(command), "", *table, ""]
@@ -105,7 +120,7 @@ def command_section(name: str) -> str:
 
 def page_text() -> str:
     """The whole page."""
-    return "\n".join([HEADER, *(command_section(name) for name in COMMANDS)])
+    return "\n".join([HEADER, *(command_section(name) for name in names())])
 
 
 if __name__ == "__main__":

@@ -135,7 +135,8 @@ def synthesize(
         model: the bundled model by default.
         seconds: length of the whole; by default 4 s for each type, one performance of a flip.
         count: how many motions, made in one batch; motion i is that of seed + i.
-        noise: how frames are drawn; correlated noise of temperature 0.05 by default.
+        noise: how frames are drawn; by default the model's own: correlated, temperature 0.05, or of tptn-paper
+            samples at full sigma.
         reference: "auto", or "none" for the network without its reference recordings.
         character: the body to move; several names with commas are taken in turn.
         init: a BVH file, or a canonical motion in cm, to start from.
@@ -153,15 +154,12 @@ def synthesize(
     from motionkit.control.script import parse_types
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.control.synthesize import synthesize as run
-    from motionkit.inference.rollout import Noise
 
     model = (model or load_model()).with_reference(reference)
     texts = [types] if isinstance(types, str) else list(types)
     plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
     met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
-    options = SynthesisOptions(
-        max(count, len(plans)), seed, noise or Noise(), character, init, ik, fps, keys=met
-    )
+    options = SynthesisOptions(max(count, len(plans)), seed, noise, character, init, ik, fps, keys=met)
     return run(model, plans, options)
 
 
@@ -198,7 +196,6 @@ def follow_path(
     from motionkit.control.path import Path2D, read_path, shape_path
     from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
-    from motionkit.inference.rollout import Noise
 
     model = model or load_model()
     if isinstance(path, Path2D):
@@ -208,7 +205,7 @@ def follow_path(
     else:
         kinds = [walking_type(model)] if types is None else [word.strip() for word in types.split(",")]
         target = shape_path(str(path), size, kinds, speed)
-    options = SynthesisOptions(1, seed, noise or Noise(), character, init, ik, fps)
+    options = SynthesisOptions(1, seed, noise, character, init, ik, fps)
     return follow.follow_path(model.with_reference(reference), target, options)
 
 

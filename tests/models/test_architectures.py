@@ -28,6 +28,7 @@ class EchoConfig:
     hidden: int = 8
     layout: str = "sixd-root-1"
     architecture: str = "echo"
+    controls: str = "extended"
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)

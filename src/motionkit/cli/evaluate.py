@@ -74,7 +74,7 @@ def command(
     quick: bool,
     output: tuple[Path, ...],
     jobs: int,
-    noise: str,
+    noise: str | None,
     temperature: float | None,
     reference: str,
     seed: int | None,
@@ -117,19 +117,19 @@ def command(
     basis = QUICK if quick else EvaluationSettings()
     if quick and not sections:
         sections, basis = ["types"], QUICK_TYPES
+    check_outputs(output, [model, *dataset.glob("*")])
+    loaded = open_model(model)
     try:
         settings = replace(
             basis,
             split=split,
             seed=seed,
             seeds=seeds or basis.seeds,
-            noise=make_noise(noise, temperature),
+            noise=make_noise(noise, temperature, loaded),
             reference=reference,
         )
     except ControlError as error:
         raise click.UsageError(str(error)) from None
-    check_outputs(output, [model, *dataset.glob("*")])
-    loaded = open_model(model)
     with progress_bar() as bar:
         tasks = {"reading": bar.add_task("reading", total=None)}
 

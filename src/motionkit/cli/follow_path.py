@@ -49,7 +49,7 @@ def command(
     seed: int,
     character: str,
     init: Path | None,
-    noise: str,
+    noise: str | None,
     temperature: float | None,
     reference: str,
     ik: bool,
@@ -89,7 +89,7 @@ def command(
     inputs = (path if is_file else None, model_path, init, *choice.files)
     check_outputs([file, page_file] if view else [] if file == STDOUT else [file], inputs)
     model = model or open_model(model_path, reference)
-    options = SynthesisOptions(1, seed, make_noise(noise, temperature), character, init, ik, fps)
+    options = SynthesisOptions(1, seed, make_noise(noise, temperature, model), character, init, ik, fps)
     announce(expected_seconds(model, target), model.fps, options)
     with progress_bar() as bar:
         task = bar.add_task("following", total=100)

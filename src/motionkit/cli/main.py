@@ -40,6 +40,7 @@ COMMANDS = {
     "view": "view",
     "play": "play",
     "export": "export",
+    "experiment": "experiment",
 }
 
 

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.inference.rollout import Noise
+    from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
 
 SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
@@ -38,11 +39,9 @@ def noise_options(function: Callable) -> Callable:
     )
     kind = click.option(
         "--noise",
-        default="correlated",
-        show_default=True,
         type=click.Choice(["mean", "sample", "correlated"]),
         help="How to draw frames from the predicted distribution: the mean, independent samples, or samples "
-        "correlated in time.",
+        "correlated in time; correlated by default, sample for models of tptn-paper.",
     )
     return kind(temperature(function))
 
@@ -156,10 +155,11 @@ def words_console(output: Path | None) -> PlainConsole:
     return stderr_console() if output == STDOUT else stdout_console()
 
 
-def make_noise(kind: str, temperature: float | None) -> Noise:
-    """The Noise of --noise and --temperature."""
-    from motionkit.inference.rollout import Noise
+def make_noise(kind: str | None, temperature: float | None, model: MotionModel) -> Noise:
+    """The Noise of --noise and --temperature for a model."""
+    from motionkit.inference.rollout import Noise, default_noise
 
+    kind = kind or default_noise(model).kind
     usual = 1.0 if kind == "sample" else 0.05
     return Noise(kind, usual if temperature is None else temperature)
 

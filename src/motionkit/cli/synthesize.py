@@ -81,7 +81,7 @@ def command(
     seed: int,
     character: str,
     init: Path | None,
-    noise: str,
+    noise: str | None,
     temperature: float | None,
     reference: str,
     ik: bool,
@@ -132,7 +132,7 @@ def command(
     check_outputs([] if base == STDOUT else files + page_file, (model_path, init, keys_file, *choice.files))
     keys = read_keys(keys_file, model) if keys_file is not None else ()
     check_length(keys, min(sum(part.seconds for part in plan) for plan in plans))
-    drawn = make_noise(noise, temperature)
+    drawn = make_noise(noise, temperature, model)
     options = SynthesisOptions(count, seed, drawn, character, init, ik, fps, keys=keys)
     frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
     announce(frames / model.fps, model.fps, options)

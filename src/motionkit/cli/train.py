@@ -65,6 +65,11 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     help="Training time in minutes, unless --steps is given: 5 by default, from random weights 30.",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
+@click.option(
+    "--budget",
+    type=click.Choice(["cpu", "gpu", "paper"]),
+    help="For tptn-paper: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
+)
 @click.option("--force", is_flag=True, help="Overwrite an existing model and run folder.")
 @click.option("--resume", is_flag=True, help="Continue from the checkpoint in the run folder.")
 @click.option(
@@ -141,6 +146,7 @@ def command(
     preset: str,
     minutes: float | None,
     steps: int | None,
+    budget: str | None,
     resume: bool,
     force: bool,
     init: str | None,
@@ -186,12 +192,13 @@ def command(
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.training.trainer import train
 
-    if minutes is None and steps is None:
+    if minutes is None and steps is None and budget is None:
         minutes = TRAIN_MINUTES if init is None else FINE_TUNE_MINUTES
     options = (train_options if init is None else partial(fine_tune_options, init=init))(
         preset,
         steps=steps,
         minutes=minutes,
+        budget=budget,
         kept_share=KEPT_SHARE if add else None,
         batch=batch,
         window=window,

@@ -15,8 +15,8 @@ from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
-from motionkit.inference.rollout import RolloutState, run
-from motionkit.inference.start import clip_start, type_start
+from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.inference.start import clip_start, on_body, type_start
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -102,6 +102,8 @@ class PathFollower:
             asked = replace(self.player.play(1, trajectory[None]), type_weights=self._type_weights()[None])
         # On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
         free = np.zeros(1, np.float32)
+        if self.model.plain:
+            asked = replace(asked, types_ahead=np.stack([self._type_weights(arc) for arc in ahead])[None])
         return replace(asked, trajectory=trajectory[None], slip_correction=free).with_mask(1.0)
 
     def _project(self, point: Array) -> float:
@@ -126,11 +128,12 @@ class PathFollower:
             out.append(arc)
         return np.array(out, np.float32)
 
-    def _type_weights(self) -> Array:
-        """Type weights (N,): the mean over half a blend behind and ahead, which is the blend of 40 frames."""
+    def _type_weights(self, arc: float | None = None) -> Array:
+        """Type weights (N,), here or at an arc: the mean over half a blend behind and ahead, 40 frames in all."""
+        arc = self.arc if arc is None else arc
         half = TYPE_BLEND_FRAMES // 2
-        reach = float(self.speeds[self.path.part_at(self.arc)]) * half / self.fps
-        arcs = np.linspace(self.arc - reach, self.arc + reach, BLEND_SAMPLES)
+        reach = float(self.speeds[self.path.part_at(arc)]) * half / self.fps
+        arcs = np.linspace(arc - reach, arc + reach, BLEND_SAMPLES)
         kinds = self.types[self.path.part_at(arcs)]
         return np.eye(self.type_count, dtype=np.float32)[kinds].mean(axis=0)
 
@@ -180,7 +183,10 @@ def follow_path(
     heading = math.atan2(*tangent) - follower.facings[0]
     place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
-    state = RolloutState(model, 1, options.noise, options.seed)
+    state = RolloutState(model, 1, options.noise or default_noise(model), options.seed)
+    if model.plain:
+        start = on_body(model, start, skeleton)
+        state.set_skeletons([skeleton])
     state.start(start.features, start.contacts, weights, place, length)
 
     furthest = 0.0

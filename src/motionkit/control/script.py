@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.errors import ControlError
-from motionkit.features.control import Controls, blend_types
+from motionkit.features.control import Controls, blend_types, types_ahead
 from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
 
@@ -125,4 +125,6 @@ def plan_controls(
     for number, part in enumerate(parts):
         player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0)
         asked.append(player.play(max(1, round(part.seconds * model.fps))))
-    return replace(Controls.concatenated(asked), type_weights=plan_weights(model, parts))
+    weights = plan_weights(model, parts)
+    ahead = types_ahead(weights) if model.plain else None
+    return replace(Controls.concatenated(asked), type_weights=weights, types_ahead=ahead)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,8 +15,8 @@ from motionkit.control.meet import Beginning, KeyedController, meet_keys
 from motionkit.control.reference_player import last_poses
 from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track
 from motionkit.errors import ControlError
-from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run
-from motionkit.inference.start import clip_motion, clip_start, type_start
+from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
+from motionkit.inference.start import clip_motion, clip_start, on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
@@ -45,14 +45,14 @@ class Synthesis:
 
 @dataclass(frozen=True)
 class SynthesisOptions:
-    """How to synthesize: the defaults are those of the command; fps None keeps the model's rate.
+    """How to synthesize: the defaults are those of the command; None is the model's own noise, and its rate.
 
     raw also keeps the motion without foot locks; keys are poses to meet.
     """
 
     count: int = 1
     seed: int = 0
-    noise: Noise = field(default_factory=Noise)
+    noise: Noise | None = None
     character: str = "default"
     init: str | Path | Motion | None = None
     ik: bool = True
@@ -112,7 +112,11 @@ def synthesize(
     turn = [i % len(plans) for i in range(count)]
     features, contacts = [starts[t].features[0] for t in turn], [starts[t].contacts[0] for t in turn]
     ground = np.concatenate([starts[t].ground for t in turn])
-    state = RolloutState(model, count, options.noise, options.seed)
+    state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
+    if model.plain:
+        bodies = [skeletons[i % len(skeletons)] for i in range(count)]
+        features = [on_body(model, starts[t], body).features[0] for t, body in zip(turn, bodies, strict=True)]
+        state.set_skeletons(bodies)
     first = np.stack([weights[t][0] for t in turn])
     state.start(features, contacts, first, ground, [lengths[t] for t in turn])
     behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
@@ -172,10 +176,12 @@ def finish_motion(
 ) -> Motion:
     """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate.
 
+    A plain model was shown the skeleton and moves it as it is; what others do on the default body is scaled.
+
     Args:
         hold: share of the sliding of feet in contact that is taken out of the root's way; 0 where the way was given.
     """
-    body = model.character("default")
+    body = skeleton if model.plain else model.character("default")
     motion = rollout_motion(model, rollout, index, body)
     if options.ik:
         motion = lock_feet(motion, rollout.contacts[index], hold)

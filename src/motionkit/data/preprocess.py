@@ -32,7 +32,7 @@ from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.data.workers import Map, worker_processes
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
-from motionkit.features.encode import encode_motion
+from motionkit.features.encode import encode_motion, identity_reference_rotations
 from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
 from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
 from motionkit.features.reference import REFERENCE_COUNT
@@ -355,6 +355,8 @@ def _pass_two(
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], PreprocessReport]:
     given = options.reference_rotations
+    if options.layout == "expmap-root-1":  # the paper's features have plain exponential maps
+        given = identity_reference_rotations()
     reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     splits = _decide_splits(prepared, options.mirror)

@@ -381,7 +381,8 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
 def set_controls(graph: OnnxStep, asked: Controls, noise: Array) -> None:
     """Give a graph the controls of one character, and noise (1, 276)."""
     for name, values in vars(asked).items():
-        graph.values[name][:] = values
+        if values is not None:
+            graph.values[name][:] = values
     graph.values["noise"][:] = noise
 
 

@@ -7,7 +7,7 @@ performance; and reference poses (features/reference.py), which say what the bod
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,6 +22,9 @@ TRAJECTORY_OFFSETS: tuple[int, ...] = (10, 20, 30, 40, 50, 60)  # frames ahead, 
 TRAJECTORY_COUNT = 4 * len(TRAJECTORY_OFFSETS)  # 6 positions (x, z), then 6 directions (x, z)
 SKELETON_COUNT = 3 * JOINT_COUNT
 TYPE_BLEND_FRAMES = 40
+# Which signals a control vector holds: "paper": skeleton, types at six frames ahead, trajectory; "extended": types of
+# now, and the three signals added to the paper's.
+CONTROL_KINDS = ("extended", "paper")
 # The network sees rest-pose positions as differences from the canonical body, in units of 10 cm.
 SKELETON_UNIT = 10.0
 
@@ -38,6 +41,8 @@ class Controls:
         reference: (..., 72) pose embeddings of the reference some frames ahead.
         reference_gain: (...) factor on the reference, 0 where there is none.
         slip_correction: (...) factor on the root-slip correction of the types.
+        types_ahead: (..., 6, N) type weights at TRAJECTORY_OFFSETS; None for those of now. Only the paper's control
+            signals have them.
     """
 
     type_weights: Array
@@ -47,6 +52,7 @@ class Controls:
     reference: Array
     reference_gain: Array
     slip_correction: Array
+    types_ahead: Array | None = None
 
     @staticmethod
     def of_types(type_weights: Array) -> Controls:
@@ -60,32 +66,49 @@ class Controls:
     @staticmethod
     def concatenated(parts: Sequence[Controls], axis: int = 0) -> Controls:
         """Join along an axis: frames one after another, or characters side by side."""
-        return Controls(*(np.concatenate([getattr(p, name) for p in parts], axis) for name in vars(parts[0])))
+        return _joined(parts, lambda arrays: np.concatenate(arrays, axis))
 
     @staticmethod
     def side_by_side(characters: Sequence[Controls]) -> Controls:
         """Stack (T, ...) of B characters as (T, B, ...); shorter ones repeat their last frame."""
         frames = max(len(c.phase) for c in characters)
         rows = [np.minimum(np.arange(frames), len(c.phase) - 1) for c in characters]
-        pairs = list(zip(characters, rows, strict=True))
-        return Controls(
-            *(np.stack([getattr(c, name)[r] for c, r in pairs], 1) for name in vars(characters[0]))
+        return _joined(
+            characters, lambda arrays: np.stack([a[r] for a, r in zip(arrays, rows, strict=True)], 1)
         )
 
     def at(self, rows: int | slice | Array) -> Controls:
         """Some rows of the first dimension."""
-        return Controls(*(values[rows] for values in vars(self).values()))
+        return Controls(**{name: values[rows] for name, values in vars(self).items() if values is not None})
 
     def with_mask(self, mask: float) -> Controls:
         """The same with a trajectory mask of 1 or 0 everywhere."""
         return replace(self, trajectory_mask=np.full_like(self.trajectory_mask, mask))
 
+    @property
+    def ahead(self) -> Array:
+        """Type weights (..., 6, N) at TRAJECTORY_OFFSETS, those of now where nothing else is known."""
+        if self.types_ahead is not None:
+            return self.types_ahead
+        return np.repeat(self.type_weights[..., None, :], len(TRAJECTORY_OFFSETS), axis=-2)
+
+
+def _joined(parts: Sequence[Controls], join: Callable[[list[Array]], Array]) -> Controls:
+    """Controls whose fields are joined; types ahead are dropped unless all parts have them."""
+    ahead = all(part.types_ahead is not None for part in parts)
+    names = [name for name in vars(parts[0]) if ahead or name != "types_ahead"]
+    return Controls(*(join([getattr(part, name) for part in parts]) for name in names))
+
 
 @dataclass(frozen=True)
 class ControlLayout:
-    """Columns of the control vector: skeleton, types, trajectory and its mask, phase, reference and its gain."""
+    """Columns of the control vector: skeleton, types, trajectory and its mask, phase, reference and its gain.
+
+    The kind "paper" ends with the trajectory, and has the types six times, one frame ahead after another.
+    """
 
     types: tuple[str, ...]
+    kind: str = "extended"
 
     @property
     def skeleton(self) -> slice:
@@ -94,8 +117,13 @@ class ControlLayout:
 
     @property
     def type(self) -> slice:
-        """The weights of the motion types, one per type."""
-        return slice(SKELETON_COUNT, SKELETON_COUNT + len(self.types))
+        """The weights of the motion types, one per type; in the kind "paper" one per type and frame ahead."""
+        return slice(SKELETON_COUNT, SKELETON_COUNT + self.type_samples * len(self.types))
+
+    @property
+    def type_samples(self) -> int:
+        """How many frames the types are given for."""
+        return len(TRAJECTORY_OFFSETS) if self.kind == "paper" else 1
 
     @property
     def trajectory(self) -> slice:
@@ -125,7 +153,7 @@ class ControlLayout:
     @property
     def size(self) -> int:
         """Length of a control vector."""
-        return self.reference_gain + 1
+        return self.trajectory.stop if self.kind == "paper" else self.reference_gain + 1
 
 
 def future_trajectory(ground: Array, frames: Array) -> Array:
@@ -175,6 +203,12 @@ def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> 
     return ((sums[blend : blend + len(weights)] - sums[: len(weights)]) / blend).astype(np.float32)
 
 
+def types_ahead(weights: Array) -> Array:
+    """Type weights (T, 6, N) at TRAJECTORY_OFFSETS after every frame of weights (T, N); the last ones last."""
+    frames = np.arange(len(weights))[:, None] + np.array(TRAJECTORY_OFFSETS)
+    return weights[np.minimum(frames, len(weights) - 1)]
+
+
 def phase_signal(phase: Array) -> Array:
     """Sine and cosine (..., 2) of phases (...) in [0, 1); zeros for negative phases, which mean no phase."""
     angle = 2.0 * np.pi * phase
@@ -200,10 +234,13 @@ def control_vector(
     """
     mask, gain = controls.trajectory_mask[..., None], controls.reference_gain[..., None]
     trajectory = trajectory_scaling.normalize(controls.trajectory) * mask
-    reference = references.shown(controls.reference, x, alone) * gain
-    parts = [skeleton, controls.type_weights, trajectory, mask, phase_signal(controls.phase)]
-    parts += [reference, (gain > 0.0).astype(np.float32)]
     shape = controls.type_weights.shape[:-1]
+    if layout.kind == "paper":
+        parts = [skeleton, controls.ahead.reshape(*shape, -1), trajectory]
+    else:
+        reference = references.shown(controls.reference, x, alone) * gain
+        parts = [skeleton, controls.type_weights, trajectory, mask, phase_signal(controls.phase)]
+        parts += [reference, (gain > 0.0).astype(np.float32)]
     out = np.concatenate([np.broadcast_to(p, (*shape, p.shape[-1])) for p in parts], axis=-1)
     assert out.shape[-1] == layout.size
     return out

@@ -9,8 +9,14 @@ import numpy as np
 
 from motionkit.arrays import Array, Floats, row_products
 from motionkit.errors import ControlError, ModelError
-from motionkit.features.control import Controls, control_vector, skeleton_signal
-from motionkit.features.decode import decode_motion
+from motionkit.features.control import (
+    TRAJECTORY_COUNT,
+    Controls,
+    control_vector,
+    future_trajectory,
+    skeleton_signal,
+)
+from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.inference import slip_correction
 from motionkit.inference.frame_kernel import DrawArrays, bind_draw, frame_library
@@ -53,6 +59,11 @@ class Noise:
         # What comes out has the variance of what goes in.
         variance = (1.0 - b) / (1.0 + b) * (1.0 + a * b) / (1.0 - a * b)
         return a, (1.0 - a * a) ** 0.5, b, (1.0 - b) / variance**0.5
+
+
+def default_noise(model: MotionModel) -> Noise:
+    """How frames of a model are drawn by default: of plain models at full sigma, as in the paper."""
+    return Noise("sample", 1.0) if model.plain else Noise()
 
 
 # Called with the frame number and the ground state (B, 3) root x, z, heading; answers the controls.
@@ -130,6 +141,7 @@ class RolloutState:
         self._features = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._noise_state = np.zeros((batch, FEATURE_COUNT), np.float32)
         self._smooth_noise = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self._own_trajectory = np.zeros((batch, TRAJECTORY_COUNT), np.float32)  # in cm, as predicted
         self._prime: RolloutState | None = None
         self._drawn_from: NetworkStep | TorchStep | None = None
         self.set_skeletons([canonical_skeleton()] * batch)
@@ -172,8 +184,12 @@ class RolloutState:
         type_weights: Array,
         ground: Array | None = None,
         phase_frames: float | Sequence[float] = 0.0,
+        controls: Controller | None = None,
     ) -> None:
         """Prime with real frames: features (B, T, 276) unnormalised, contacts (B, T, 4), type weights (B, N).
+
+        controls are asked for at each of these frames where they are known, for frames of one length; else they are
+        the types alone.
 
         Frames may also be lists of B arrays (T, ...), each of a length of its own.
         phase_frames is the length of a performance, of all or of each, if the frames are the beginning of one.
@@ -191,10 +207,15 @@ class RolloutState:
         contacts = np.asarray(contacts)
         x = ((np.asarray(features) - self._mean) / self._std).astype(np.float32)
         self.network.reset(x.shape[1] - 1)
+        given = self._recorded_trajectories(np.asarray(features)) if self.model.plain else None
         for t in range(x.shape[1] - 1):
             phase = np.array([phase_at(t, length) for length in lengths], np.float32)
-            self._ask(replace(Controls.of_types(type_weights), phase=phase), x[:, t])
+            if given is not None:
+                self._own_trajectory[:] = given[:, t]
+            asked = controls(t, self._ground) if controls else Controls.of_types(type_weights)
+            self._ask(asked if controls else replace(asked, phase=phase), x[:, t])
             self.network.step(x[:, t], contacts[:, t], self._controls)
+        self._keep_trajectory()
         self._x[:], self._contacts[:] = x[:, -1], contacts[:, -1]
         self._before[:] = x[:, -2] if x.shape[1] > 1 else x[:, -1]
         self._ground[:] = 0.0 if ground is None else ground
@@ -226,11 +247,14 @@ class RolloutState:
             (self._ground, one._ground),
             (self._noise_state, one._noise_state),
             (self._smooth_noise, one._smooth_noise),
+            (self._own_trajectory, one._own_trajectory),
         ):
             mine[index] = its[0]
 
     def _ask(self, asked: Controls, x: Floats) -> None:
         """Take in controls for normalised frames x: control vectors, and the sampling presets of the types."""
+        if self.model.plain:
+            asked = self._with_own_trajectory(asked)
         presets = row_products(asked.type_weights, self._presets)
         self._log_share = np.log(np.maximum(presets[:, :1], 1e-6))
         self._velocity_blend[:], self._slip_correction[:] = presets[:, 1:2], presets[:, 2:]
@@ -239,11 +263,31 @@ class RolloutState:
             self._layout, self._skeletons, asked, x, self.model.trajectory_scaling, self._references
         )
 
+    def _recorded_trajectories(self, features: Array) -> Array:
+        """The trajectories (B, T, 24) of recorded frames (B, T, 276), which go straight on after the last of them."""
+        origin = np.zeros((len(features), 3), np.float32)
+        ground = integrate_ground(features, origin, self.model.fps, self.model.config.layout)
+        frames = np.arange(features.shape[1])
+        return np.stack([future_trajectory(each.astype(np.float32), frames) for each in ground])
+
+    def _keep_trajectory(self) -> None:
+        """Keep the trajectory predicted for the frame that comes (paper section 5.2)."""
+        if self.model.plain and isinstance(self.network, TorchStep):
+            self._own_trajectory[:] = self.model.trajectory_scaling.denormalize(self.network.trajectory)
+
+    def _with_own_trajectory(self, asked: Controls) -> Controls:
+        """Controls in which the predicted trajectory stands where none is asked for."""
+        given = asked.trajectory_mask[:, None] > 0.0
+        return replace(asked, trajectory=np.where(given, asked.trajectory, self._own_trajectory)).with_mask(
+            1.0
+        )
+
     def advance(self, asked: Controls) -> tuple[Floats, Floats, Floats]:
         """step() without copies: what it answers is overwritten by the next call."""
         self._ask(asked, self._x)
         network = self.network
         network.step(self._x, self._contacts, self._controls)
+        self._keep_trajectory()
         network.log_sigma += self._log_share
         if self._drawn_from is not network:
             self._bind(network)
@@ -370,11 +414,13 @@ def run(
 
 
 def rollout_motion(model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton) -> Motion:
-    """One character's motion by forward integration on a skeleton, raised to where its feet are."""
+    """One character's motion by forward integration on a skeleton, raised to where its feet are unless it is plain."""
     features, layout = rollout.features[index], model.config.layout
     motion = decode_motion(
         features, skeleton, model.fps, rollout.ground[index, 0], model.reference_rotations, layout
     )
+    if model.plain:
+        return motion
     roots = raised(
         features[None], motion.local_rotations[None], motion.root_positions[None], skeleton, layout
     )

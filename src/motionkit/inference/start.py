@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import ControlError
+from motionkit.features.decode import decode_motion
 from motionkit.features.encode import encode_motion
+from motionkit.features.layout import feature_layout
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, leg_length
 
 INIT_FRAMES = 87  # the receptive field; the paper's number for its comparisons
 
@@ -39,6 +42,33 @@ def type_start(model: MotionModel, kind: str, count: int = 1) -> Start:
         pose.contacts[None].repeat(count, axis=0),
         np.zeros((count, 3), np.float32),
     )
+
+
+def on_body(model: MotionModel, start: Start, skeleton: Skeleton) -> Start:
+    """The same poses on another body, its root as much higher as its legs are longer: as if it had been recorded."""
+    layout, kept = model.config.layout, []
+    reach = _leg_reach(start.features[0], layout)
+    for features in start.features:
+        motion = decode_motion(features, skeleton, model.fps, None, model.reference_rotations, layout)
+        share = np.float32(leg_length(skeleton) / reach)
+        motion = replace(motion, root_positions=motion.root_positions * share)
+        encoded = encode_motion(motion, model.reference_rotations, layout)
+        kept.append(encoded.features)
+    return replace(start, features=np.stack(kept))
+
+
+def _leg_reach(features: Array, layout: str) -> float:
+    """The length in cm of the left thigh and shin in the first of frames (T, 276)."""
+    columns = {
+        (c.joint, c.component): i
+        for i, c in enumerate(feature_layout(layout).columns)
+        if c.block == "joint_positions"
+    }
+    hip, knee, ankle = (
+        features[0, [columns[JOINT_NAMES.index(name), k] for k in range(3)]]
+        for name in ("LeftUpLeg", "LeftLeg", "LeftFoot")
+    )
+    return float(np.linalg.norm(knee - hip) + np.linalg.norm(ankle - knee))
 
 
 def clip_motion(model: MotionModel, path: str | Path | Motion) -> Motion:

@@ -92,6 +92,8 @@ def why_not_packable(config: PredictorConfig) -> str | None:
     """What in a config keeps it from being run frame by frame on packed weights, None if nothing does."""
     if not isinstance(config, ModelConfig):
         return f"{config.architecture} is not a part transformer"
+    if config.controls != "extended":
+        return "controls='paper' needs the predicted trajectory"
     if config.position != "bias":
         return "position='sinusoidal' changes with every frame, so the window has to be computed anew"
     if config.norm != "pre":

@@ -10,6 +10,7 @@ import numpy as np
 
 from motionkit.arrays import Floats
 from motionkit.errors import ModelError
+from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel, kernel_library
@@ -42,6 +43,7 @@ class TorchStep:
         self.streams = [self.network.stream(1) for _ in range(batch)]
         self.mean, self.log_sigma = (np.zeros((batch, FEATURE_COUNT), np.float32) for _ in range(2))
         self.contact_logits = np.zeros((batch, CONTACT_COUNT), np.float32)
+        self.trajectory = np.zeros((batch, TRAJECTORY_COUNT), np.float32)
 
     def alone(self) -> TorchStep:
         """A step of the same network for one character."""
@@ -69,6 +71,8 @@ class TorchStep:
                 made = stream.step(*row)
             self.mean[i], self.log_sigma[i] = made.mean[0].numpy(), made.log_sigma[0].numpy()
             self.contact_logits[i] = made.contact_logits[0].numpy()
+            if made.trajectory_mean is not None:
+                self.trajectory[i] = made.trajectory_mean[0].numpy()
 
     def _latent(self, row: int) -> Floats:
         """Normal numbers (1, Z) for one character; zeros, the mean, without a generator."""

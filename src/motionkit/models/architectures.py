@@ -19,6 +19,10 @@ PART_TRANSFORMER = "part-transformer"
 # Architecture to the module and the class of its Predictor.
 ARCHITECTURES: dict[str, tuple[str, str]] = {
     PART_TRANSFORMER: ("motionkit.models.network", "PartTransformer"),
+    "pfnn": ("motionkit.models.pfnn", "PhaseFunctionedNetwork"),
+    "mvae": ("motionkit.models.mvae", "MotionVae"),
+    "htss": ("motionkit.models.htss", "TwoStream"),
+    "neural-layering": ("motionkit.models.neural_layering", "NeuralLayering"),
 }
 
 
@@ -33,6 +37,11 @@ class PredictorConfig(Protocol):
     @property
     def layout(self) -> str:
         """The version of the 276 columns."""
+        ...
+
+    @property
+    def controls(self) -> str:
+        """Which control signals the network takes, one of CONTROL_KINDS."""
         ...
 
     def to_dict(self) -> dict[str, Any]:
@@ -59,8 +68,7 @@ def config_from_dict(values: Any) -> PredictorConfig:
     """Return the config of a model file. Raises ModelError for unknown fields or bad values."""
     if not isinstance(values, dict) or "architecture" not in values:
         return ModelConfig.from_dict(values)
-    rest = {name: value for name, value in values.items() if name != "architecture"}
-    return network_class(str(values["architecture"])).config_class.from_dict(rest)
+    return network_class(str(values["architecture"])).config_class.from_dict(values)
 
 
 def build(config: PredictorConfig, control_size: int) -> Predictor:

@@ -31,13 +31,18 @@ class LocalAttention(nn.Module):
         # One learned number per head and distance in frames (0 = the frame itself).
         self.offset_bias = nn.Parameter(torch.zeros(parts, heads, window)) if bias else None
 
-    def forward(self, x_PBTD: Tensor, residual: Tensor) -> Tensor:
-        if self.offset_bias is not None and can_attend(x_PBTD, self.heads, self.window):
-            return self._by_kernel(x_PBTD, residual, self.offset_bias)
+    def forward(self, x_PBTD: Tensor, residual: Tensor, query: Tensor | None = None) -> Tensor:
+        """Attend from frames x, or from a query (P, B, T, D) of other frames, to frames x, and add to the residual."""
+        if query is None and can_attend(x_PBTD, self.heads, self.window):
+            none = x_PBTD.new_zeros(x_PBTD.shape[0], self.heads, self.window, dtype=torch.float32)
+            return self._by_kernel(x_PBTD, residual, none if self.offset_bias is None else self.offset_bias)
         P, B, T, D = x_PBTD.shape
         H, E = self.heads, D // self.heads
         blocks = -(-T // BLOCK)
-        qkv = self.qkv(x_PBTD).reshape(P, B, T, 3, H, E).permute(3, 0, 1, 4, 2, 5)
+        made = self.qkv(x_PBTD)
+        if query is not None:
+            made = torch.cat([self.qkv(query)[..., :D], made[..., D:]], dim=-1)
+        qkv = made.reshape(P, B, T, 3, H, E).permute(3, 0, 1, 4, 2, 5)
         qkv = F.pad(qkv, (0, 0, 0, blocks * BLOCK - T)).reshape(3, P, B, H, blocks, BLOCK, E)
         q, k, v = qkv.unbind(0)
         k, v = self._with_reach(k), self._with_reach(v)  # (P, B, H, blocks, reach + BLOCK, E)

@@ -147,10 +147,11 @@ def load_model(path: str | Path) -> MotionModel:
         for name, array in tensors.items()
     }
     weights = {n.removeprefix("network."): a for n, a in arrays.items() if n.startswith("network.")}
-    size = ControlLayout(tuple(header["types"])).size
+    config = config_from_dict(header["config"])
+    size = ControlLayout(tuple(header["types"]), config.controls).size
     fps, embedding = float(header["fps"]), PoseEmbedding(arrays["outline.matrix"], arrays["outline.offset"])
     return MotionModel(
-        NetworkWeights(config_from_dict(header["config"]), size, weights),
+        NetworkWeights(config, size, weights),
         {name: _read_type(header, arrays, name, embedding, fps) for name in header["types"]},
         fps,
         Scaling(arrays["scaling.mean"], arrays["scaling.std"]),

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 from motionkit.errors import ModelError
+from motionkit.features.control import CONTROL_KINDS
 from motionkit.features.layout import DEFAULT_LAYOUT, LAYOUTS
 from motionkit.models.parts import PARTITIONS
 
@@ -14,9 +15,11 @@ from motionkit.models.parts import PARTITIONS
 CHOICES: dict[str, tuple[str, ...]] = {
     "partition": tuple(PARTITIONS),
     "layout": tuple(LAYOUTS),
+    "controls": CONTROL_KINDS,
     "position": ("bias", "sinusoidal"),
     "norm": ("pre", "post"),
-    "fusion": ("linear", "none"),
+    "fusion": ("linear", "none", "cross-attention"),
+    "backbone": ("attention", "non-local", "lstm"),
 }
 RANGES: dict[str, tuple[float, float]] = {
     "width": (2, 2048),
@@ -39,12 +42,18 @@ RANGES: dict[str, tuple[float, float]] = {
 }
 
 
+# Of the non-local backbone: frames of the causal convolution in a residual block, and after how many blocks a
+# non-local operation follows.
+RESIDUAL_KERNEL, NON_LOCAL_EVERY = 3, 2
+
+
 @dataclass(frozen=True)
 class ModelConfig:
     """Sizes and choices of the network. The paper gives its sizes in a supplement that is not public."""
 
     partition: str = "two"  # body parts, see models/parts.py
     layout: str = DEFAULT_LAYOUT  # version of the 276 columns
+    controls: str = "extended"  # control signals; with "paper" the predicted trajectory is fed back
     width: int = 128  # channels of each part
     heads: int = 8  # attention heads
     ffn: int = 256  # hidden channels of each feed-forward layer
@@ -59,7 +68,8 @@ class ModelConfig:
     spatial_dropout: float = 0.1  # of whole channels, before the attention layers (paper: 0.1)
     position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
     norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
-    fusion: str = "linear"  # "linear" (paper) or "none"
+    fusion: str = "linear"  # "linear" (paper), "none", or "cross-attention" (the paper's ablation)
+    backbone: str = "attention"  # or "non-local" or "lstm", the paper's ablations (models/backbones.py)
     layer_controls: bool = True  # whether the embedded controls also enter every layer
     consistency: bool = True  # whether training uses consistency modules
     head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
@@ -77,6 +87,8 @@ class ModelConfig:
             raise ModelError("model width must be a multiple of heads and exceed control and shared channels")
         if self.control_embedding < self.control_width:
             raise ModelError("control_embedding must be at least control_width")
+        if self.backbone != "attention" and (self.layer_controls or self.norm != "post"):
+            raise ModelError(f"backbone {self.backbone} needs norm 'post' and no layer_controls")
         if self.log_sigma_min > self.log_sigma_max:
             raise ModelError("log_sigma_min must be at most log_sigma_max")
         if self.position == "sinusoidal" and motion_width % 2:
@@ -89,8 +101,16 @@ class ModelConfig:
 
     @property
     def receptive_field(self) -> int:
-        """Number of frames that influence a prediction: the paper's TRL, 87 by default."""
-        return (self.kernel - 1) + self.window + (2 * self.layers - 1) * (self.window - 1)
+        """Number of frames that influence a prediction: the paper's TRL, 87 by default.
+
+        An LSTM carries its state on, so that all frames before do; its number is that of attention.
+        """
+        reach = self.window - 1
+        steps = 2 * self.layers * reach
+        if self.backbone == "non-local":
+            steps = 2 * self.layers * (RESIDUAL_KERNEL - 1) + 2 * (self.layers // NON_LOCAL_EVERY) * reach
+        fused = reach if self.fusion == "cross-attention" else 0
+        return (self.kernel - 1) + 1 + steps + fused
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for a model file."""

@@ -122,7 +122,10 @@ def _shown(value: Any) -> str:
 
 
 def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
-    """Return the shapes of all weights of PartTransformer(config, control_size) by name, without building it."""
+    """Return the shapes of all weights of PartTransformer(config, control_size) by name, without building it.
+
+    Not for the backbones and the fusion of the paper's ablations, which run in torch only.
+    """
     body = partition(config.partition)
     P, D, Dc = len(body.parts), config.width, config.control_embedding
     motion, feet = D - config.control_width, sum(bool(part.contacts) for part in body.parts)
@@ -177,8 +180,12 @@ def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mappin
         "outline.offset": (EMBEDDING_COUNT,),
     }
     expected |= {f"character.{name}": (JOINT_COUNT, 3) for name in header["characters"]}
-    size = ControlLayout(tuple(header["types"])).size
-    if isinstance(config, ModelConfig):
+    size = ControlLayout(tuple(header["types"]), config.controls).size
+    if (
+        isinstance(config, ModelConfig)
+        and config.backbone == "attention"
+        and config.fusion != "cross-attention"
+    ):
         shapes = weight_shapes(config, size)
     else:
         shapes = built_shapes(config, size)

@@ -60,7 +60,12 @@ class MotionModel:
     @property
     def controls(self) -> ControlLayout:
         """Where each signal stands in a control vector."""
-        return ControlLayout(self.type_names)
+        return ControlLayout(self.type_names, self.config.controls)
+
+    @property
+    def plain(self) -> bool:
+        """Whether frames are used as they are drawn, and the predicted trajectory is fed back: the paper's way."""
+        return self.config.controls == "paper"
 
     @property
     def reference_map(self) -> ReferenceMap:

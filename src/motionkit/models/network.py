@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.attention import LocalAttention
+from motionkit.models.backbones import backbone_layers
 from motionkit.models.config import ModelConfig
 from motionkit.models.layers import FeedForward, PartLinear, PartNorm, sinusoidal_positions, spatial_dropout
 from motionkit.models.parts import Partition, partition
@@ -95,7 +96,12 @@ class AutoRegressiveModule(nn.Module):
         motion_width = config.width - config.control_width
         self.embed = PartLinear(parts, kernel * inputs, motion_width)
         self.embed_controls = PartLinear(parts, control_size, config.control_embedding)
-        self.layers = nn.ModuleList(AttentionLayer(parts, config) for _ in range(config.layers))
+        attends = config.backbone == "attention"
+        self.layers = nn.ModuleList(
+            [AttentionLayer(parts, config) for _ in range(config.layers)]
+            if attends
+            else backbone_layers(parts, config)
+        )
         self.final_norm = PartNorm(parts, config.width, affine=False) if config.norm == "pre" else None
         self.embed_mask: Tensor
         self.register_buffer("embed_mask", torch.ones(1), persistent=False)
@@ -114,7 +120,7 @@ class AutoRegressiveModule(nn.Module):
             x_PBTD = torch.cat([padded[:, :, i : i + T] for i in range(self.kernel)], dim=-1)
         motion = self.embed_motion(x_PBTD)
         controls = self.embed_controls.shared(controls_BTC)
-        if self.config.position == "sinusoidal":
+        if self.config.position == "sinusoidal" and self.config.backbone != "lstm":
             motion = motion + sinusoidal_positions(motion.shape[2], motion.shape[3], motion.device)
         motion = spatial_dropout(motion, self.config.spatial_dropout, self.training)
         x = torch.cat([motion, controls[..., : self.config.control_width]], dim=-1)
@@ -141,6 +147,8 @@ class PartTransformer(Predictor):
         self.deep = AutoRegressiveModule(P, D, control_size, config, 1)
         # Each part gets one linear map of all the other parts' shallow features.
         self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.fusion == "linear" else None
+        crosses = P > 1 and config.fusion == "cross-attention"
+        self.cross = LocalAttention(P, D, config.heads, config.window, bias=False) if crosses else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
         self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head_momentum else None
         self.feet = foot_parts(config)
@@ -180,10 +188,16 @@ class PartTransformer(Predictor):
         return self.predict(x_BTF, before, shallow, deep)
 
     def fuse(self, shallow: Tensor) -> Tensor:
-        """Add to shallow features (P, ..., D) a linear map of the other parts' features (paper eq. 3)."""
+        """Add to shallow features (P, ..., D) a linear map of the other parts' features (paper eq. 3).
+
+        With cross-attention the others' features (their mean) are the queries, the part's own are keys and values.
+        """
+        P = shallow.shape[0]
+        if self.cross is not None:
+            mean = (shallow.sum(0, keepdim=True) - shallow) / (P - 1)
+            return self.cross(shallow, shallow, mean)
         if self.fusion is None:
             return shallow
-        P = shallow.shape[0]
         others = torch.stack([torch.cat([shallow[q] for q in range(P) if q != p], -1) for p in range(P)])
         return shallow + self.fusion(others)
 

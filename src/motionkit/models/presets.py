@@ -23,9 +23,10 @@ def tptn() -> ModelConfig:
 
 
 def tptn_paper() -> ModelConfig:
-    """The paper's network: absolute head, sinusoidal positions, post-norm, its dropout and root rotation."""
+    """The paper's network: absolute head, sinusoidal positions, post-norm, its dropout, features and controls."""
     return ModelConfig(
         layout="expmap-root-1",
+        controls="paper",
         input_dropout=0.5,
         deep_dropout=0.5,
         position="sinusoidal",

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.models.backbones import LstmLayers, LstmState
 from motionkit.models.network import AttentionLayer, AutoRegressiveModule, PartTransformer, Prediction
 
 
@@ -30,7 +31,12 @@ class NetworkStream:
 
     def __init__(self, network: PartTransformer, batch: int) -> None:
         self.network, self.batch = network, batch
-        self.recomputes = network.config.position == "sinusoidal"
+        # An LSTM carries its state instead, and has no positions.
+        config = network.config
+        windowed = (
+            config.position == "sinusoidal" or config.backbone == "non-local" or network.cross is not None
+        )
+        self.recomputes = windowed and config.backbone != "lstm"
         self.reset()
 
     def reset(self, given: int = 0) -> None:
@@ -45,6 +51,9 @@ class NetworkStream:
         inputs = network.part_columns.shape[1]
         self.recent = torch.zeros(P, B, config.kernel, inputs, device=device)
         self.before = torch.zeros(B, FEATURE_COUNT, device=device)
+        self.lstm_states: list[LstmState | None] = [None, None]
+        if config.backbone == "lstm":
+            return
         self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
 
     @torch.inference_mode()
@@ -57,18 +66,24 @@ class NetworkStream:
         network = self.network
         inputs = network.split_parts(x_BF, contacts_B4)
         self.recent = torch.cat([self.recent[:, :, 1:], inputs[:, :, None]], dim=2)
-        shallow = self._module(network.shallow, self.rings[0], self.recent.flatten(2), controls_BC)
-        deep = self._module(network.deep, self.rings[1], network.fuse(shallow), controls_BC)
+        shallow = self._module(0, self.recent.flatten(2), controls_BC)
+        deep = self._module(1, network.fuse(shallow), controls_BC)
         before = x_BF if self.frame == 0 else self.before
         self.frame, self.before = self.frame + 1, x_BF
         return network.predict(x_BF, before, shallow, deep)
 
-    def _module(
-        self, module: AutoRegressiveModule, rings: _ModuleRings, x: Tensor, controls: Tensor
-    ) -> Tensor:
+    def _module(self, index: int, x: Tensor, controls: Tensor) -> Tensor:
+        """Features (P, B, D) of the shallow (0) or the deep module (1) for one frame."""
+        module: AutoRegressiveModule = (self.network.shallow, self.network.deep)[index]
         motion = module.embed_motion(x)
         controls = module.embed_controls(controls.expand(motion.shape[0], *controls.shape))
         x = torch.cat([motion, controls[..., : module.config.control_width]], dim=-1)
+        if module.config.backbone == "lstm":
+            lstm = module.layers[0]
+            assert isinstance(lstm, LstmLayers)
+            made, self.lstm_states[index] = lstm.run(x[:, :, None], self.lstm_states[index])
+            return made[:, :, 0]
+        rings = self.rings[index]
         slot = self.frame % module.config.window
         for i, layer in enumerate(module.layers):
             assert isinstance(layer, AttentionLayer)

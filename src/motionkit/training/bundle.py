@@ -50,15 +50,19 @@ def bundle_model(
 ) -> MotionModel:
     """The model of a network trained on a dataset, with or without reference poses.
 
+    A network with the paper's controls gets neither reference clips nor sampling presets.
+
     Args:
         kept: types taken as they are, because the model that training began from knows them.
     """
     kept = kept or {}
     gaits = measure_gaits(dataset)
+    plain = network.config.controls == "paper"
+    describe = _plain_type if plain else _motion_type
     return MotionModel(
         network,
         {
-            kind: kept[kind] if kind in kept else _motion_type(dataset, kind, gaits.get(kind))
+            kind: kept[kind] if kind in kept else describe(dataset, kind, gaits.get(kind))
             for kind in dataset.types
         },
         dataset.fps,
@@ -70,6 +74,10 @@ def bundle_model(
         references,
         card,
     )
+
+
+def _plain_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
+    return MotionType(tuple(start_poses_of(dataset, kind)), gait=gait)
 
 
 def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:

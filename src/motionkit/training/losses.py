@@ -36,6 +36,9 @@ class LossOptions:
     slip_weight: float = 1.0  # weight of foot slip in fk_loss
     step_weight: float = 0.0  # weight in fk_loss of the movement of low feet; docs/results-log.md tries 50
     step_except: tuple[str, ...] = ()  # types without step_weight
+    likelihood: str = "gauss"  # "l2" is the paper's ablation "L2 loss": squared errors, sigma untrained
+    # How foot slip is computed: "ground" after the root's movement is taken out, "paper" as eq. 8 is written.
+    foot_term: str = "ground"
     weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))  # of the six losses in their sum
 
 
@@ -68,6 +71,11 @@ def gaussian_loss(
     if beta_nll:
         terms = terms * torch.exp(2.0 * beta_nll * (log_sigma.detach() - math.log(TYPICAL_SIGMA)))
     return _mean(terms.sum(-1), mask)
+
+
+def squared_loss(mean: Tensor, target: Tensor, mask: Tensor) -> Tensor:
+    """Return the squared error per frame, summed over columns (the paper's ablation "L2 loss")."""
+    return _mean((target - mean).square().sum(-1), mask)
 
 
 def smoothness_loss(mean: Tensor, mask: Tensor) -> Tensor:
@@ -114,6 +122,7 @@ def fk_loss(
     space: FeatureSpace,
     slip_weight: float = 1.0,
     step_weight: float | Tensor = 0.0,
+    foot_term: str = "ground",
 ) -> Tensor:
     """Return the distance of the feet from the true ones by forward kinematics, plus their slip in contact (L_FK).
 
@@ -128,6 +137,7 @@ def fk_loss(
     Args:
         slip_weight: weight of the slip.
         step_weight: weight of the step loss, as one number or per frame (B, T).
+        foot_term: "paper" for the slip of eq. 8 as it is written (paper_foot_slip).
     """
     features, truth = space.denormalize(prediction.mean), space.denormalize(batch.targets)
     predicted = foot_positions(features, batch.offsets, space)
@@ -135,7 +145,9 @@ def fk_loss(
         true = foot_positions(truth, batch.offsets, space)
     loss = _mean(safe_norm((predicted - true) / FOOT_UNIT).sum(-1), batch.mask)
     heights = space.root_height(features)
-    if slip_weight:
+    if slip_weight and foot_term == "paper":
+        loss = loss + slip_weight * paper_foot_slip(prediction, predicted, features, batch, space)
+    elif slip_weight:
         before = (predicted[:, :-1], heights[:, :-1])
         slip = _foot_moves(features[:, 1:], predicted[:, 1:], *before, space).abs().sum(-1) / FOOT_UNIT
         touching = torch.sigmoid(prediction.contact_logits.detach())
@@ -154,6 +166,29 @@ def fk_loss(
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
         loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
     return loss
+
+
+def paper_foot_slip(
+    prediction: Prediction, feet: Tensor, features: Tensor, batch: Batch, space: FeatureSpace
+) -> Tensor:
+    """Return the second term of eq. 8 as it is written.
+
+    The feet of one frame by forward kinematics, in the root's coordinate system, against the foot positions in the
+    mean of the next frame, weighted by the predicted contacts of both, through which gradients pass.
+
+    Args:
+        feet: (B, T, 4, 3) foot positions in cm relative to the root, by forward kinematics.
+        features: (B, T, 276) unnormalised means.
+    """
+    columns = feature_layout(space.layout)
+    place = {(c.joint, c.component): i for i, c in enumerate(columns.columns) if c.block == "joint_positions"}
+    rows = torch.tensor([[place[joint, k] for k in range(3)] for joint in FOOT_JOINTS], device=feet.device)
+    height = torch.zeros_like(feet[..., :1, :])
+    height[..., 0, 1] = space.root_height(features)
+    moved = (feet + height)[:, :-1] - features[:, 1:][..., rows]
+    touching = torch.sigmoid(prediction.contact_logits)
+    both = touching[:, 1:] * touching[:, :-1]
+    return _mean((both * moved.abs().sum(-1) / FOOT_UNIT).sum(-1), batch.mask[:, 1:])
 
 
 def _foot_moves(
@@ -175,7 +210,10 @@ def _foot_moves(
 
 
 def consistency_loss(
-    network: PartTransformer, modules: ConsistencyModules, prediction: Prediction, batch: Batch
+    network: PartTransformer,
+    modules: ConsistencyModules,
+    prediction: Prediction,
+    batch: Batch,
 ) -> Tensor:
     """Return how far shared channels differ between parts and from the shared data (L_con = L_feat + 2 L_root).
 
@@ -211,22 +249,28 @@ def training_losses(
     step_weight = (
         options.step_weight if step_share is None else options.step_weight * (batch.controls @ step_share)
     )
-    feet = (options.slip_weight, step_weight)
+    feet = (options.slip_weight, step_weight, options.foot_term)
     zero = torch.zeros((), device=prediction.mean.device)
     consistency = zero if modules is None else consistency_loss(network, modules, prediction, batch)
-    return {
-        "gauss": gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask, *rules),
-        "smooth": smoothness_loss(prediction.mean, batch.mask),
-        "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
-        "fk": fk_loss(prediction, batch, space, *feet),
-        "consistency": consistency,
-        "trajectory": gaussian_loss(
+    if options.likelihood == "l2":
+        gauss = squared_loss(prediction.mean, batch.targets, batch.mask)
+        trajectory = squared_loss(prediction.trajectory_mean, batch.trajectory, batch.mask)
+    else:
+        gauss = gaussian_loss(prediction.mean, prediction.log_sigma, batch.targets, batch.mask, *rules)
+        trajectory = gaussian_loss(
             prediction.trajectory_mean,
             prediction.trajectory_log_sigma,
             batch.trajectory,
             batch.mask,
             options.outlier,
-        ),
+        )
+    return {
+        "gauss": gauss,
+        "smooth": smoothness_loss(prediction.mean, batch.mask),
+        "contact": contact_loss(prediction.contact_logits, batch.next_contacts, batch.mask),
+        "fk": fk_loss(prediction, batch, space, *feet) if options.weights.get("fk", 1.0) else zero,
+        "consistency": consistency,
+        "trajectory": trajectory,
     }
 
 

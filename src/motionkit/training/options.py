@@ -25,6 +25,9 @@ class OptimizerOptions:
     final_rate: float = 0.02  # share of the peak rate at the end of the cosine
     weight_decay: float = 0.01
     betas: tuple[float, float] = (0.9, 0.98)
+    schedule: str = (
+        "cosine"  # "cosine"; "halving" halves the rate at every quarter of the run, as the paper does
+    )
     clip_norm: float = 1.0  # largest norm of the gradient
     ema: float = 0.998  # decay of the running average that becomes the model
     precision: str = "auto"  # arithmetic of the network: "auto", "float32" or "bfloat16"

@@ -25,6 +25,7 @@ from motionkit.features.control import (
     control_vector,
     future_trajectory,
     skeleton_signal,
+    types_ahead,
 )
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.features.reference import reference_map
@@ -32,6 +33,7 @@ from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
 
 GAP_FRAMES = 30  # of the shortest gap in reference poses; the longest is twice as long
+LEAST_CUT = 60  # frames of the shortest cut window, of clips that have as many
 MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
 
 
@@ -55,6 +57,9 @@ class SamplerOptions:
     )
     lead_share: float = 0.5  # share of windows whose type changes before the motion does
     lead_frames: int = 30  # by at most this many frames
+    # Frames between the windows that are cut from every clip, and drawn alike (paper: 4); longer where a type has many
+    # frames and shorter where it has few, by balance. 0 draws windows type by type instead.
+    interval: float = 0.0
     noise: float = 0.01  # standard deviation of the noise on normalised inputs (paper: 0.05)
     # Share of windows of the types that the model a run begins from has, and the dataset has not; 0 drops those types.
     kept_share: float = 0.0
@@ -79,14 +84,24 @@ class WindowSampler:
     """Samples windows of normalised features with their controls from a dataset's training clips."""
 
     def __init__(
-        self, dataset: Dataset, options: SamplerOptions, seed: int = 0, kept: tuple[str, ...] = ()
+        self,
+        dataset: Dataset,
+        options: SamplerOptions,
+        seed: int = 0,
+        kept: tuple[str, ...] = (),
+        controls: str = "extended",
     ) -> None:
-        """kept are types of the dataset that together have options.kept_share of the windows."""
+        """Index the training clips.
+
+        Args:
+            kept: types of the dataset that together have options.kept_share of the windows.
+            controls: the kind of control signals (features/control.py).
+        """
         self.dataset, self.options, self.seed, self.kept = dataset, options, seed, kept
         self.clips = dataset.select("train")
         if not self.clips:
             raise DatasetError(f"{dataset.folder}: no training clips")
-        self.controls = ControlLayout(dataset.types)
+        self.controls = ControlLayout(dataset.types, controls)
         self.reference_map = reference_map(dataset.pose_embedding, dataset.scaling)
         self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]
         self.spans = self._index([dataset.clip_types(clip) for clip in self.clips])
@@ -94,6 +109,7 @@ class WindowSampler:
         self.splice_spans: dict[int, list[Span]] = {}
         self.splice_bodies: list[int] = []
         self.probabilities = self._probabilities()
+        self.cuts = self._cut_windows() if options.interval else []
 
     def _index(self, type_tracks: list[Array]) -> dict[int, list[Span]]:
         spans: dict[int, list[Span]] = {}
@@ -127,6 +143,27 @@ class WindowSampler:
         if options != self.options:
             self.options = options
             self.probabilities = self._probabilities()
+            self.cuts = self._cut_windows() if options.interval else []
+
+    def _cut_windows(self) -> list[tuple[int, int]]:
+        """Clip and first frame of the paper's windows (section 4.3, steps 1 to 4).
+
+        Windows at the end of a clip are shorter, down to LEAST_CUT frames: most free clips are shorter than 300.
+        """
+        frames = np.zeros(len(self.dataset.types))
+        tracks = [self.dataset.clip_types(clip) for clip in self.clips]
+        for types in tracks:
+            frames += np.bincount(types, minlength=len(frames))
+        share = frames / frames.sum() * np.count_nonzero(frames)  # the paper's r_r / r_e
+        intervals = self.options.interval * np.maximum(share, 1e-3) ** self.options.balance
+        cuts = []
+        for number, types in enumerate(tracks):
+            last = max(0, len(types) - 1 - min(self.options.window, LEAST_CUT))
+            place = 0.0
+            while place <= last:
+                cuts.append((number, int(place)))
+                place += intervals[types[int(place)]]
+        return cuts
 
     def make_splices(self, progress: Callable[[float], None] | None = None) -> None:
         """Make the spliced transitions: ends of training stretches joined to starts of others, the same for a seed.
@@ -182,6 +219,11 @@ class WindowSampler:
     def _window(self, generator: torch.Generator) -> dict[str, Array]:
         options = self.options
         uniform = torch.rand(4, generator=generator, dtype=torch.float64).tolist()
+        if self.cuts:
+            number, start = self.cuts[int(uniform[0] * len(self.cuts))]
+            clip = self.clips[number]
+            data = self.dataset.read(clip, start, start + options.window + 62)
+            return self._assemble(data, clip.body, uniform[3], generator)
         kind = int(torch.multinomial(self.probabilities, 1, generator=generator))
         spliced = self.splice_spans.get(kind) if uniform[0] < options.splice_share else None
         spans = spliced or self.spans[kind]
@@ -209,7 +251,8 @@ class WindowSampler:
         if torch.rand((), generator=generator) < options.lead_share:
             lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
             types = np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
-        weights = blend_types(types, len(self.dataset.types))[:frames]
+        all_weights = blend_types(types, len(self.dataset.types))
+        weights = all_weights[:frames]
         reference_gain = self._with_reference(data.types[:frames], generator)
         noise = torch.randn(frames, FEATURE_COUNT, generator=generator).numpy()
         inputs = x[:frames] + noise * options.noise
@@ -221,6 +264,7 @@ class WindowSampler:
             data.reference[:frames],
             reference_gain,
             np.ones(frames, np.float32),
+            types_ahead(all_weights)[:frames] if self.controls.kind == "paper" else None,
         )
         scaling = self.dataset.trajectory_scaling
         controls = control_vector(

@@ -86,6 +86,8 @@ class PredictedInputs:
         shown = slice(network.control_size - 1 - REFERENCE_COUNT, network.control_size - 1)
         phase = slice(shown.start - 2, shown.start)
         reference_gain = controls[..., network.control_size - 1] > 0
+        if network.config.controls == "paper":  # no reference poses
+            reference_gain = torch.zeros_like(reference_gain)
         timed = reference_gain | (controls[..., phase] != 0.0).any(dim=-1)
         stays = chance >= torch.where(timed, options.reference_back, options.back)
         limit = torch.where(timed, options.reference_limit, options.limit)

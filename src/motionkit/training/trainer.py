@@ -45,6 +45,7 @@ from motionkit.training.window_blocks import BlockStart, WindowBlocks
 
 # The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / FEATURE_COUNT
+PAPER_FRAMES = 2000 * 60_962 * 300  # of the paper's training: epochs, windows, frames
 # Options that a resumed run may change: its length and its outputs.
 FREE_ON_RESUME = ("steps", "minutes", "output.")
 
@@ -161,7 +162,7 @@ class TrainResult:
 
 
 def train(
-    dataset_folder: str | Path,
+    dataset_folder: str | Path | Dataset,
     output: str | Path,
     options: TrainOptions,
     resume: bool = False,
@@ -172,6 +173,7 @@ def train(
     """Train on a dataset folder and write one model file.
 
     Args:
+        dataset_folder: the folder, or a dataset that is open.
         output: the model file; written at the end and on Ctrl-C.
         resume: continue from the run folder's checkpoint, with the same losses as a run without a break.
         run_folder: folder for the checkpoint and log.jsonl; output with the ending ".run" by default.
@@ -182,7 +184,8 @@ def train(
         DatasetError: if the dataset does not fit the preset.
         ModelError: if the checkpoint is damaged or does not fit the options.
     """
-    run = TrainingRun(Dataset(dataset_folder), Path(output), options, run_folder, device, on_event)
+    dataset = dataset_folder if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
+    run = TrainingRun(dataset, Path(output), options, run_folder, device, on_event)
     if resume:
         run.resume()
     return run.go()
@@ -261,7 +264,7 @@ class TrainingRun:
             if options.sampler.kept_share:
                 names = keep_types(dataset, begun_from, options.seed)
                 self.kept = {name: begun_from.types[name] for name in names}
-        network = build(config, ControlLayout(dataset.types).size)
+        network = build(config, ControlLayout(dataset.types, config.controls).size)
         if begun_from is not None:
             warm_start(network, dataset, begun_from)
         # The losses of part transformers have options, and so are not the network's own.
@@ -282,7 +285,8 @@ class TrainingRun:
         self.step, self.seconds = 0, 0.0
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
-        self.sampler = WindowSampler(dataset, options.sampler, options.seed, tuple(self.kept))
+        kept, controls = tuple(self.kept), config.controls
+        self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, controls)
         share = options.batch // self.world
         places = range(self.rank * share, (self.rank + 1) * share)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
@@ -324,9 +328,14 @@ class TrainingRun:
         return min(1.0, max(shares))
 
     def learning_rate(self) -> float:
-        """Return the rate of this step: linear warm-up, then a cosine down to a small share of the peak."""
+        """Return the rate of this step: linear warm-up, then a cosine down to a small share of the peak.
+
+        The paper halves the rate every 500 of 2000 epochs, so at every quarter of the run.
+        """
         options = self.options.optimizer
         warm = min(1.0, (self.step + 1) / max(1, options.warmup))
+        if options.schedule == "halving":
+            return options.rate * warm * 0.5 ** min(3, math.floor(4.0 * self.progress()))
         cosine = 0.5 * (1.0 + math.cos(math.pi * self.progress()))
         return options.rate * warm * (options.final_rate + (1.0 - options.final_rate) * cosine)
 
@@ -338,6 +347,8 @@ class TrainingRun:
         self._note(f"{len(self.sampler.splices)} spliced transitions")
         if self._block is not None:
             self.blocks.resume(self.step, self._block)
+        for line in self._schedule_notes():
+            self._note(line)
         previous = self._catch_signals()
         finished = False
         try:
@@ -356,6 +367,19 @@ class TrainingRun:
             for number, handler in previous.items():
                 signal.signal(number, handler)
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
+
+    def _schedule_notes(self) -> list[str]:
+        """Say how the run compares with the paper's schedule (section 4.3), if windows are cut as it does."""
+        options, cuts = self.options, len(self.sampler.cuts)
+        if not cuts or not options.steps:
+            return []
+        frames = options.steps * options.batch * options.sampler.window
+        return [
+            f"{cuts} windows; {options.steps} steps of {options.batch} x {options.sampler.window} frames are "
+            f"{options.steps * options.batch / cuts:.2f} epochs and {100.0 * frames / PAPER_FRAMES:.3g} % of the "
+            f"paper's frames; rate {options.optimizer.rate:g}, halved every {-(-options.steps // 4)} steps "
+            "(paper: 0.0001, every 500 of 2000 epochs)"
+        ]
 
     def _catch_signals(self) -> dict[int, Any]:
         """Make Ctrl-C and SIGTERM end the run after the current step, because a checkpoint holds whole steps only."""
@@ -439,7 +463,8 @@ class TrainingRun:
     def _gradients(self, batch: Batch, options: LossOptions) -> dict[str, Tensor]:
         self.optimizer.zero_grad(set_to_none=True)
         terms = self.trainable(batch, self.autocast, self.progress())
-        loss = total_loss(terms, options.weights) * LOSS_SCALE
+        weights = {} if isinstance(self.module, OwnLosses) else options.weights
+        loss = total_loss(terms, weights) * LOSS_SCALE
         loss.backward()
         found = {name: value.detach() for name, value in terms.items()} | {
             "total": loss.detach() / LOSS_SCALE
@@ -499,7 +524,7 @@ class TrainingRun:
             "losses": {n: round(v, 5) for n, v in self.losses.items()},
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
-        references = self.options.sampler.reference_dropout < 1.0
+        references = self.options.sampler.reference_dropout < 1.0 and network.config.controls == "extended"
         return bundle_model(network.weights(), self.dataset, card, references, self.kept)
 
     def _score(self) -> bool:

@@ -47,7 +47,12 @@ def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None
             if name not in old:
                 continue
             if name in CONTROL_WEIGHTS:
-                _copy_controls(value, old[name], ControlLayout(dataset.types), model.controls, likes)
+                layout = ControlLayout(dataset.types, network.config.controls)
+                if layout.kind != model.controls.kind:
+                    raise ModelError(
+                        "the model has other control signals than the preset: expected the same preset"
+                    )
+                _copy_controls(value, old[name], layout, model.controls, likes)
             elif value.shape == old[name].shape:
                 value.copy_(old[name])
             else:
@@ -61,11 +66,14 @@ def _copy_controls(
     new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout, likes: dict[str, str]
 ) -> None:
     """Copy the rows of control embeddings (P, C, D), signal by signal; likes names the type that each type follows."""
-    for name in ("skeleton", "trajectory", "flag", "phase", "reference", "reference_gain"):
+    added = () if layout.kind == "paper" else ("flag", "phase", "reference", "reference_gain")
+    for name in ("skeleton", "trajectory", *added):
         new[:, getattr(layout, name)] = old[:, getattr(before, name)]
-    for i, kind in enumerate(layout.types):
-        if kind in likes:
-            new[:, layout.type.start + i] = old[:, before.type.start + before.types.index(likes[kind])]
+    for sample in range(layout.type_samples):
+        start, start_before = (each.type.start + sample * len(each.types) for each in (layout, before))
+        for i, kind in enumerate(layout.types):
+            if kind in likes:
+                new[:, start + i] = old[:, start_before + before.types.index(likes[kind])]
 
 
 def similar_types(dataset: Dataset, model: MotionModel) -> dict[str, str]:

@@ -1,0 +1,335 @@
+"""`motionkit experiment`: the paper's experiments, their tables, figures and user study."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from motionkit.cli.common import (
+    STOPPED,
+    json_option,
+    print_json,
+    progress_bar,
+    remark,
+    seed_option,
+    stdout_console,
+)
+from motionkit.errors import MotionkitError
+
+if TYPE_CHECKING:
+    from motionkit.experiments.runs import Plan
+
+RESULTS = Path("experiments/results")
+
+
+def _data_option(function: Callable) -> Callable:
+    return click.option(
+        "--data",
+        default="datasets/paper",
+        show_default=True,
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Dataset folder, made by preprocess --layout expmap-root-1 --own-bodies --raw.",
+    )(function)
+
+
+def _plan_options(function: Callable) -> Callable:
+    """The options that say which data set, how much training, and where results go."""
+    options: list[Callable] = [
+        _data_option,
+        click.option(
+            "--set",
+            "selection",
+            default="D_L",
+            show_default=True,
+            type=click.Choice(["D_L", "all", "no-dances", "locomotion"]),
+            help="Data set (motionkit/experiments/datasets.py).",
+        ),
+        click.option(
+            "--budget",
+            default="cpu",
+            show_default=True,
+            type=click.Choice(["cpu", "gpu", "paper"]),
+            help="Training of every network: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
+        ),
+        click.option("--steps", type=click.IntRange(min=1), help="Training steps; the budget's by default."),
+        click.option(
+            "--frames",
+            default=240,
+            show_default=True,
+            type=click.IntRange(30, 10_000),
+            help="Frames that are made of a test sequence at most.",
+        ),
+        _results_option,
+    ]
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def _results_option(function: Callable) -> Callable:
+    option: Callable = click.option(
+        "--results",
+        default=str(RESULTS),
+        show_default=True,
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Folder of results; checkpoints go beside it.",
+    )
+    return option(function)
+
+
+def _needs_torch() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("torch") is None:
+        raise MotionkitError("experiments need torch: pip install 'motionkit[train]'")
+
+
+@click.group("experiment")
+def command() -> None:
+    """The paper's experiments: train every variant alike, test it, and write the paper's tables.
+
+    Names are those of the paper's tables (TPTN, EBTN, w/o-FFL ...); groups are tptn, parts, fusion, memory, losses,
+    baselines and floors; all is everything.
+    """
+
+
+@command.command("list")
+@_plan_options
+@json_option
+def list_command(
+    data: Path,
+    selection: str,
+    budget: str,
+    steps: int | None,
+    frames: int,
+    results: Path,
+    as_json: bool,
+) -> None:
+    """List what can be run: its group, parameters in millions beside the paper's, and what is done of it."""
+    _needs_torch()
+    from motionkit.experiments.runs import Plan, result_file
+    from motionkit.experiments.variants import VARIANTS, parameters
+
+    plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
+    minutes = _usual_minutes(plan)
+    rows = [
+        {
+            "name": v.name,
+            "group": v.group,
+            "text": v.text,
+            "parameters": parameters(v),
+            "paper_parameters": v.paper_parameters,
+            "seeds": v.seeds,
+            "done": sum(result_file(plan, v, seed).exists() for seed in range(v.seeds)),
+            "minutes": minutes.get(v.name),
+        }
+        for v in VARIANTS
+    ]
+    if as_json:
+        print_json(rows)
+        return
+    from rich.table import Table
+
+    table = Table()
+    for name in ("name", "group", "parameters", "paper", "minutes", "done", "what it is"):
+        table.add_column(name, justify="right" if name in ("parameters", "paper", "minutes") else "left")
+    for v, row in zip(VARIANTS, rows, strict=True):
+        count = f"{parameters(v) / 1e6:.2f} M" if v.preset else ""
+        paper = f"{v.paper_parameters:g} M" if v.paper_parameters else ""
+        spent = f"{minutes[v.name]:.0f}" if v.name in minutes else ""
+        table.add_row(v.name, v.group, count, paper, spent, f"{row['done']} of {v.seeds}", v.text)
+    stdout_console().print(table)
+
+
+def _usual_minutes(plan: Plan) -> dict[str, float]:
+    """Minutes that runs of this folder took here."""
+    from motionkit.experiments.runs import read_results
+
+    found = read_results(plan.results) if plan.results.exists() else []
+    return {
+        r["name"]: r["timing"]["seconds"] / 60 for r in found if r["folder"] == plan.folder and "timing" in r
+    }
+
+
+@command.command("run")
+@click.argument("names", nargs=-1, required=True)
+@_plan_options
+@click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 100),
+    help="Runs of each, at most as many as the table wants of it.",
+)
+@click.option("--every-seed", is_flag=True, help="Give every variant all of --seeds.")
+@click.option(
+    "--jobs",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 64),
+    help="Runs at a time, each on one thread.",
+)
+@click.option(
+    "--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda, cuda:1 ..."
+)
+def run_command(
+    names: tuple[str, ...],
+    data: Path,
+    selection: str,
+    budget: str,
+    steps: int | None,
+    frames: int,
+    results: Path,
+    seeds: int,
+    every_seed: bool,
+    jobs: int,
+    device: str,
+) -> None:
+    """Run NAMES: experiments, groups or all. What is done is skipped, what was stopped continues.
+
+    Each run trains on the data set, rolls out its test sequences, and writes one JSON file to the folder of results.
+    The first seed of everything comes first.
+    """
+    _needs_torch()
+    from motionkit.experiments.runs import Plan, result_file, run_all
+    from motionkit.experiments.variants import chosen
+
+    variants = chosen(names)
+    plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames, device)
+    tasks = [
+        (variant, seed) for seed in range(seeds) for variant in variants
+        if seed < (variant.seeds if variant.preset and not every_seed else seeds if variant.preset else 1)
+    ]  # fmt: skip
+    left = [(v, seed) for v, seed in tasks if not result_file(plan, v, seed).exists()]
+    remark(f"{len(tasks)} runs, {len(tasks) - len(left)} of them done")
+    with progress_bar() as bar:
+        task = bar.add_task("running", total=100)
+        try:
+            for count, path in enumerate(
+                run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share)), 1
+            ):
+                remark(f"{count} of {len(left)}: wrote {path}")
+        except KeyboardInterrupt:
+            remark("stopped; the same command continues")
+            sys.exit(STOPPED)
+
+
+@command.command("tables")
+@_results_option
+@click.option(
+    "-o",
+    "--output",
+    default="docs/experiments.md",
+    show_default=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Page to write.",
+)
+@click.option(
+    "--latex", type=click.Path(path_type=Path, dir_okay=False), help="Also write all tables in LaTeX."
+)
+def tables_command(results: Path, output: Path, latex: Path | None) -> None:
+    """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
+    _needs_torch()
+    from motionkit.experiments.page import write_page
+
+    write_page(_read(results), output, latex)
+    stdout_console().print(f"wrote {output}" + (f" and {latex}" if latex else ""))
+
+
+@command.command("figures")
+@_results_option
+@click.option(
+    "-o",
+    "--output",
+    default="experiments/figures",
+    show_default=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder to write to.",
+)
+def figures_command(results: Path, output: Path) -> None:
+    """Draw PNGs from the results: training curves, BM against AFS, and inference speed against parts."""
+    _needs_torch()
+    from motionkit.experiments.figures import write_figures
+
+    for path in write_figures(_read(results), output):
+        stdout_console().print(f"wrote {path}")
+
+
+@command.command("study")
+@click.argument("folder", type=click.Path(exists=True, path_type=Path, file_okay=False))
+@click.option(
+    "-o",
+    "--output",
+    default="study.html",
+    show_default=True,
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Page to write.",
+)
+@seed_option()
+def study_command(folder: Path, output: Path, seed: int) -> None:
+    """Write the page of a user study (paper section 5.4): one HTML file that raters open.
+
+    FOLDER has one folder for each group of motions: recording.bvh, and one BVH file per model, named after it. The
+    page shows the models without their names and in random order beside the recording, asks for a rank in five aspects
+    and for a score from 1 to 5, and saves the answers as a JSON file.
+    """
+    from motionkit.experiments.study import write_study
+
+    groups = write_study(folder, output, seed)
+    stdout_console().print(f"wrote {output}: {groups} groups of motions")
+
+
+@command.command("ttest")
+@click.argument(
+    "answers", nargs=-1, required=True, type=click.Path(exists=True, path_type=Path, dir_okay=False)
+)
+@click.option("--model", default="TPTN", show_default=True, help="Model that is compared with all others.")
+@json_option
+def ttest_command(answers: tuple[Path, ...], model: str, as_json: bool) -> None:
+    """Print the paper's tables 4 and 5 from ANSWERS of a study: mean, standard deviation, t and one-sided p."""
+    from motionkit.experiments.ttest import compare, read_answers, scores
+
+    found = scores(read_answers(answers))
+    if model not in found:
+        raise MotionkitError(f"no answers about {model!r}, expected one of {', '.join(sorted(found))}")
+    rows = [compare(found[model], rival) for name, rival in sorted(found.items()) if name != model]
+    if as_json:
+        facts = [
+            {"model": r.rival.name, "mean": r.rival.mean, "std": r.rival.deviation, "t": r.t, "p": r.p}
+            for r in rows
+        ]
+        mine = found[model]
+        print_json(
+            {
+                "model": model,
+                "mean": mine.mean,
+                "std": mine.deviation,
+                "raters": len(answers),
+                "against": facts,
+            }
+        )
+        return
+    from rich.table import Table
+
+    mine = found[model]
+    table = Table(title=f"{model}: mean {mine.mean:.3f}, std {mine.deviation:.3f}; {len(answers)} raters")
+    for name in ("against", "mean", "std", "t", "p (one-sided)"):
+        table.add_column(name, justify="left" if name == "against" else "right")
+    for r in rows:
+        table.add_row(
+            r.rival.name, f"{r.rival.mean:.3f}", f"{r.rival.deviation:.3f}", f"{r.t:.3f}", f"{r.p:.3e}"
+        )
+    stdout_console().print(table)
+
+
+def _read(results: Path) -> list[dict]:
+    from motionkit.experiments.runs import read_results
+
+    found = read_results(results) if results.exists() else []
+    if not found:
+        raise MotionkitError(f"{results}: no results yet; make some with motionkit experiment run")
+    return found

@@ -1,0 +1,161 @@
+"""The data sets of the experiments, defined here once: which clips of a dataset folder train and which test.
+
+The paper's D_L has 39 training and 9 test sequences with its first 15 motion types. Of these the free data has 13:
+there is no second whirlwind kick and no Chinese classical dance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.data.dataset import Clip, Dataset
+from motionkit.errors import DatasetError
+
+PAPER_TYPES = (
+    "idle", "walking", "running", "jumping-l", "jumping-r", "jumping-b", "b-walking", "kicking", "punching",
+    "w-kicking", "side-somersault", "twist", "cartwheel",
+)  # fmt: skip
+TRAIN_PER_TYPE = 3  # 3 x 13 types: the paper's 39 sequences
+LEAST_TEST = 60  # frames of a test sequence: 30 to begin with, and as many to compare
+DANCE = "dance-"
+
+
+@dataclass(frozen=True)
+class Selection:
+    """A data set: its name, what it is, and the choice of its clips."""
+
+    name: str
+    text: str
+    choose: Callable[[Dataset], tuple[list[Clip], list[Clip]]]
+
+
+def select(folder: Path, name: str) -> Dataset:
+    """Open a dataset folder with the clips of a data set only, the training clips without mirror images.
+
+    Raises:
+        DatasetError: if the data set is unknown, or has no training or test clips here.
+    """
+    if name not in SELECTIONS:
+        raise DatasetError(f"unknown data set {name!r}, expected one of {', '.join(SELECTIONS)}")
+    dataset = Dataset(folder)
+    train, test = SELECTIONS[name].choose(dataset)
+    if not train or not test:
+        raise DatasetError(
+            f"{folder}: no clips for the data set {name}: expected the types {', '.join(PAPER_TYPES)}"
+        )
+    dataset.clips = tuple(
+        [replace(c, split="train") for c in train] + [replace(c, split="test") for c in test]
+    )
+    return dataset
+
+
+def frames_of(dataset: Dataset, clip: Clip) -> dict[str, int]:
+    """Return the number of frames of each type in a clip."""
+    ids, counts = np.unique(dataset.clip_types(clip), return_counts=True)
+    return {dataset.types[i]: int(n) for i, n in zip(ids, counts, strict=True)}
+
+
+def _plain(dataset: Dataset, split: str) -> list[Clip]:
+    return [clip for clip in dataset.select(split) if not clip.mirrored]
+
+
+def _only(dataset: Dataset, clips: list[Clip], allowed: Callable[[str], bool]) -> list[Clip]:
+    return [clip for clip in clips if all(allowed(kind) for kind in frames_of(dataset, clip))]
+
+
+def _long(clips: list[Clip]) -> list[Clip]:
+    return [clip for clip in clips if clip.frames >= LEAST_TEST]
+
+
+def _with_mirrors(dataset: Dataset, train: list[Clip], test: list[Clip], types: set[str]) -> list[Clip]:
+    """Test clips with, for each type they lack, the mirror image of its longest training clip (paper section 3)."""
+    shown = {kind for clip in test for kind in frames_of(dataset, clip)}
+    out = list(test)
+    for kind in sorted(types - shown):
+        having = [clip for clip in _long(train) if kind in frames_of(dataset, clip)]
+        if having:
+            longest = max(having, key=lambda clip: frames_of(dataset, clip)[kind])
+            out.append(replace(longest, name=f"{longest.name} (mirrored)", mirrored=True))
+    return out
+
+
+def _d_l(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
+    """Per type the three training clips that show most of it, those with transitions first; test clips of all types."""
+
+    def known(kind: str) -> bool:
+        return kind in PAPER_TYPES
+
+    pool = _only(dataset, _plain(dataset, "train"), known)
+    train: list[Clip] = []
+    for kind in PAPER_TYPES:
+        having = [clip for clip in pool if kind in frames_of(dataset, clip) and clip not in train]
+        having.sort(
+            key=lambda clip: (-len(frames_of(dataset, clip)), -frames_of(dataset, clip)[kind], clip.name)
+        )
+        train += having[:TRAIN_PER_TYPE]
+    # Some types have fewer than three clips: the longest of the others fill up.
+    rest = sorted((clip for clip in pool if clip not in train), key=lambda clip: (-clip.frames, clip.name))
+    train += rest[: TRAIN_PER_TYPE * len(PAPER_TYPES) - len(train)]
+    tests = _with_mirrors(
+        dataset, train, _long(_only(dataset, _plain(dataset, "test"), known)), set(PAPER_TYPES)
+    )
+    return train, _covering(dataset, tests)
+
+
+def _covering(dataset: Dataset, clips: list[Clip]) -> list[Clip]:
+    """Choose clips until every type is shown, each time the clip with the most types that are still missing."""
+    missing = {kind for clip in clips for kind in frames_of(dataset, clip)}
+    out: list[Clip] = []
+    while missing:
+        best = max(
+            clips, key=lambda c: (len(missing & set(frames_of(dataset, c))), min(c.frames, 600), c.name)
+        )
+        out.append(best)
+        missing -= set(frames_of(dataset, best))
+    return out
+
+
+def _all(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
+    train = _plain(dataset, "train")
+    return train, _with_mirrors(dataset, train, _long(_plain(dataset, "test")), set(dataset.types))
+
+
+def _no_dances(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
+    def known(kind: str) -> bool:
+        return not kind.startswith(DANCE)
+
+    train = _only(dataset, _plain(dataset, "train"), known)
+    types = {kind for kind in dataset.types if known(kind)}
+    return train, _with_mirrors(dataset, train, _long(_only(dataset, _plain(dataset, "test"), known)), types)
+
+
+LOCOMOTION = ("idle", "walking", "running", "b-walking", "duck", "jumping-b")
+PFNN_TESTS = 5  # sequences that the paper holds out
+
+
+def _locomotion(dataset: Dataset) -> tuple[list[Clip], list[Clip]]:
+    def known(kind: str) -> bool:
+        return kind in LOCOMOTION
+
+    tests = _long(_only(dataset, _plain(dataset, "test"), known))
+    tests.sort(key=lambda clip: (-min(clip.frames, 600), clip.name))
+    return _only(dataset, _plain(dataset, "train"), known), tests[:PFNN_TESTS]
+
+
+SELECTIONS = {
+    each.name: each
+    for each in (
+        Selection("D_L", "39 training sequences of 13 types, and test sequences of all of them", _d_l),
+        Selection("all", "all training and test sequences", _all),
+        Selection("no-dances", "all sequences without dances", _no_dances),
+        Selection(
+            "locomotion",
+            "gaits alone and five test sequences, as the paper's comparison with PFNN",
+            _locomotion,
+        ),
+    )
+}

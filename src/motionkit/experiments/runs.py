@@ -1,0 +1,246 @@
+"""One run of an experiment: train, roll out, measure, and write one small JSON file. What is done is skipped."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import MotionkitError
+from motionkit.experiments.datasets import select
+from motionkit.experiments.derivatives import control_derivatives
+from motionkit.experiments.floors import FLOORS
+from motionkit.experiments.protocol import LONGEST, measure, model_continues, sequences_of
+from motionkit.experiments.variants import Variant, variant
+from motionkit.files import atomic_write
+from motionkit.models.architectures import network_class
+from motionkit.models.checkpoint import load_model
+from motionkit.models.model import MotionModel
+from motionkit.models.network import parameter_count
+from motionkit.training.options import TrainOptions
+from motionkit.training.presets import train_options
+from motionkit.training.trainer import TrainEvent, train
+
+CURVE_POINTS = 100  # of a training curve in a result
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What all runs of a call have in common: equal budgets.
+
+    Attributes:
+        data: the dataset folder.
+        selection: which data set of it (experiments/datasets.py).
+        budget: a name in BUDGETS.
+        steps: training steps; the budget's by default.
+        results, checkpoints: folders to write to.
+        longest: frames that are made of a test sequence at most.
+    """
+
+    data: Path
+    selection: str = "D_L"
+    budget: str = "cpu"
+    steps: int | None = None
+    results: Path = Path("experiments/results")
+    checkpoints: Path = Path("experiments/checkpoints")
+    longest: int = LONGEST
+    device: str = "auto"
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder for runs of this budget."""
+        return f"{self.selection}/{self.budget}" + ("" if self.steps is None else f"-{self.steps}")
+
+
+def slug(name: str) -> str:
+    """Return a variant's name as it stands in file names."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+
+
+def result_file(plan: Plan, each: Variant, seed: int) -> Path:
+    """Return where the result of a run is written."""
+    return plan.results / plan.folder / f"{slug(each.name)}-{seed}.json"
+
+
+def options_of(plan: Plan, each: Variant, seed: int) -> TrainOptions:
+    """Return the training options of a run: the budget's, with what the variant changes."""
+    return train_options(
+        each.preset,
+        steps=plan.steps,
+        budget=plan.budget,
+        config=dict(each.config),
+        seed=seed,
+        score_seconds=0.0,
+        log_every=10,
+        **each.options,
+    )
+
+
+def run_one(
+    plan: Plan, each: Variant, seed: int, say: Callable[[str], None], progress: Callable[[float], None]
+) -> Path:
+    """Do one run unless its result is there, and return its file.
+
+    Raises:
+        DatasetError: if the dataset does not fit.
+    """
+    file = result_file(plan, each, seed)
+    if file.exists():
+        return file
+    dataset = select(plan.data, plan.selection)
+    result: dict[str, Any] = {
+        "name": each.name,
+        "group": each.group,
+        "seed": seed,
+        "data": plan.selection,
+    }
+    if each.preset:
+        result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
+    else:
+        result |= _floor(plan, each, dataset, progress)
+    file.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(file, "w") as out:
+        out.write(json.dumps(result, indent=1) + "\n")
+    progress(1.0)
+    return file
+
+
+def run_all(
+    plan: Plan,
+    tasks: Sequence[tuple[Variant, int]],
+    jobs: int,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+) -> Iterator[Path]:
+    """Do runs of (variant, seed), some at a time in processes of their own, and yield each file as it is written."""
+    if jobs == 1:
+        for number, (each, seed) in enumerate(tasks):
+            say(f"{each.name}, seed {seed}")
+            yield run_one(plan, each, seed, say, lambda share, n=number: progress((n + share) / len(tasks)))  # type: ignore[misc]
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        futures = [pool.submit(_quiet_run, plan, each.name, seed) for each, seed in tasks]
+        for number, future in enumerate(as_completed(futures), 1):
+            yield future.result()
+            progress(number / len(tasks))
+
+
+def _quiet_run(plan: Plan, name: str, seed: int) -> Path:
+    return run_one(plan, variant(name), seed, lambda text: None, lambda share: None)
+
+
+def _trained(
+    plan: Plan,
+    each: Variant,
+    seed: int,
+    dataset: Dataset,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
+    options = options_of(plan, each, seed)
+    folder = plan.checkpoints / plan.folder
+    path = folder / f"{slug(each.name)}-{seed}.safetensors"
+    checkpoint = path.with_suffix(".run") / "checkpoint.safetensors"
+
+    def on_event(event: TrainEvent) -> None:
+        if event.kind == "note":
+            say(event.text)
+        if event.kind == "log" and options.steps:
+            progress(event.step / options.steps)
+
+    done = train(dataset, path, options, checkpoint.exists(), None, plan.device, on_event)
+    if not done.finished:
+        raise KeyboardInterrupt
+    model = load_model(path)
+    return {
+        "budget": {
+            "name": plan.budget,
+            "steps": done.steps,
+            "batch": options.batch,
+            "window": options.sampler.window,
+            "rate": options.optimizer.rate,
+        },
+        "parameters": parameter_count(network_class(model.config.architecture).from_weights(model.network)),
+        "losses": _final(path.with_suffix(".run") / "log.jsonl"),
+        "curve": _curve(path.with_suffix(".run") / "log.jsonl"),
+        **_tested(plan, dataset, model, seed),
+        "timing": {"seconds": round(done.seconds, 1), "machine": machine(plan.device)},
+    }
+
+
+def _tested(plan: Plan, dataset: Dataset, model: MotionModel, seed: int) -> dict[str, Any]:
+    sequences = sequences_of(dataset, plan.longest)
+    measured, _ = measure(dataset, model_continues(model, dataset, seed), sequences, lambda share: None)
+    return {
+        "longest": plan.longest,
+        **measured,
+        "derivatives": control_derivatives(model, dataset, sequences[0]),
+    }
+
+
+def _floor(plan: Plan, each: Variant, dataset: Dataset, progress: Callable[[float], None]) -> dict[str, Any]:
+    floor = FLOORS[each.name](dataset)
+    sequences = sequences_of(dataset, plan.longest)
+    measured, _ = measure(dataset, floor, sequences, progress)
+    return {"parameters": 0, "longest": plan.longest, **measured}
+
+
+def _log(path: Path) -> list[dict[str, Any]]:
+    """Return the lines of a training log, the last of those with the same step."""
+    lines = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+    return list({line["step"]: line for line in lines if line["kind"] == "log"}.values())
+
+
+def _final(path: Path) -> dict[str, float]:
+    """Return the means of each loss over the last tenth of the log."""
+    lines = _log(path)
+    last = lines[-max(1, len(lines) // 10) :]
+    names = [name for name in last[0] if name not in ("kind", "step", "seconds", "rate")]
+    return {name: float(f"{sum(line[name] for line in last) / len(last):.5g}") for name in names}
+
+
+def _curve(path: Path) -> list[list[float]]:
+    """Return [step, total loss] at up to CURVE_POINTS places, each the mean of the steps around it."""
+    lines = _log(path)
+    size = -(-len(lines) // CURVE_POINTS)
+    parts = [lines[i : i + size] for i in range(0, len(lines), size)]
+    return [
+        [part[-1]["step"], float(f"{sum(line['total'] for line in part) / len(part):.5g}")] for part in parts
+    ]
+
+
+def machine(device: str) -> str:
+    """Return the processor a run used, for people."""
+    if device.startswith("cuda") or (device == "auto" and torch.cuda.is_available()):
+        return torch.cuda.get_device_name()
+    return f"CPU, one thread ({platform.machine()})"
+
+
+def read_results(folder: Path) -> list[dict[str, Any]]:
+    """Return all results below a folder, by data set, budget, name and seed.
+
+    Raises:
+        MotionkitError: for a file that is none.
+    """
+    out = []
+    for path in sorted(folder.rglob("*.json")):
+        try:
+            result = json.loads(path.read_text("utf-8"))
+            result["folder"] = path.parent.relative_to(folder).as_posix()
+            result["name"], result["seed"]
+        except (ValueError, KeyError, TypeError) as error:
+            raise MotionkitError(
+                f"{path}: not the result of an experiment ({error}); delete it and run it again"
+            ) from None
+        out.append(result)
+    return out

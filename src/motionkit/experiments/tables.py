@@ -1,0 +1,304 @@
+"""Results as tables, in Markdown and LaTeX, the paper's figure beside ours. Nothing is trained here."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from motionkit.experiments.datasets import SELECTIONS
+from motionkit.experiments.paper import BODY_MOVEMENT, paper_row
+from motionkit.experiments.variants import VARIANTS, Variant
+
+Results = Sequence[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of figures.
+
+    Attributes:
+        metric: its id in results.
+        title: with its unit.
+        goal: "truth" if the best value is nearest to the recorded one, "low" or "high".
+        digits: after the point.
+        paper: place in the paper's rows, -1 for none.
+    """
+
+    metric: str
+    title: str
+    goal: str
+    digits: int
+    paper: int = -1
+
+
+MAIN = (
+    Column("bm-euler", "BM (deg/frame)", "truth", 1, 0),
+    Column("afs", "AFS (cm/frame)", "low", 3, 1),
+    Column("ssim-channel", "SSIM", "high", 3, 2),
+    Column("mpjpe", "MPJPE (cm)", "low", 2, 3),
+    Column("path-mean", "path (cm/frame)", "low", 2),
+)
+RESEARCH = (
+    Column("l2p", "L2P (cm)", "low", 1),
+    Column("l2q", "L2Q", "low", 3),
+    Column("npss", "NPSS", "low", 3),
+    Column("skate-ratio", "foot skate", "low", 3),
+    Column("jerk", "jerk (m/s³)", "truth", 0),
+)
+PARTS_MOVED = (
+    Column("bm-upper", "BM of the upper body", "truth", 1),
+    Column("bm-lower", "BM of the lower body", "truth", 1),
+)
+GROUP_TITLES = {
+    "parts": "Body parts (paper table 6)",
+    "fusion": "Feature fusion and consistency loss (paper table 7)",
+    "memory": "Receptive field and backbone (paper table 8)",
+    "losses": "Losses and data (paper table 9)",
+    "baselines": "Networks of other papers, and floors (paper tables 1 to 3)",
+}
+
+
+@dataclass(frozen=True)
+class Figure:
+    """The mean of a figure over seeds, its standard deviation, and how many seeds there are."""
+
+    mean: float
+    spread: float
+    seeds: int
+
+
+@dataclass(frozen=True)
+class TextTable:
+    """A table of text: title, header, rows."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
+
+def figure_of(results: Results, metric: str, group: str = "all", recorded: bool = False) -> Figure | None:
+    """Return a metric's figure over results of one variant; None where no run has it."""
+    values = []
+    for result in results:
+        pair = result["groups"].get(group, {}).get(metric)
+        if pair is not None and pair[recorded] is not None:
+            values.append(float(pair[recorded]))
+    return _figure(values)
+
+
+def _figure(values: Sequence[float]) -> Figure | None:
+    if not values:
+        return None
+    mean = sum(values) / len(values)
+    spread = math.sqrt(sum((v - mean) ** 2 for v in values) / (len(values) - 1)) if len(values) > 1 else 0.0
+    return Figure(mean, spread, len(values))
+
+
+def clear_best(figures: dict[str, Figure], column: Column, truth: Figure | None) -> str | None:
+    """Return who is best by more than the spread over seeds, None if nobody is or the seeds cannot tell."""
+
+    def loss(figure: Figure) -> float:
+        if column.goal == "truth":
+            return abs(figure.mean - truth.mean) if truth else math.inf
+        return figure.mean if column.goal == "low" else -figure.mean
+
+    ranked = sorted(figures, key=lambda name: loss(figures[name]))
+    if len(ranked) < 2:
+        return None
+    first, second = figures[ranked[0]], figures[ranked[1]]
+    if min(first.seeds, second.seeds) < 2:
+        return None
+    return ranked[0] if loss(second) - loss(first) > max(first.spread, second.spread) else None
+
+
+def tables(results: Results) -> list[TextTable]:
+    """Return all tables: for each data set and budget the groups of variants, beside TPTN."""
+    out = []
+    for folder in sorted({result["folder"] for result in results}):
+        here = [result for result in results if result["folder"] == folder]
+        out += _folder_tables(folder, here)
+    return out
+
+
+def _folder_tables(folder: str, results: Results) -> list[TextTable]:
+    by_name: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for result in results:
+        by_name[result["name"]].append(result)
+    selection = results[0]["data"]
+    out = []
+    for group, title in GROUP_TITLES.items():
+        members = [
+            v
+            for v in VARIANTS
+            if v.group in (group, "tptn") or (group == "baselines" and v.group == "floors")
+        ]
+        present = [v for v in members if v.name in by_name]
+        if not any(v.group != "tptn" for v in present):
+            continue
+        columns = (*MAIN, *PARTS_MOVED) if group == "fusion" else MAIN
+        out.append(_table(f"{title}: {_named(folder)}", selection, present, by_name, columns))
+        if group == "baselines":
+            for part in ("non-dance", "dance"):
+                if any(part in r["groups"] for r in results) and any("dance" in r["groups"] for r in results):
+                    out.append(
+                        _table(f"{title}, {part}: {_named(folder)}", selection, present, by_name, MAIN, part)
+                    )
+            out.append(
+                _table(f"Metrics of other papers: {_named(folder)}", selection, present, by_name, RESEARCH)
+            )
+            out.append(_distribution(f"Sets of motions: {_named(folder)}", present, by_name))
+    out.append(_derivatives(f"Derivatives of the predicted trajectory: {_named(folder)}", by_name))
+    return [table for table in out if table.rows]
+
+
+def _named(folder: str) -> str:
+    selection, _, budget = folder.partition("/")
+    return f"{selection}, budget {budget}"
+
+
+def _table(
+    title: str,
+    selection: str,
+    variants: Sequence[Variant],
+    by_name: dict[str, list[dict[str, Any]]],
+    columns: tuple[Column, ...],
+    part: str = "all",
+) -> TextTable:
+    truths = {c.metric: figure_of(by_name[variants[0].name], c.metric, part, recorded=True) for c in columns}
+    found = {
+        c.metric: {v.name: f for v in variants if (f := figure_of(by_name[v.name], c.metric, part))}
+        for c in columns
+    }
+    best = {c.metric: clear_best(found[c.metric], c, truths[c.metric]) for c in columns}
+    rows = [("recorded", "", "", *(_recorded_cell(truths[c.metric], c, selection) for c in columns))]
+    for v in variants:
+        cells = []
+        for c in columns:
+            text = _cell(found[c.metric].get(v.name), c.digits)
+            text = f"**{text}**" if best[c.metric] == v.name else text
+            cells.append(_beside(text, _paper_value(selection, v.name, c)))
+        rows.append((v.name, str(len(by_name[v.name])), _parameters(v, by_name[v.name]), *cells))
+    return TextTable(title, ("", "seeds", "parameters (M)", *(c.title for c in columns)), tuple(rows))
+
+
+def _paper_value(selection: str, name: str, column: Column) -> float | str:
+    if column in PARTS_MOVED:
+        pair = BODY_MOVEMENT.get(name) if selection == "D_L" else None
+        return "" if pair is None else pair[PARTS_MOVED.index(column)]
+    row = paper_row(selection, name)
+    return "" if row is None or column.paper < 0 else row[column.paper]
+
+
+def _recorded_cell(figure: Figure | None, column: Column, selection: str) -> str:
+    return _beside(_cell(figure, column.digits), _paper_value(selection, "recorded", column))
+
+
+def _cell(figure: Figure | None, digits: int) -> str:
+    if figure is None:
+        return "-"
+    spread = f" ± {figure.spread:.{digits}f}" if figure.seeds > 1 and figure.spread > 0.0 else ""
+    return f"{figure.mean:.{digits}f}{spread}"
+
+
+def _beside(ours: str, paper: float | str) -> str:
+    return f"{ours} ({paper:g})" if isinstance(paper, float) else ours
+
+
+def _parameters(v: Variant, results: Results) -> str:
+    ours = f"{results[0]['parameters'] / 1e6:.2f}" if results[0]["parameters"] else "-"
+    return ours if v.paper_parameters is None else f"{ours} ({v.paper_parameters:g})"
+
+
+def _distribution(
+    title: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]
+) -> TextTable:
+    rows = []
+    for v in variants:
+        values = {
+            k: _figure([r["distribution"][k] for r in by_name[v.name]]) for k in ("fid-pose", "diversity")
+        }
+        rows.append((v.name, _cell(values["fid-pose"], 2), _cell(values["diversity"], 2)))
+    recorded = _figure([by_name[variants[0].name][0]["distribution"]["diversity-gt"]])
+    rows.insert(0, ("recorded", "0.00", _cell(recorded, 2)))
+    return TextTable(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
+
+
+def _derivatives(title: str, by_name: dict[str, list[dict[str, Any]]]) -> TextTable:
+    rows = []
+    for v in VARIANTS:
+        found = [r["derivatives"] for r in by_name.get(v.name, []) if r.get("derivatives")]
+        if found:
+            gains = (_figure([d[key] for d in found]) for key in ("trajectory", "features"))
+            rows.append((v.name, *(_cell(gain, 2) for gain in gains)))
+    return TextTable(title, ("", "by the trajectory fed in", "by the features fed in"), tuple(rows))
+
+
+def budget_lines(results: Results) -> list[str]:
+    """Say in a line per folder what its runs were given, and how many there are."""
+    lines = []
+    for folder in sorted({result["folder"] for result in results}):
+        here = [r for r in results if r["folder"] == folder]
+        trained = [r for r in here if "budget" in r]
+        selection = SELECTIONS[here[0]["data"]]
+        line = f"**{_named(folder)}**: {selection.text}; {len(here)} results."
+        if trained:
+            b = trained[0]["budget"]
+            seconds = sorted(r["timing"]["seconds"] for r in trained)
+            minutes = f"{seconds[0] / 60:.0f} to {seconds[-1] / 60:.0f} minutes"
+            line += (
+                f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
+                f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
+            )
+        lines.append(f"{line} At most {here[0]['longest']} frames are made of a sequence.")
+    return lines
+
+
+def missing(results: Results, folder: str) -> list[str]:
+    """Return the variants, with how many runs, that a folder still lacks."""
+    seeds: dict[str, set[int]] = defaultdict(set)
+    for result in results:
+        if result["folder"] == folder:
+            seeds[result["name"]].add(result["seed"])
+    lacking = [(v.name, v.seeds - len(seeds[v.name])) for v in VARIANTS]
+    return [f"{name} ({count})" if count > 1 else name for name, count in lacking if count > 0]
+
+
+def markdown(table: TextTable) -> str:
+    """Return a table in Markdown."""
+    lines = [f"### {table.title}", "", _row(table.header), _row(["---"] * len(table.header))]
+    return "\n".join([*lines, *(_row(row) for row in table.rows)]) + "\n"
+
+
+def _row(cells: Iterable[str]) -> str:
+    return "| " + " | ".join(cells) + " |"
+
+
+def latex(table: TextTable) -> str:
+    """Return a table in LaTeX (booktabs)."""
+
+    def cell(text: str) -> str:
+        if text.startswith("**"):
+            inner, _, rest = text[2:].partition("**")
+            text = f"\\textbf{{{inner}}}{rest}"
+        for sign, code in (("±", "$\\pm$"), ("³", "$^3$"), ("_", "\\_"), ("%", "\\%")):
+            text = text.replace(sign, code)
+        return text
+
+    rows = [" & ".join(map(cell, row)) + r" \\" for row in table.rows]
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\begin{{tabular}}{{l{'c' * (len(table.header) - 1)}}}",
+        r"\toprule",
+        " & ".join(map(cell, table.header)) + r" \\",
+        r"\midrule",
+        *rows,
+        r"\bottomrule",
+        r"\end{tabular}",
+        rf"\caption{{{cell(table.title)}}}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,134 @@
+"""The t-test of a user study: answers of raters -> the paper's tables 4 and 5."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motionkit.errors import MotionkitError
+from motionkit.files import read_json
+
+FORMAT = "motionkit-study-1"
+SCORES = range(1, 6)
+
+
+@dataclass(frozen=True)
+class Score:
+    """How raters liked what one model made: means of sequences, their mean, deviation, and number."""
+
+    name: str
+    values: tuple[float, ...]
+
+    @property
+    def mean(self) -> float:
+        """The mean over sequences."""
+        return sum(self.values) / len(self.values)
+
+    @property
+    def deviation(self) -> float:
+        """The standard deviation over sequences."""
+        return math.sqrt(sum((v - self.mean) ** 2 for v in self.values) / (len(self.values) - 1))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """A t-test of one model against another: t, one-sided p, and degrees of freedom."""
+
+    rival: Score
+    t: float
+    p: float
+    freedom: int
+
+
+def read_answers(paths: Sequence[Path]) -> list[dict[str, Any]]:
+    """Return the answers in files that `experiment study` pages saved.
+
+    Raises:
+        MotionkitError: a file is none, or a score is not one of 1 to 5.
+    """
+    out = []
+    for path in paths:
+        answers = read_json(path, "the answers of a study", MotionkitError)
+        if not isinstance(answers, dict) or answers.get("format") != FORMAT:
+            raise MotionkitError(f"{path}: not the answers of a study, expected the format {FORMAT!r}")
+        groups = answers.get("answers")
+        if not isinstance(groups, list) or not groups:
+            raise MotionkitError(f"{path}: no answers, expected a list of them")
+        for entry in groups:
+            score = entry.get("score") if isinstance(entry, dict) else None
+            if isinstance(score, bool) or score not in SCORES:
+                raise MotionkitError(f"{path}: the score {score!r:.40}, expected a number from 1 to 5")
+            if not all(isinstance(entry.get(key), str) for key in ("group", "model")):
+                raise MotionkitError(
+                    f"{path}: an answer without its group or model: {json.dumps(entry)[:80]}"
+                )
+        out.append(answers)
+    return out
+
+
+def scores(answers: Sequence[dict[str, Any]]) -> dict[str, Score]:
+    """Return each model's mean score per sequence over all raters (the paper's samples)."""
+    collected: dict[str, dict[str, list[int]]] = defaultdict(lambda: defaultdict(list))
+    for each in answers:
+        for entry in each["answers"]:
+            collected[entry["model"]][entry["group"]].append(entry["score"])
+    return {
+        model: Score(model, tuple(sum(v) / len(v) for _, v in sorted(groups.items())))
+        for model, groups in collected.items()
+    }
+
+
+def compare(first: Score, rival: Score) -> Comparison:
+    """Test whether the first model's mean is larger, by Student's t of two samples of equal variance.
+
+    Raises:
+        MotionkitError: a model has fewer than two sequences, or no score differs from another.
+    """
+    m, n = len(first.values), len(rival.values)
+    if min(m, n) < 2:
+        raise MotionkitError(f"a t-test needs 2 sequences of each model, found {m} and {n}")
+    freedom = m + n - 2
+    pooled = ((m - 1) * first.deviation**2 + (n - 1) * rival.deviation**2) / freedom
+    if pooled == 0.0:
+        raise MotionkitError(
+            f"all scores of {first.name} are the same, and all of {rival.name}: nothing to test"
+        )
+    t = (first.mean - rival.mean) / math.sqrt(pooled * (1.0 / m + 1.0 / n))
+    return Comparison(rival, t, upper_tail(t, freedom), freedom)
+
+
+def upper_tail(t: float, freedom: int) -> float:
+    """Return the probability that Student's t with so many degrees of freedom exceeds t."""
+    tail = 0.5 * _incomplete_beta(0.5 * freedom, 0.5, freedom / (freedom + t * t))
+    return tail if t > 0 else 1.0 - tail
+
+
+def _incomplete_beta(a: float, b: float, x: float) -> float:
+    """The regularised incomplete beta function, by Lentz's continued fraction (DLMF 8.17.22)."""
+    if x <= 0.0 or x >= 1.0:
+        return min(max(x, 0.0), 1.0)
+    if x > (a + 1.0) / (a + b + 2.0):
+        return 1.0 - _incomplete_beta(b, a, 1.0 - x)
+    front = math.exp(
+        math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x)
+    )
+    tiny = 1e-300
+    c, d = 1.0, 1.0 / max(abs(1.0 - (a + b) * x / (a + 1.0)), tiny)
+    d = d if 1.0 - (a + b) * x / (a + 1.0) > 0 else -d
+    total = d
+    for m in range(1, 500):
+        for numerator in (
+            m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)),
+            -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0)),
+        ):
+            d = 1.0 / (1.0 + numerator * d or tiny)
+            c = 1.0 + numerator / c or tiny
+            total *= c * d
+        if abs(c * d - 1.0) < 1e-14:
+            break
+    return front * total / a

@@ -1,0 +1,67 @@
+"""Metrics of motion prediction: L2P and L2Q (Harvey et al. 2020), and NPSS (Gopalakrishnan et al. 2019)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.errors import MotionkitError
+from motionkit.metrics.similarity import joint_expmaps
+from motionkit.metrics.value import MetricValue
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+
+
+def position_distance(motion: Motion, truth: Motion) -> MetricValue:
+    """L2P in cm: the Euclidean distance of all joints' world positions as one vector, averaged over frames.
+
+    Harvey et al. divide positions by their deviations in the training set; here they are in cm.
+
+    Raises:
+        MotionkitError: the motions differ in length.
+    """
+    _same_length(motion, truth)
+    places = [motion_kinematics(each)[1].astype(np.float64) for each in (motion, truth)]
+    gaps = (places[0] - places[1]).reshape(len(motion), -1)
+    return MetricValue("l2p", float(np.linalg.norm(gaps, axis=1).mean()), "cm")
+
+
+def rotation_distance(motion: Motion, truth: Motion) -> MetricValue:
+    """L2Q: the Euclidean distance of all joints' world quaternions as one vector, averaged over frames.
+
+    A quaternion and its negative are the same rotation: the nearer of the two is compared.
+
+    Raises:
+        MotionkitError: the motions differ in length.
+    """
+    _same_length(motion, truth)
+    mine, theirs = (motion_kinematics(each)[0].astype(np.float64) for each in (motion, truth))
+    signs = np.where((mine * theirs).sum(-1, keepdims=True) < 0.0, -1.0, 1.0)
+    gaps = (mine - signs * theirs).reshape(len(motion), -1)
+    return MetricValue("l2q", float(np.linalg.norm(gaps, axis=1).mean()), "")
+
+
+def power_spectrum_similarity(motion: Motion, truth: Motion) -> MetricValue:
+    """NPSS: the earth mover's distance of normalised power spectra of joint angles, weighted by the true power.
+
+    Each column of the exponential maps is one signal over the whole sequence; 0 is the same spectrum.
+
+    Raises:
+        MotionkitError: the motions differ in length.
+    """
+    _same_length(motion, truth)
+    made, real = (_power(joint_expmaps(each).reshape(len(each), -1)) for each in (motion, truth))
+    shares = [each / np.maximum(each.sum(axis=0), 1e-12) for each in (made, real)]
+    moved = np.abs(np.cumsum(shares[0], axis=0) - np.cumsum(shares[1], axis=0)).sum(axis=0)
+    weights = real.sum(axis=0)
+    return MetricValue("npss", float((moved * weights).sum() / max(float(weights.sum()), 1e-12)), "")
+
+
+def _power(signals: Array) -> Array:
+    """Power (F, C) at each frequency of signals (T, C)."""
+    return np.square(np.abs(np.fft.rfft(signals.astype(np.float64), axis=0)))
+
+
+def _same_length(motion: Motion, truth: Motion) -> None:
+    if len(motion) != len(truth):
+        raise MotionkitError(f"expected motions of one length, found {len(motion)} and {len(truth)} frames")

@@ -1,0 +1,166 @@
+"""Every variant and baseline runs for a few steps and gives a result; the same seed gives the same figures."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.errors import DatasetError, MotionkitError
+from motionkit.experiments import runs
+from motionkit.experiments.datasets import SELECTIONS, Selection, select
+from motionkit.experiments.protocol import METRICS, sequences_of
+from motionkit.experiments.runs import Plan, read_results, result_file, run_one
+from motionkit.experiments.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
+from motionkit.training.presets import train_options
+
+# Fields that make networks small; what a variant changes stays.
+SMALL: dict[str, dict[str, Any]] = {
+    "tptn-paper": {
+        "width": 48, "heads": 4, "ffn": 96, "layers": 1, "control_width": 16, "control_embedding": 16,
+        "shared_channels": 12,
+    },
+    "pfnn": {"hidden": 16},
+    "mvae": {"hidden": 16, "gate": 8, "latent": 4, "experts": 2},
+    "htss": {"part": 4, "limb": 8, "body": 16, "decoder": 8},
+    "neural-layering": {"hidden": 16, "gate": 8, "experts": 2},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def paper_folder(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("laboratory") / "motion"
+    preprocess(
+        [clips_folder],
+        folder,
+        PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True, smooth=False),
+    )
+    return folder
+
+
+@pytest.fixture
+def plan(paper_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
+    """A plan of 20 small steps on all sequences."""
+
+    def small(plan: Plan, each: Variant, seed: int):
+        sizes = SMALL[each.preset] | {k: v for k, v in each.config.items() if k not in SMALL[each.preset]}
+        changes = {"batch": 2, "window": 16, "precision": "float32", "score_seconds": 0.0, "log_every": 5}
+        return train_options(
+            each.preset, steps=plan.steps, config=sizes, seed=seed, **changes, **each.options
+        )
+
+    monkeypatch.setattr(runs, "options_of", small)
+    folders = {"results": tmp_path / "results", "checkpoints": tmp_path / "checkpoints"}
+    return Plan(paper_folder, "all", steps=20, longest=30, device="cpu", **folders)
+
+
+def run(plan: Plan, each: Variant, seed: int = 0) -> dict[str, Any]:
+    return json.loads(run_one(plan, each, seed, lambda text: None, lambda share: None).read_text())
+
+
+# One of each kind in the default run, all of them with -m slow.
+QUICK = ("TPTN", "CrossAttn", "MVAE", "last frame", "motion matching")
+SMOKE = [pytest.param(v, id=v.name, marks=() if v.name in QUICK else pytest.mark.slow) for v in VARIANTS]
+
+
+@pytest.mark.parametrize("each", SMOKE)
+def test_every_variant_runs(plan: Plan, each: Variant) -> None:
+    result = run(plan, each)
+    assert result["name"] == each.name and result["group"] in GROUPS
+    everything = result["groups"]["all"]
+    assert {*METRICS, "bm-upper", "bm-lower", "l2p", "l2q", "npss"} == set(everything)
+    assert all(
+        value is not None for metric in ("bm-euler", "mpjpe", "ssim-channel") for value in everything[metric]
+    )
+    assert result["sequences"] and set(result["distribution"]) == {"fid-pose", "diversity", "diversity-gt"}
+    if each.preset:
+        assert result["budget"]["steps"] == 20 and result["parameters"] > 0 and len(result["curve"]) == 4
+    assert ("derivatives" in result) == bool(each.preset)
+
+
+def test_the_same_seed_gives_the_same_figures(plan: Plan, tmp_path: Path) -> None:
+    each = variant("MVAE")
+    again = replace(plan, results=tmp_path / "again", checkpoints=tmp_path / "again-checkpoints")
+    one, two, other = run(plan, each), run(again, each), run(plan, each, seed=1)
+    for result in (one, two, other):
+        del result["timing"]
+    assert one == two
+    assert one["groups"] != other["groups"]
+
+
+def test_what_is_done_is_skipped_and_what_was_stopped_continues(plan: Plan) -> None:
+    each = variant("MVAE")
+    stopped = replace(plan, steps=10)
+    first = run(stopped, each)
+    file = result_file(stopped, each, 0)
+    stamp = file.stat().st_mtime_ns
+    assert run(stopped, each) == first and file.stat().st_mtime_ns == stamp
+    # The checkpoint of the shorter run stands where the longer one looks for its own.
+    source, target = (p.checkpoints / p.folder for p in (stopped, plan))
+    target.parent.mkdir(parents=True, exist_ok=True)
+    source.rename(target)
+    assert run(plan, each)["budget"]["steps"] == 20
+    log = (target / "mvae-0.run" / "log.jsonl").read_text()
+    assert [json.loads(line)["step"] for line in log.splitlines() if '"log"' in line] == [5, 10, 15, 20]
+
+
+def test_results_are_read_back_and_broken_ones_named(plan: Plan) -> None:
+    run(plan, variant("last frame"))
+    (read,) = read_results(plan.results)
+    assert read["folder"] == "all/cpu-20" and read["name"] == "last frame"
+    (plan.results / "all" / "cpu-20" / "odd.json").write_text("{")
+    with pytest.raises(MotionkitError, match=r"odd\.json: not the result of an experiment"):
+        read_results(plan.results)
+
+
+# ---- the tables of variants and data sets ----
+
+
+def test_names_groups_and_all() -> None:
+    assert [v.name for v in chosen(("fusion", "tptn"))] == ["TPTN", "w/o-FFL", "CrossAttn", "w/o-CL"]
+    assert len(chosen(("all",))) == len(VARIANTS) == len({v.name for v in VARIANTS})
+    assert chosen(("W/O-ffl",))[0].name == "w/o-FFL"
+    with pytest.raises(MotionkitError, match="unknown experiment 'nobody'"):
+        chosen(("nobody",))
+
+
+@pytest.mark.parametrize("each", [v for v in VARIANTS if v.paper_parameters], ids=lambda each: each.name)
+def test_parameters_are_near_the_papers(each: Variant) -> None:
+    if each.name == "NeuralLayering":  # the number of its experts is not known
+        assert parameters(each) < 1e6 * (each.paper_parameters or 0.0)
+    else:
+        assert parameters(each) / 1e6 == pytest.approx(each.paper_parameters, rel=0.1)
+
+
+def test_a_training_set_has_no_test_sequence(paper_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    dataset = select(paper_folder, "all")
+    train, test = dataset.select("train"), dataset.select("test")
+    assert train and test and not any(clip.mirrored for clip in train)
+    assert not {(c.name, c.mirrored) for c in train} & {(c.name, c.mirrored) for c in test}
+    assert all(s.frames >= 30 and s.initial in (30, 87) for s in sequences_of(dataset, 100))
+    with pytest.raises(DatasetError, match="unknown data set 'none'"):
+        select(paper_folder, "none")
+    monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
+    with pytest.raises(DatasetError, match="no clips for the data set empty"):
+        select(paper_folder, "empty")
+
+
+def test_types_without_a_test_clip_are_tested_on_a_mirror_image(paper_folder: Path) -> None:
+    dataset = select(paper_folder, "all")
+    shown = {
+        dataset.types[k] for clip in dataset.select("test") for k in set(dataset.clip_types(clip).tolist())
+    }
+    trained = {
+        dataset.types[k] for clip in dataset.select("train") for k in set(dataset.clip_types(clip).tolist())
+    }
+    long = {
+        dataset.types[k]
+        for clip in dataset.select("train")
+        if clip.frames >= 60
+        for k in set(dataset.clip_types(clip).tolist())
+    }
+    assert long <= shown and trained
