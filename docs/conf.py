@@ -131,9 +131,14 @@ def generate(app: Any) -> None:
 
 def api_page() -> str:
     """The public names of `import motionkit as mk`, from their docstrings."""
-    functions, classes = [], []
+    functions, classes, lacking = [], [], []
     for name in sorted(set(motionkit.__all__) - {"__version__"}, key=str.lower):
-        (classes if inspect.isclass(getattr(motionkit, name)) else functions).append(name)
+        try:
+            found = getattr(motionkit, name)
+        except motionkit.MotionkitError:  # an extra that this build does without
+            lacking.append(name)
+            continue
+        (classes if inspect.isclass(found) else functions).append(name)
     lines = [
         "# Python API",
         "",
@@ -151,6 +156,14 @@ def api_page() -> str:
             if directive == "autoclass":
                 lines += ["   :members:", "   :member-order: bysource"]
             lines += ["```", ""]
+    if lacking:
+        listed = ", ".join(f"`{name}`" for name in lacking)
+        lines += [
+            "## With torch",
+            "",
+            f"This site was built without torch, which {listed} need to be described.",
+            "",
+        ]
     return "\n".join(lines)
 
 

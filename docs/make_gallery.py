@@ -26,6 +26,7 @@ from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.view.figure_data import Shown, figure_data, in_metres, rig_data
 from motionkit.view.viewer import page_asset
 
+ROOT = Path(__file__).resolve().parents[1]
 SECONDS = 4  # of a type that goes on as long as one likes
 PATHS = (
     ("Circle, running", "circle --types running"),
@@ -36,6 +37,10 @@ TRANSITIONS = (
     ("Walk, cartwheel, walk", "walking:2,cartwheel,walking:2"),
     ("Run, stop, dance", "running:2,idle:1,dance-salsa:4"),
     ("Kick, punch, backflip", "kicking:2,punching:2,backflip"),
+)
+RIGS = (
+    ("Walk and punch on the rig of a CMU file", "walking:2,punching:2", "examples/data/49_06.bvh"),
+    ("Salsa on the rig of another person", "dance-salsa:4", "examples/data/16_05.bvh"),
 )
 HEAD = """# Gallery
 
@@ -62,6 +67,7 @@ def loops() -> list[Loop]:
     types = load_bundled_model().types
     made = [Loop(name, "Types", f"synthesize --types {_asked(name, kind)}") for name, kind in types.items()]
     made += [Loop(name, "Transitions", f"synthesize --types {words}") for name, words in TRANSITIONS]
+    made += [Loop(name, "Own rigs", f"synthesize --types {words} --rig {rig}") for name, words, rig in RIGS]
     return made + [Loop(name, "Paths", f"follow-path {words}") for name, words in PATHS]
 
 
@@ -82,7 +88,7 @@ def make_gallery(folder: Path) -> None:
     for loop in every:
         shown = _make(loop)
         rig = rig or rig_data(in_metres(shown.motion)[0])
-        data = {name: value for name, value in figure_data(shown).items() if name not in rig}
+        data = {name: value for name, value in figure_data(shown).items() if rig.get(name) != value}
         (scripts / f"{loop.key}.js").write_text(
             f"loopData({json.dumps(loop.key)}, {_text(data)});\n", "utf-8"
         )
@@ -98,7 +104,9 @@ def _make(loop: Loop) -> Shown:
     """The motion that a loop's command writes."""
     with tempfile.TemporaryDirectory() as place:
         file = Path(place) / "loop.bvh"
-        done = CliRunner().invoke(cli, [*shlex.split(loop.words), "-o", str(file)])
+        done = CliRunner().invoke(
+            cli, [*shlex.split(loop.words.replace("examples/", f"{ROOT}/examples/")), "-o", str(file)]
+        )
         if done.exit_code != 0:
             raise RuntimeError(f"motionkit {loop.words}: {done.output or done.exception}")
         return Shown(loop.name, bvh_to_motion(read_bvh(file)))
