@@ -138,3 +138,17 @@ def test_names_that_contradict_the_shape_are_doubted() -> None:
     found = map_rig(renamed(walk(1), swapped).skeleton)
     assert found.places["LeftArm"] == JOINT_NAMES.index("LeftForeArm")
     assert found.sure("LeftArm") < 0.2 and found.sure("LeftLeg") == 1.0
+
+
+def test_a_helper_on_the_neck_is_no_face() -> None:
+    """A mesh joint close to the neck does not make the neck a head, nor a stub behind a hand a hand of its own."""
+    source = canonical_skeleton()
+    names = tuple(f"n{joint}" for joint in range(len(source) + 1))
+    offsets = np.concatenate([source.offsets, np.array([[-0.1, 0.0, 1.0]], np.float32)])
+    ends = dict(source.end_sites)
+    for side in ("Left", "Right"):
+        ends[JOINT_NAMES.index(f"{side}Hand")] = (0.3, 0.1, 0.9)
+    parents = (*source.parents, JOINT_NAMES.index("Neck"))
+    found = map_rig(Skeleton(names, parents, offsets, ends))
+    for name in ("Neck", "Head", "LeftHand", "RightHand"):
+        assert JOINT_NAMES[found.places[name]] == name

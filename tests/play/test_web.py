@@ -22,9 +22,10 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
+from motionkit.export.on_rig import read_rig
 from motionkit.inference.character import CharacterStream
 from motionkit.models.model import MotionModel
-from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.rotations import quat_angle
 from motionkit.play.client import Client, TooManyMessages
 from motionkit.play.frames import WorldFrame
@@ -33,6 +34,7 @@ from motionkit.play.live import Live
 from motionkit.play.requests import parse_request
 from motionkit.play.session import Session
 from play.conftest import PATIENCE, Running, Web
+from synthetic_rigs import FAMILIES, renamed, walk
 
 
 @pytest.fixture(autouse=True)
@@ -411,10 +413,25 @@ def test_a_client_that_takes_nothing_in_is_closed(serve: Callable, monkeypatch: 
         assert server.ask(lambda: server.server.live.clients) == {}
 
 
+def test_a_recording_on_a_users_rig(serve: Callable, web: Callable, tmp_path: Path) -> None:
+    write_bvh(tmp_path / "my.bvh", renamed(walk(2), FAMILIES["unreal"]).scaled(0.01))
+    server = serve(rig=read_rig(tmp_path / "my.bvh"))
+    client = web(server)
+    mine = client.hello["character"]
+    client.ask(do="record", on=True)
+    client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
+    client.ask(do="record", on=False)
+    event = client.until("recorded")
+    status, _, body = get(server, event["url"])
+    assert status == 200
+    assert body.decode().split("MOTION")[0] == (tmp_path / "my.bvh").read_text().split("MOTION")[0]
+    assert f"Frames: {event['frames']}" in body.decode()
+
+
 def test_recordings_do_not_pile_up(serve: Callable, web: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
-    def slow(_: object) -> bytes:
+    def slow(*_: object) -> bytes:
         begun.set()
         assert go_on.wait(PATIENCE)
         return b"HIERARCHY"

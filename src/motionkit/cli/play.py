@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import remark, say, visible
+from motionkit.cli.rig_options import RigChoice, rig_options
 from motionkit.cli.synthesis_options import reference_option
 
 
@@ -74,6 +75,7 @@ def _visible_log() -> Iterator[None]:
 @click.option(
     "--vmc", metavar="HOST:PORT", callback=_target, help="Also send one character as VMC (OSC over UDP)."
 )
+@rig_options
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
 def command(
     model_path: Path | None,
@@ -85,12 +87,13 @@ def command(
     headless: bool,
     tcp: int | None,
     vmc: tuple[str, int] | None,
+    choice: RigChoice,
     as_json: bool,
 ) -> None:
     """Steer characters live: start a server on this machine and open its page.
 
-    Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). Ctrl-C
-    stops the server.
+    Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). With --rig,
+    recordings are on the rig of that file. Ctrl-C stops the server.
     """
     try:
         import websockets  # noqa: F401
@@ -129,7 +132,7 @@ def command(
             open_in_browser(addresses.url)
 
     session = Session(open_model(model_path, reference), character)
-    options = ServerOptions(host, port, tcp, vmc, page=not headless)
+    options = ServerOptions(host, port, tcp, vmc, not headless, choice.rig, choice.clip)
     with _visible_log():
         try:
             asyncio.run(PlayServer(session, options).run(ready))

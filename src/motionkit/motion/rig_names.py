@@ -384,7 +384,7 @@ class _Mapper:
         while below := free(here):
             here = max(below, key=lambda j: self.reach(j))
             chain.append(here)
-            if len(free(here)) > 1:
+            if sum(self.reach(j) > 0.02 * self.reach(0) for j in free(here)) > 1:
                 return here
         if not chain or self.reach(chain[0]) < 0.05 * self.reach(0):
             return None

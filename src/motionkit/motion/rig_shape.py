@@ -34,6 +34,7 @@ _FOOT_SHIN = (math.log(0.35), 0.5)
 _COLLAR_LEG, _UPPER_LEG, _FORE_LEG = (0.38, 0.13), (math.log(0.32), 0.15), (math.log(0.27), 0.25)
 _TORSO_LEG = (0.45, 0.25)
 _HAND_FORE = (math.log(0.5), 0.8)
+_STUB = 0.1  # share of a shin or forearm below which what is behind it is no foot or hand
 _NO_END = 1.0  # cost of a leg without a foot, or an arm without a hand
 _EXTRA = 0.4  # cost of a joint along a bone, such as a twist joint
 _FINGERS = 1.5  # cost of a hand or foot behind a joint that branches
@@ -247,7 +248,7 @@ def _limbs(tree: _Tree, pair: _Pair, cost_of: Callable[[float, float, float, flo
         if min(first, second) < 1e-3 * tree.size:
             continue
         behind = pair.way[-1] - pair.way[lower]
-        cost = cost_of(pair.way[upper], first, second, behind if behind > 1e-3 * tree.size else 0.0)
+        cost = cost_of(pair.way[upper], first, second, behind if behind > _STUB * second else 0.0)
         cost += _NO_END * (lower >= len(pair.joints)) + _EXTRA * (lower - upper - 2)
         cost += _FINGERS * any(len(tree.children[pair.joints[j][0]]) > 1 for j in range(middle + 1, lower))
         cost += _bend_cost(tree, pair, upper, middle) + _bend_cost(tree, pair, middle, lower)

@@ -9,6 +9,8 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 from motionkit.errors import ControlError
+from motionkit.motion.motion import Motion
+from motionkit.motion.rig import Rig
 from motionkit.play.client import COSTS, Client
 from motionkit.play.frames import WorldFrame, frame_bytes, frame_text
 from motionkit.play.pace import Pacer
@@ -23,8 +25,14 @@ REST = 3.0  # after slow work such as a reset, the next has to wait this many ti
 class Live:
     """A session with its clients and its clock; it runs in one event loop."""
 
-    def __init__(self, session: Session, clock: Callable[[], float] = time.perf_counter) -> None:
-        self.session, self.clock = session, clock
+    def __init__(
+        self,
+        session: Session,
+        clock: Callable[[], float] = time.perf_counter,
+        rig: tuple[Rig | None, Motion | None] = (None, None),
+    ) -> None:
+        """rig: that of recordings, and a clip of it for its other joints (bvh_bytes)."""
+        self.session, self.clock, self.rig = session, clock, rig
         self.clients: dict[int, Client] = {}
         limits = session.limits
         self.recordings = Recordings(limits.recordings, limits.recording_bytes)
@@ -141,7 +149,7 @@ class Live:
     async def _write(self, recorded: Recorded) -> None:
         """Write the file in a thread while frames go on, then tell its owner."""
         async with self._writing:
-            data = await asyncio.to_thread(bvh_bytes, recorded.motion)
+            data = await asyncio.to_thread(bvh_bytes, recorded.motion, *self.rig)
         token = self.recordings.add(data)
         client = self.clients.get(recorded.owner or 0)
         if client is not None:

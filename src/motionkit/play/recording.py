@@ -10,10 +10,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.export.on_rig import on_rig
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
+from motionkit.motion.rig import Rig
 from motionkit.motion.rotations import quat_continuous
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
+from motionkit.motion.to_rig import rig_bvh
 
 Floats = NDArray[np.float32]
 _GROWTH = 600  # initial capacity of a recording, frames
@@ -50,11 +53,17 @@ class Recorder:
         return Motion(self.skeleton, rotations, values[:, -3:], self.fps)
 
 
-def bvh_bytes(motion: Motion) -> bytes:
-    """A motion as the contents of a BVH file; takes about a second for minutes of motion."""
+def bvh_bytes(motion: Motion, rig: Rig | None = None, clip: Motion | None = None) -> bytes:
+    """A motion as the contents of a BVH file; takes about a second for minutes of motion.
+
+    Args:
+        motion: on the canonical joints.
+        rig: to put it on, its feet held; the canonical joints by default.
+        clip: motion of the rig, whose other joints move as they do there.
+    """
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "recording.bvh"
-        write_bvh(file, motion)
+        write_bvh(file, motion if rig is None else rig_bvh(on_rig(motion, rig, clip=clip), rig))
         return file.read_bytes()
 
 

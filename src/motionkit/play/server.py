@@ -26,6 +26,8 @@ from websockets.http11 import Response
 
 from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
+from motionkit.motion.motion import Motion
+from motionkit.motion.rig import Rig
 from motionkit.play.client import Client, TooManyMessages
 from motionkit.play.frames import WorldFrame
 from motionkit.play.live import Live, error_event
@@ -60,13 +62,18 @@ class ServeError(MotionkitError):
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """Where to listen and send; port 0 picks a free one, None disables the output."""
+    """Where to listen and send, and what recordings are on; port 0 picks a free one, None disables the output.
+
+    rig and clip are those of recordings: a user's rig, and motion of it for joints without a canonical joint.
+    """
 
     host: str = "127.0.0.1"
     port: int = 8642
     tcp: int | None = None
     vmc: tuple[str, int] | None = None
     page: bool = True
+    rig: Rig | None = None
+    clip: Motion | None = None
 
 
 @dataclass(frozen=True)
@@ -85,7 +92,7 @@ class PlayServer:
 
     def __init__(self, session: Session, options: ServerOptions) -> None:
         self.options = options
-        self.live = Live(session)
+        self.live = Live(session, rig=(options.rig, options.clip))
         model = session.model
         bodies = {name: model.character(name) for name in model.characters}
         self._page = load_page(bodies) if options.page else None
