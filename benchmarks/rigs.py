@@ -1,12 +1,15 @@
 """Motion on the rigs of BVH files, there and back, and how feet slide on them: a table with one row per folder.
 
 python benchmarks/rigs.py my-clips/ other-clips/
+
+With --shape it counts instead the files whose legs and arms, and their sides, are found with all names removed.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +25,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.retarget import retarget
 from motionkit.motion.rig import Rig
+from motionkit.motion.rig_pose import map_file, median_offsets
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.motion.to_rig import on_body, rig_bvh, to_rig
@@ -63,11 +67,29 @@ def measure(rig: Rig, motion: Motion) -> list[float]:
     ]
 
 
+def found_by_shape(path: Path) -> bool:
+    """Whether thighs, shins, upper arms and forearms are the same with and without names."""
+    bvh = median_offsets(read_bvh(path))
+    named = map_file(bvh)
+    names = tuple(f"joint{joint}" for joint in range(len(bvh.skeleton)))
+    try:
+        nameless = map_file(replace(bvh, skeleton=replace(bvh.skeleton, names=names)))
+    except MotionkitError:
+        return False
+    limbs = [f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm")]
+    return all(nameless.places[name] == named.places[name] for name in limbs)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--most", type=int, default=1000, help="files of each folder, spread over it")
+    parser.add_argument("--shape", action="store_true", help="count the limbs found without names instead")
     arguments = parser.parse_args()
+    if arguments.shape:
+        found = [found_by_shape(path) for folder in arguments.folders for path in files_below(folder, ".bvh")]
+        print(f"limbs found by shape alone: {sum(found)} of {len(found)} files")
+        return
     motions = [mk.synthesize(types, seed=1).motion for types in TYPES]
     print("| rigs | files | there and back | read as a new file | sliding: motion | copied | held |")
     print("|---|---|---|---|---|---|---|")

@@ -318,7 +318,8 @@ def _left(
 ) -> tuple[float, int, int]:
     """How sure left is left, and which branch is the left one of legs and of arms: by names, else by facing."""
     leg, arm = limbs
-    across = [_across(limb, limb.upper, poses) + _across(limb, limb.middle, poses) for limb in limbs]
+    # Knees and elbows swing to the other side in a stride; hips and shoulders count more.
+    across = [3.0 * _across(limb, limb.upper, poses) + _across(limb, limb.middle, poses) for limb in limbs]
     same = float(np.median((across[0] * across[1]).sum(-1))) >= 0.0
     votes = 0
     for limb, sign in ((leg, 1), (arm, 1 if same else -1)):
