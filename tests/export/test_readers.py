@@ -10,6 +10,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
@@ -234,3 +235,20 @@ def test_the_fbx_recipe(files: Path, place: Array, motion: Motion, tmp_path: Pat
     (found,) = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
     assert (found["bones"], found["frames"]) == (len(motion.skeleton), len(motion))
     assert found["place"] == pytest.approx(place, abs=5e-3)
+
+
+def test_the_blender_add_on(tmp_path: Path) -> None:
+    """As the panel does: a new body, motion on a rig of another shape, along a curve, a frame of the socket."""
+    root = HERE.parents[1]
+    command = tmp_path / "motionkit"
+    command.write_text(f'#!/bin/sh\nPYTHONPATH={root / "src"} exec {sys.executable} -m motionkit "$@"\n')
+    command.chmod(0o755)
+    rig = root / "examples" / "data" / "16_45.bvh"
+    words = (root / "integrations" / "blender" / "motionkit_blender.py", command, rig)
+    lines = blender(HERE / "addon_check.py", *words).splitlines()
+    found = json.loads(next(line for line in lines if line.startswith("RESULT "))[7:])
+    assert found["new body"]["bones"] == 23 and found["new body"]["frames"] == 60
+    assert found["own rig"]["bones"] == 31 and 0.8 < found["own rig"]["way"] < 2.0
+    assert found["curve"]["frames"] > 300 and found["curve"]["way"] < 1.0
+    assert found["live"] < 1e-3
+    assert "unknown motion type 'flying'" in found["fault"]
