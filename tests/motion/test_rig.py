@@ -29,7 +29,7 @@ from motionkit.motion.rotations import (
     quat_normalize,
     quat_rotate,
 )
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
+from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
 from motionkit.motion.to_rig import on_body, rig_bvh, to_rig
 from synthetic_motions import make_walk
 from synthetic_rigs import FAMILIES, renamed, turned_rest, walk
@@ -118,7 +118,21 @@ def german() -> dict[str, str]:
     return names | torso
 
 
+def split() -> Motion:
+    """A walk on a rig whose spine hangs beside its hips, both below a centre that the whole body turns with."""
+    source = walk()
+    names = ("Center", *JOINT_NAMES)
+    spine = JOINT_NAMES.index("LowerBack")
+    parents = (-1, *(0 if joint in (0, spine) else PARENTS[joint] + 1 for joint in range(len(JOINT_NAMES))))
+    offsets = np.concatenate([np.zeros((1, 3), np.float32), source.skeleton.offsets])
+    offsets[1], offsets[1 + spine] = (0.0, -4.0, 1.0), (0.0, 5.0, -1.0)
+    turns = np.concatenate([source.local_rotations[:, :1], source.local_rotations], axis=1)
+    turns[:, 1] = quat_identity((len(source),))
+    return Motion(Skeleton(names, parents, offsets), turns, source.root_positions, source.fps)
+
+
 RIGS = {
+    "split": split(),
     **{family: renamed(walk(), names) for family, names in FAMILIES.items()},
     "german": renamed(walk(), german()),
     "nameless": renamed(walk(), {name: f"bone{j}" for j, name in enumerate(JOINT_NAMES)}),
