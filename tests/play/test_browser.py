@@ -55,9 +55,11 @@ def join(address: str, open_page: Callable) -> Callable[..., Page]:
 
 
 @pytest.fixture(scope="module")
-def joined(join: Callable[..., Page]) -> Page:
-    """A page of the session."""
-    return join()
+def joined(join: Callable[..., Page]) -> Iterator[Page]:
+    """A page of the session, closed before the server stops, which it would look for in vain."""
+    page = join()
+    yield page
+    page.close()
 
 
 @pytest.fixture
@@ -493,12 +495,13 @@ def test_the_page_steers_with_the_token_of_its_address(serve: Callable, open_pag
 
 
 @pytest.fixture(scope="module")
-def phone(address: str, open_page: Callable) -> Page:
+def phone(address: str, open_page: Callable) -> Iterator[Page]:
     """The page on a phone's screen."""
     page = open_page(address, 400, 760, has_touch=True, is_mobile=True)
     page.wait_for_function("motionkit.own?.root && motionkit.stage.frames > 0", timeout=PATIENCE)
     page.evaluate("motionkit.stage.renderer.render = () => {}")
-    return page
+    yield page
+    page.close()
 
 
 @pytest.fixture
