@@ -21,7 +21,7 @@ The paper's experiments on free motion: `motionkit experiment` trains its networ
 other papers alike, rolls them out on test sequences, and writes these tables. This page is written by
 `motionkit experiment tables` from the results in `experiments/results`; nothing on it is typed in.
 
-```sh
+```text
 motionkit preprocess cmu/ --labels docs/free-cmu-labels.csv --layout expmap-root-1 --own-bodies --raw -o datasets/paper
 motionkit experiment run all --data datasets/paper --seeds 3 # continues where it was stopped
 motionkit experiment tables

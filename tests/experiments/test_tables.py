@@ -1,0 +1,172 @@
+"""Tables from results, the page they make, the t-test and the page of a user study."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from motionkit.errors import MotionkitError
+from motionkit.experiments.page import page
+from motionkit.experiments.study import ASPECTS, write_study
+from motionkit.experiments.tables import Column, Figure, clear_best, latex, markdown, tables
+from motionkit.experiments.ttest import FORMAT, Score, compare, read_answers, scores, upper_tail
+from motionkit.motion.bvh import write_bvh
+
+METRICS = (
+    "bm-euler",
+    "afs",
+    "ssim-channel",
+    "mpjpe",
+    "path-mean",
+    "l2p",
+    "l2q",
+    "npss",
+    "skate-ratio",
+    "jerk",
+)
+
+
+def result(name: str, group: str, seed: int, value: float) -> dict[str, Any]:
+    values = {
+        metric: [value, 50.0 if metric == "bm-euler" else 0.0]
+        for metric in (*METRICS, "bm-upper", "bm-lower")
+    }
+    made = {"name": name, "group": group, "seed": seed, "data": "D_L", "folder": "D_L/cpu", "longest": 240}
+    made |= {"groups": {"all": values, "non-dance": values}, "parameters": 3_500_000, "sequences": []}
+    return made | {
+        "distribution": {"fid-pose": value, "diversity": 1.0, "diversity-gt": 2.0},
+        "derivatives": {},
+    }
+
+
+RESULTS = [
+    *(result("TPTN", "tptn", seed, 10.0 + 0.1 * seed) for seed in range(3)),
+    *(result("EBTN", "parts", seed, 12.0 + 0.1 * seed) for seed in range(3)),
+    result("FPTN-R", "parts", 0, 1.0),
+    result("last frame", "floors", 0, 20.0),
+]
+
+
+def test_a_cell_has_mean_spread_and_the_papers_figure() -> None:
+    table = next(t for t in tables(RESULTS) if t.title.startswith("Body parts"))
+    rows = {row[0]: row for row in table.rows}
+    assert rows["TPTN"][1:5] == ("3", "3.50 (3.59)", "10.1 ± 0.1 (82.162)", "10.100 ± 0.100 (0.34)")
+    assert rows["FPTN-R"][3] == "1.0 (78.35)" and rows["recorded"][3] == "50.0 (88.975)"
+
+
+def test_bold_needs_a_difference_larger_than_the_spread() -> None:
+    low = Column("afs", "AFS", "low", 3)
+    far = {"a": Figure(1.0, 0.1, 3), "b": Figure(1.3, 0.2, 3)}
+    assert clear_best(far, low, None) == "a"
+    assert clear_best(far | {"b": Figure(1.15, 0.2, 3)}, low, None) is None
+    assert clear_best(far | {"b": Figure(1.3, 0.0, 1)}, low, None) is None  # one seed tells nothing
+    near = Column("bm-euler", "BM", "truth", 1)
+    assert clear_best(far, near, Figure(1.4, 0.0, 1)) == "b"
+    assert clear_best(far, near, Figure(1.2, 0.0, 1)) is None  # 0.2 and 0.1 away, with a spread of 0.2
+
+
+def test_markdown_and_latex_have_every_row() -> None:
+    for table in tables(RESULTS):
+        assert len(markdown(table).splitlines()) == 4 + len(table.rows)
+        text = latex(table)
+        assert text.count(r" \\") == 1 + len(table.rows) and "±" not in text
+
+
+def test_the_page_says_what_the_spread_allows() -> None:
+    text = page(RESULTS)
+    assert (
+        "MPJPE 10.1 against 12.1 (TPTN is better)" in text
+        and "SSIM 10.1 against 12.1 (EBTN is better)" in text
+    )
+    assert "Not run yet in `D_L/cpu`: FPTN-S" in text
+    assert "one seed, too little to say" in page([r for r in RESULTS if r["seed"] == 0])
+
+
+# ---- the t-test ----
+
+
+def test_p_values_are_those_of_the_paper() -> None:
+    """Table 4: 11 sequences of each model, so 20 degrees of freedom."""
+    assert upper_tail(7.747, 20) == pytest.approx(9.539e-8, rel=2e-3)
+    assert upper_tail(8.443, 20) == pytest.approx(2.508e-8, rel=2e-3)
+
+
+def test_students_t_on_known_points() -> None:
+    assert upper_tail(0.0, 7) == 0.5
+    assert upper_tail(1.0, 1) == pytest.approx(0.25)  # Cauchy
+    assert upper_tail(-1.0, 1) == pytest.approx(0.75)
+    assert upper_tail(2.228138852, 10) == pytest.approx(0.025, rel=1e-6)
+
+
+def test_the_statistic_is_that_of_two_equal_variances() -> None:
+    made = compare(Score("a", (4.0, 5.0, 3.0)), Score("b", (1.0, 2.0, 3.0)))
+    assert made.freedom == 4 and made.t == pytest.approx(2.0 / (2.0 / 3.0) ** 0.5)
+    with pytest.raises(MotionkitError, match="nothing to test"):
+        compare(Score("a", (4.0, 4.0)), Score("b", (4.0, 4.0)))
+
+
+def simulated(path: Path, preference: dict[str, float], seed: int) -> Path:
+    """The answers of a simulated rater, whose preference is known."""
+    noise = random.Random(seed)
+    answers = [
+        {
+            "group": f"g{g}",
+            "model": m,
+            "score": min(5, max(1, round(liked + noise.gauss(0, 0.5)))),
+            "ranks": [],
+        }
+        for g in range(8)
+        for m, liked in preference.items()
+    ]
+    path.write_text(json.dumps({"format": FORMAT, "answers": answers}))
+    return path
+
+
+def test_simulated_raters_are_read_as_they_prefer(tmp_path: Path) -> None:
+    files = [simulated(tmp_path / f"{i}.json", {"TPTN": 4.0, "MVAE": 2.5, "twin": 4.0}, i) for i in range(6)]
+    found = scores(read_answers(files))
+    assert found["TPTN"].mean == pytest.approx(4.0, abs=0.25) and len(found["TPTN"].values) == 8
+    assert compare(found["TPTN"], found["MVAE"]).p < 1e-5 < 0.01 < compare(found["TPTN"], found["twin"]).p
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("{}", "not the answers of a study"),
+        (json.dumps({"format": FORMAT, "answers": []}), "no answers"),
+        (
+            json.dumps({"format": FORMAT, "answers": [{"group": "g", "model": "m", "score": 6}]}),
+            "the score 6",
+        ),
+        (json.dumps({"format": FORMAT, "answers": [{"score": 3}]}), "without its group or model"),
+    ],
+)
+def test_other_files_are_no_answers(tmp_path: Path, text: str, complaint: str) -> None:
+    (tmp_path / "a.json").write_text(text)
+    with pytest.raises(MotionkitError, match=complaint):
+        read_answers([tmp_path / "a.json"])
+
+
+# ---- the page of a study ----
+
+
+def test_a_study_is_blind_and_shuffled(tmp_path: Path, make_motion) -> None:
+    folder = tmp_path / "clips"
+    for g in range(2):
+        for i, name in enumerate(("recording", "TPTN", "MVAE", "HTSS")):
+            (folder / f"g{g}").mkdir(parents=True, exist_ok=True)
+            write_bvh(folder / f"g{g}" / f"{name}.bvh", make_motion(frames=20, seed=10 * g + i))
+    assert write_study(folder, tmp_path / "study.html", seed=1) == 2
+    text = (tmp_path / "study.html").read_text()
+    assert text.count("<iframe") == 8 and all(aspect in text for aspect in ASPECTS)
+    shown, facts = text.split("const facts = ")
+    assert not any(name in shown for name in ("TPTN", "MVAE", "HTSS"))  # names stand in the facts alone
+    orders = json.loads(facts.split(";\n")[0])["orders"]
+    assert all(sorted(order) == ["HTSS", "MVAE", "TPTN"] for order in orders.values())
+    (folder / "g1" / "HTSS.bvh").unlink()
+    with pytest.raises(MotionkitError, match=r"g1: has MVAE, TPTN, the groups before HTSS, MVAE, TPTN"):
+        write_study(folder, tmp_path / "study.html")
