@@ -235,3 +235,19 @@ def test_a_pipe_that_is_named_is_not_passed_over(tmp_path: Path) -> None:
 def test_no_bvh_files(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no \.bvh files found"):
         find_sources([tmp_path])
+
+
+@pytest.mark.parametrize(
+    ("kind", "mirrored"),
+    [
+        ("kickL", "kickR"),
+        ("KickLeft", "KickRight"),
+        ("Tritt Rechts L", "Tritt Rechts R"),
+        ("JUMP_R", "JUMP_L"),
+        ("Lauf_02", "Lauf_02"),
+        ("HDM", "HDM"),
+        ("walkLong", "walkLong"),
+    ],
+)
+def test_sides_in_names_are_found_in_any_case(kind: str, mirrored: str) -> None:
+    assert mirrored_type(kind) == mirrored and mirrored_type(mirrored) == kind

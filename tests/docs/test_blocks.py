@@ -74,7 +74,7 @@ def run_command(words: list[str]) -> None:
         known = (ROOT / "pyproject.toml").read_text("utf-8")
         assert all(f"\n{extra} = [" in known for group in extras for extra in group.split(","))
         return
-    only_check = words[0] == "torchrun" or words[1] == "play" or "cmu/" in words
+    only_check = words[0] == "torchrun" or words[1] in ("play", "quickstart") or "cmu/" in words
     if words[0] == "torchrun":
         words = ["motionkit", *words[words.index("motionkit") + 1 :]]
     assert words[0] == "motionkit", words

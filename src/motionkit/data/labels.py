@@ -214,6 +214,14 @@ _SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}
 
 
 def mirrored_type(kind: str) -> str:
-    """The type of a mirrored motion: jumping-l becomes jumping-r, walking stays walking."""
-    words = re.split(r"([\s_\-.]+)", kind)
-    return "".join(_SIDES.get(word.lower(), word) for word in words)
+    """The type of a mirrored motion: jumping-l becomes jumping-r, kickL kickR, walking stays walking."""
+    words = re.split(r"([\s_\-.]+|(?<=[a-z])(?=[A-Z]))", kind)
+    return "".join(_other_side(word) for word in words)
+
+
+def _other_side(word: str) -> str:
+    """The word for the other side, in the same case; other words as they are."""
+    other = _SIDES.get(word.lower(), word)
+    if other == word:
+        return word
+    return other.upper() if word.isupper() else other.capitalize() if word[:1].isupper() else other
