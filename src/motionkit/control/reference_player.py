@@ -15,10 +15,10 @@ from motionkit.features.reference import reference_signal
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip
 
-# Random entry frames, of which the one most like the present pose is taken. Few at a change of type: of many, the one
-# most like a standing body is one where nothing happens. Many to go on within a type.
+# Random entry frames of a clip, of which the one most like the present pose is taken. Few at a change of type: of many,
+# the one most like a standing body is one where nothing happens. Many to go on within a type.
 CANDIDATES, CANDIDATES_WITHIN = 24, 200
-EVENT_CANDIDATES = 4
+SUITED = 2.0  # performances whose beginning costs up to so many times as much as that of the best, and 1, are as good
 PAUSE = 20  # frames from the end of a performance to the beginning of the next
 BLEND = 15  # frames of the blend from one clip to the next of its type
 LIVELY = 0.85  # clips are not entered in the frames that move more than this share of all
@@ -35,9 +35,11 @@ OWN_SHARE = 0.5
 class ReferencePlayer:
     """Plays one reference clip of a type after another for one character; the same choice plays the same.
 
-    A type that is one performance is played from its beginning and repeated. A clip of another type is entered in
-    the middle: some frames are drawn, for strikes and jumps shortly before one of them, and the frame most like the
-    present pose is taken. Where a trajectory is asked for, the player looks for frames that go that way.
+    A type that is one performance is played from its beginning, one recording of it after another. A clip of another
+    type is drawn, the more likely the more of it has not been played yet, and entered in the middle: some frames are
+    drawn, for strikes and jumps shortly before one of them, and the frame most like the present pose is taken. Nothing
+    is played again before all has been played. Where a trajectory is asked for, the player looks for frames that go
+    that way.
     """
 
     def __init__(self, model: MotionModel, choice: int = 0, own_share: float = OWN_SHARE) -> None:
@@ -50,6 +52,7 @@ class ReferencePlayer:
         # The clip before, the frame it was left at, and the frame this one was entered at.
         self.left: tuple[ReferenceClip, int, int] | None = None
         self._indices: dict[str, MotionIndex] = {}
+        self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
         self._since = 0  # frames since the last search
 
     def begin(
@@ -72,7 +75,7 @@ class ReferencePlayer:
             self.at = behind
             return
         if self._type.performed:
-            self.clip = clips[self.choice % len(clips)]
+            self.clip = self._performance(clips, near, behind)
             self.at = behind % len(self.clip)
         elif trajectory is not None and near is not None:
             number, self.at = self._index().nearest(near, trajectory, RECONSIDERED)
@@ -121,6 +124,8 @@ class ReferencePlayer:
                 count = min(count, max(1, RECONSIDERED - self._since))
                 wanted = wanted[:count]
             parts.append(self._stretch(count, wanted))
+            if self.clip is not None:
+                self._played_of(self.clip)[self.at : self.at + count] = True
             self.at += count
             self._since += count
             played += count
@@ -226,26 +231,59 @@ class ReferencePlayer:
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))
 
+    def _performance(self, clips: Sequence[ReferenceClip], near: Array | None, behind: int) -> ReferenceClip:
+        """One of the recorded performances that go on about as well as any from the present pose, each in turn.
+
+        A body that is shown another performance than the one it has begun, to the other side, would flip over.
+        """
+        suited = list(clips)
+        if near is not None:
+            states = np.stack([pose_state(clip, behind % len(clip)) for clip in clips])
+            costs = np.square(states - near).sum(axis=(1, 2))
+            suited = [
+                clip for clip, cost in zip(clips, costs, strict=True) if cost <= 1.0 + SUITED * costs.min()
+            ]
+        fresh = [clip for clip in suited if not self._played_of(clip).any()]
+        if not fresh:
+            for clip in suited:
+                self._played_of(clip)[:] = False
+        return (fresh or suited)[self.choice % len(fresh or suited)]
+
     def _drawn(
         self, clips: Sequence[ReferenceClip], count: int, near: Array | None
     ) -> tuple[ReferenceClip, int]:
-        """Of some random entry frames the one most like the present pose."""
-        candidates = self._before_events(clips) or self._anywhere(clips, count)
+        """Of some random entry frames that have not been played the one most like the present pose."""
+        found = self._fresh(self._before_events(clips) or self._anywhere(clips))
+        clip, frames = self.random.choices(found, [len(frames) for _, frames in found])[0]
+        frames = self.random.sample(frames, min(count, len(frames)))
         if near is None:
-            return candidates[0]
-        states = np.stack([pose_state(clip, at) for clip, at in candidates])
-        return candidates[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
+            return clip, frames[0]
+        states = np.stack([pose_state(clip, at) for at in frames])
+        return clip, frames[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
 
-    def _before_events(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, int]]:
-        """Some frames shortly before a strike or jump; none for types without."""
+    def _fresh(self, found: list[tuple[ReferenceClip, list[int]]]) -> list[tuple[ReferenceClip, list[int]]]:
+        """The entry frames of clips that have not been played; all of them again after the last."""
+        fresh = [(clip, [at for at in frames if not self._played_of(clip)[at]]) for clip, frames in found]
+        if any(frames for _, frames in fresh):
+            return [each for each in fresh if each[1]]
+        for clip, _ in found:
+            self._played_of(clip)[:] = False
+        return found
+
+    def _played_of(self, clip: ReferenceClip) -> Array:
+        return self._played.setdefault(id(clip), np.zeros(len(clip), bool))
+
+    def _before_events(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
+        """Frames shortly before strikes or jumps, for each clip that has some."""
         found = []
         for clip in clips:
             begins = np.flatnonzero((clip.phases[1:] >= 0.0) & (clip.phases[:-1] < 0.0)) + 1
-            found += [(clip, max(0, int(at) - BEFORE_EVENT)) for at in begins]
-        return self.random.sample(found, min(EVENT_CANDIDATES, len(found)))
+            if len(begins):
+                found.append((clip, np.maximum(begins - BEFORE_EVENT, 0).tolist()))
+        return found
 
-    def _anywhere(self, clips: Sequence[ReferenceClip], count: int) -> list[tuple[ReferenceClip, int]]:
-        """Some frames that at least the usual movement follows, though not the liveliest.
+    def _anywhere(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
+        """Frames that at least the usual movement follows, though not the liveliest, for each clip that has some.
 
         A standing body is most like a standing one, in any type: the reference would keep it standing.
         """
@@ -255,12 +293,11 @@ class ReferencePlayer:
         # The methods leave at least one frame even of two.
         usual = np.quantile(all_movements, 0.5, method="lower")
         lively = np.quantile(all_movements, LIVELY, method="higher")
-        found = [
-            (clip, at)
+        return [
+            (clip, frames)
             for clip, movement in zip(clips, movements, strict=True)
-            for at in np.flatnonzero((movement >= usual) & (movement <= lively)).tolist()
+            if (frames := np.flatnonzero((movement >= usual) & (movement <= lively)).tolist())
         ]
-        return self.random.sample(found, min(count, len(found)))
 
 
 def last_poses(model: MotionModel, features: Array) -> Array:

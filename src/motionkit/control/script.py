@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.reference_player import PAUSE, ReferencePlayer
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls, blend_types, types_ahead
 from motionkit.inference.rollout import Controller
@@ -80,6 +80,33 @@ def type_track(model: MotionModel, parts: Sequence[TypePart]) -> Array:
     return np.repeat(ids, counts)
 
 
+def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: int = 0) -> list[TypePart]:
+    """The parts with whole performances: what is left of their time goes to the next part.
+
+    A body whose type changes while it is upside down has no way to go on but to flip over. The last part keeps its
+    time, and so does one that is shorter than a performance.
+
+    Args:
+        behind: frames of the first part's performance that have been shown already.
+    """
+    out, left = [], 0.0
+    for number, part in enumerate(parts):
+        seconds, left = round(part.seconds * model.fps) / model.fps + left, 0.0
+        length = model.phase_seconds(part.type) if _turns_over(model, part.type) else 0.0
+        first = length - (behind / model.fps if number == 0 else 0.0)
+        if length and first > 0.0 and number + 1 < len(parts) and seconds > first:
+            again = length + PAUSE / model.fps
+            whole = round((first + again * int((seconds - first) / again)) * model.fps) / model.fps
+            seconds, left = whole, seconds - whole
+        out.append(TypePart(part.type, seconds))
+    return out
+
+
+def _turns_over(model: MotionModel, kind: str) -> bool:
+    known = model.types.get(kind)
+    return known is not None and known.performed
+
+
 def crowd_controller(
     model: MotionModel,
     plans: list[list[TypePart]],
@@ -91,11 +118,11 @@ def crowd_controller(
 
     Args:
         near: for each character the pose embeddings of its last start frames (last_poses).
-        behind: for each plan the frames of its first performance that the start frames have shown.
+        behind: for each character the frames of its first performance that the start frames have shown.
         choice: picks among reference clips; each character makes a choice of its own.
     """
     turn = [i % len(plans) for i in range(len(near))]
-    asked = [plan_controls(model, plans[t], near[i], behind[t], choice + i) for i, t in enumerate(turn)]
+    asked = [plan_controls(model, plans[t], near[i], behind[i], choice + i) for i, t in enumerate(turn)]
     together = Controls.side_by_side(asked)
     last = len(together.phase) - 1
 

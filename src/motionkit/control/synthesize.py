@@ -13,7 +13,7 @@ from motionkit.arrays import Array
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
 from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track
+from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track, whole_performances
 from motionkit.errors import ControlError
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
 from motionkit.inference.start import clip_motion, clip_start, on_body, type_start
@@ -101,27 +101,34 @@ def synthesize(
     plans = _plans(parts)
     check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
     skeletons = [model.character(name.strip()) for name in options.character.split(",")]
-    weights = [plan_weights(model, plan) for plan in plans]
-    kinds = [plan[0].type for plan in plans]
-    if options.init is not None:
-        starts = [clip_start(model, options.init, 1)] * len(plans)
-        lengths = [0.0] * len(plans)
-    else:
-        starts = [type_start(model, kind) for kind in kinds]
-        lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
+    for kind in {part.type for plan in plans for part in plan}:
+        model.type_id(kind)  # an unknown type is refused before any frame is sought for it
     turn = [i % len(plans) for i in range(count)]
-    features, contacts = [starts[t].features[0] for t in turn], [starts[t].contacts[0] for t in turn]
-    ground = np.concatenate([starts[t].ground for t in turn])
+    kinds = [plans[t][0].type for t in turn]
+    if options.init is not None:
+        starts = [clip_start(model, options.init, 1)] * count
+        lengths = [0.0] * count
+    else:
+        starts = [type_start(model, kind, choice=options.seed + i) for i, kind in enumerate(kinds)]
+        lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
+    behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
+    plans = [whole_performances(model, plan, shown) for plan, shown in zip(plans, behind, strict=False)]
+    weights = [plan_weights(model, plan) for plan in plans]
+    near = [last_poses(model, start.features[0]) for start in starts]
     state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
     if model.plain:
         bodies = [skeletons[i % len(skeletons)] for i in range(count)]
-        features = [on_body(model, starts[t], body).features[0] for t, body in zip(turn, bodies, strict=True)]
+        starts = [on_body(model, start, body) for start, body in zip(starts, bodies, strict=True)]
         state.set_skeletons(bodies)
-    first = np.stack([weights[t][0] for t in turn])
-    state.start(features, contacts, first, ground, [lengths[t] for t in turn])
-    behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
-    near = [last_poses(model, start.features[0]) for start in starts]
-    controller = crowd_controller(model, plans, [near[t] for t in turn], behind, options.seed)
+    ground = np.concatenate([start.ground for start in starts])
+    state.start(
+        [start.features[0] for start in starts],
+        [start.contacts[0] for start in starts],
+        np.stack([weights[t][0] for t in turn]),
+        ground,
+        lengths,
+    )
+    controller = crowd_controller(model, plans, near, behind, options.seed)
     if options.keys:
         if len(plans) > 1:
             raise ControlError("keys are met by characters with the same types; give one list of types")

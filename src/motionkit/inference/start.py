@@ -28,15 +28,15 @@ class Start:
     ground: Array
 
 
-def type_start(model: MotionModel, kind: str, count: int = 1) -> Start:
-    """The first start pose of a type for count characters, at the origin facing +Z.
+def type_start(model: MotionModel, kind: str, count: int = 1, choice: int = 0) -> Start:
+    """A start pose of a type for count characters, at the origin facing +Z; choice picks which, counted round.
 
     Raises ControlError if the model has none.
     """
     known = model.types.get(kind)
     if known is None or not known.start_poses:
         raise ControlError(f"the model has no frames to start {kind!r} from")
-    pose = known.start_poses[0]
+    pose = known.start_poses[choice % len(known.start_poses)]
     return Start(
         pose.features[None].repeat(count, axis=0),
         pose.contacts[None].repeat(count, axis=0),
