@@ -6,17 +6,13 @@ import math
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import STOPPED, json_option, print_json, remark, seed_option, stdout_console
+from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, stdout_console
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs
-
-if TYPE_CHECKING:
-    from motionkit.data.dataset import Dataset
 
 BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
 KEPT_SHARE = 0.5  # of the windows, with --add, are of the types that the model knew
@@ -188,6 +184,7 @@ def command(
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
     from motionkit.api import FINE_TUNE_MINUTES, TRAIN_MINUTES
+    from motionkit.data.amounts import small_types
     from motionkit.data.dataset import Dataset
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.training.trainer import train
@@ -212,10 +209,8 @@ def command(
         score_minutes=score_minutes or (1.0 if preview else None),
         half=half,
     )
-    monitor = TrainingMonitor(
-        as_json, options, preview, (run_folder or output.with_suffix(".run")) / "samples"
-    )
-    _warn_of_small_types(Dataset(dataset))
+    samples = (run_folder or output.with_suffix(".run")) / "samples"
+    monitor = TrainingMonitor(as_json, options, preview, samples, small_types(Dataset(dataset)))
     with monitor:
         result = train(dataset, output, options, resume, run_folder, device, monitor)
     if not monitor.first_process:
@@ -250,14 +245,6 @@ def _beginning(init: str | None, from_scratch: bool, add: bool, preset: str) -> 
             f"--add needs a model to begin from; give --init, or the preset {BUNDLED_PRESET}"
         )
     return init
-
-
-def _warn_of_small_types(dataset: Dataset) -> None:
-    """Print a line for each type with too little to learn from."""
-    from motionkit.data.amounts import small_types
-
-    for line in small_types(dataset):
-        remark(f"warning: {line}")
 
 
 def _refuse_to_replace(model: Path, run_folder: Path) -> None:

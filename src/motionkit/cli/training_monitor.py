@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,8 +32,16 @@ def check_preview(path: Path | None) -> None:
 class TrainingMonitor:
     """Shows the events of a run: a bar on a terminal, plain lines elsewhere; score tables and previews in both."""
 
-    def __init__(self, quiet: bool, options: TrainOptions, preview: Path | None, samples: Path) -> None:
-        self.quiet, self.steps = quiet, options.steps
+    def __init__(
+        self,
+        quiet: bool,
+        options: TrainOptions,
+        preview: Path | None,
+        samples: Path,
+        warnings: Sequence[str] = (),
+    ) -> None:
+        """warnings are printed when training begins, so that a run that cannot begin says only why."""
+        self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
         self.preview, self.samples = preview, samples
         self.first_process = os.environ.get("RANK", "0") == "0"
         self.console = stderr_console()
@@ -61,6 +70,8 @@ class TrainingMonitor:
             self.live.stop()
 
     def __call__(self, event: TrainEvent) -> None:
+        while self.warnings:
+            self.console.print(f"warning: {self.warnings.pop(0)}")
         if event.kind == "score" and self.preview is not None:
             self._grow(event)
         if self.quiet:
