@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from playwright.sync_api import Page
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="module", autouse=True)  # the first to start and the last to stop: pages look for it
 def address() -> Iterator[str]:
     """The address of `motionkit play` in a separate process."""
     words = [sys.executable, "-m", "motionkit", "play", "--port", "0", "--no-open", "--json"]
@@ -492,6 +492,7 @@ def test_the_page_steers_with_the_token_of_its_address(serve: Callable, open_pag
     port = server.addresses.url.rpartition(":")[2]
     page = open_page(f"http://127.0.0.1:{port}", 320, 240)
     page.wait_for_function("motionkit.own?.root", timeout=PATIENCE)
+    page.close()  # it would look in vain for the server, which ends with this test
 
 
 @pytest.fixture(scope="module")
