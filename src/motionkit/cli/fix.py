@@ -7,19 +7,13 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import default_output, json_option, print_json, say, stdout_console
-from motionkit.cli.motion_options import checked_ending
+from motionkit.cli.motion_options import clip_output_option
 from motionkit.cli.showing import write_and_open
 
 
 @click.command("fix")
 @click.argument("clip", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    callback=checked_ending,
-    help="File to write: .bvh, .glb, .vrma, .usda, .npz or .csv; CLIP-fixed.bvh by default.",
-)
+@clip_output_option("fixed")
 @click.option(
     "--glitches/--no-glitches",
     default=True,

@@ -7,19 +7,13 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import default_output, json_option, print_json, say
-from motionkit.cli.motion_options import RootMotion, checked_ending, root_options, seam_json, seam_words
+from motionkit.cli.motion_options import RootMotion, clip_output_option, root_options, seam_json, seam_words
 from motionkit.cli.showing import view_option, write_and_open
 
 
 @click.command("loop")
 @click.argument("clip", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    callback=checked_ending,
-    help="File to write: .bvh, .glb, .vrma, .usda, .npz or .csv; CLIP-loop.bvh by default.",
-)
+@clip_output_option("loop")
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 3600),

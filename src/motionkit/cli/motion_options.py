@@ -72,6 +72,17 @@ def checked_ending(context: click.Context, parameter: click.Parameter, value: Pa
     return value
 
 
+def clip_output_option(word: str) -> Callable[[Callable], Callable]:
+    """The -o of a command that writes a changed clip, beside it as CLIP-word.bvh by default."""
+    return click.option(
+        "-o",
+        "--output",
+        type=click.Path(path_type=Path),
+        callback=checked_ending,
+        help=f"File to write: {ENDINGS}; CLIP-{word}.bvh by default.",
+    )
+
+
 def seam_words(loop: Loop) -> str:
     """What a loop shows where it begins again, in one line."""
     seam = loop.seam

@@ -101,8 +101,8 @@ def synthesize(
     plans = _plans(parts)
     check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
     skeletons = [model.character(name.strip()) for name in options.character.split(",")]
-    for kind in {part.type for plan in plans for part in plan}:
-        model.type_id(kind)  # an unknown type is refused before any frame is sought for it
+    for plan in plans:
+        type_track(model, plan)  # an unknown type is refused before any frame is sought for it
     turn = [i % len(plans) for i in range(count)]
     kinds = [plans[t][0].type for t in turn]
     if options.init is not None:
