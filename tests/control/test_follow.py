@@ -142,10 +142,11 @@ def test_a_whole_roll_out(tiny_model: MotionModel) -> None:
     assert result.frames <= limit + 1
     assert result.finished == (seen[-1] >= 0.9)
     assert seen == sorted(seen) and max(seen) <= 1.0, "progress is a share that never falls"
-    track = result.motion.root_positions[:, [0, 2]]
-    assert result.distance.mean == pytest.approx(trajectory_distance(track, path.points).mean, abs=0.5), (
-        "hips move a little for legs that do not reach"
-    )
+    free = follow_path(
+        tiny_model, path, SynthesisOptions(ik=False)
+    ).motion  # held feet move the hips a little
+    track = free.root_positions[:, [0, 2]]
+    assert result.distance.mean == pytest.approx(trajectory_distance(track, path.points).mean, rel=1e-5)
     assert result.distance.mean > 0.0, "a body sways off the line"
 
 
