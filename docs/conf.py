@@ -20,6 +20,9 @@ DOCS = Path(__file__).resolve().parent
 ROOT = DOCS.parent
 sys.path.insert(0, str(DOCS))
 
+from docutils.nodes import SkipNode  # noqa: E402
+from latex2mathml.converter import convert  # noqa: E402
+
 import motionkit  # noqa: E402
 
 project = "motionkit"
@@ -27,6 +30,8 @@ author = "the motionkit authors"
 copyright = f"2026, {author}"
 version = release = motionkit.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+myst_enable_extensions = ["dollarmath"]
+html_math_renderer = "mathml"  # browsers draw MathML: no script, and nothing from elsewhere
 exclude_patterns = ["README.md", "_build", "_generated/static", "sheets"]
 myst_heading_anchors = 4
 html_theme = "furo"
@@ -50,7 +55,7 @@ ROOT_PAGES = {
 MADE_BY = {"make_gallery.py": "gallery.md", "conf.py": "api.md"}
 LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
 # Pages that no section lists by hand: those of these names are tutorials, all others are how-to.
-TUTORIALS = ("my-*", "*engine*", "experiments*")
+TUTORIALS = ("my-*", "experiments*")
 UNKNOWN_LANGUAGES = {"mermaid": "text", "csv": "text"}
 
 
@@ -167,8 +172,21 @@ def api_page() -> str:
     return "\n".join(lines)
 
 
+def write_formula(page: Any, node: Any) -> None:
+    """Write a formula in the text as MathML."""
+    page.body.append(convert(node.astext()))
+    raise SkipNode
+
+
+def write_block_formula(page: Any, node: Any) -> None:
+    """Write a formula with lines of its own as MathML."""
+    page.body.append(f'<div class="formula">{convert(node.astext(), display="block")}</div>')
+    raise SkipNode
+
+
 def setup(app: Any) -> None:
     """Connect the above to Sphinx; `-D motionkit_gallery=0` leaves the gallery out."""
     app.add_config_value("motionkit_gallery", True, "env", types=(bool, int, str))
+    app.add_html_math_renderer("mathml", (write_formula, None), (write_block_formula, None))
     app.connect("builder-inited", generate)
     app.connect("source-read", read_page)

@@ -126,15 +126,16 @@ def free_port() -> int:
 
 
 def test_clients_of_the_live_page(tmp_path: Path) -> None:
-    """The Python clients of live.md print frames of a server that runs."""
+    """The Python clients of live.md and steer.md print frames of a server that runs."""
     web, tcp = free_port(), free_port()
     serve = [sys.executable, "-m", "motionkit", "play", "--headless", "--port", str(web), "--tcp", str(tcp)]
     server = subprocess.Popen(serve, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, cwd=tmp_path)
     try:
         for port in (web, tcp):
             wait_for(port)
-        clients = [text for language, text in blocks(ROOT / "docs" / "live.md") if language == "python"]
-        assert len(clients) == 2
+        pages = [ROOT / "docs" / name for name in ("live.md", "steer.md")]
+        clients = [text for page in pages for language, text in blocks(page) if language == "python"]
+        assert len(clients) == 3
         for text in clients:
             code = text.replace("8642", str(web)).replace("8643", str(tcp))
             command = [sys.executable, "-u", "-c", code]

@@ -14,14 +14,19 @@ README = ROOT / "README.md"
 SOURCE = ROOT / "src" / "motionkit"
 
 
-@pytest.fixture(scope="module")
-def make_readme() -> ModuleType:
-    """docs/make_readme.py as a module."""
-    spec = importlib.util.spec_from_file_location("make_readme", ROOT / "docs" / "make_readme.py")
+def script(name: str) -> ModuleType:
+    """A script of docs as a module."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "docs" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+@pytest.fixture(scope="module")
+def make_readme() -> ModuleType:
+    """docs/make_readme.py as a module."""
+    return script("make_readme")
 
 
 def test_the_readme_is_short() -> None:
@@ -33,6 +38,13 @@ def test_the_figures_of_the_readme_are_up_to_date(make_readme: ModuleType) -> No
     assert make_readme.filled(text) == text, "README.md is out of date: run python docs/make_readme.py"
     marks = re.findall(r"<!-- (\w+) -->", text)
     assert sorted(marks) == sorted(make_readme.figures())
+
+
+def test_the_table_of_types_is_up_to_date() -> None:
+    make_types = script("make_types")
+    assert make_types.page_text() == make_types.PAGE.read_text("utf-8"), (
+        "docs/types.md is out of date: run python docs/make_types.py"
+    )
 
 
 def test_figures_of_another_scoreboard(make_readme: ModuleType) -> None:

@@ -31,7 +31,7 @@ def module(name: str) -> ModuleType:
 
 
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
-    for needed in ("sphinx", "myst_parser", "furo"):
+    for needed in ("sphinx", "myst_parser", "furo", "latex2mathml"):
         pytest.importorskip(needed)
     words = [
         "-m",

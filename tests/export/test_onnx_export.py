@@ -1,4 +1,4 @@
-"""The ONNX graph against motionkit's own roll-out, and the example in docs/engines.md."""
+"""The ONNX graph against motionkit's own roll-out, and the example in docs/onnx.md."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from motionkit.export.onnx_graph import OPSET
 from motionkit.export.onnx_network import present_name
 from motionkit.export.onnx_small import balance_heads, spread_channels, whole_numbers
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "engines.md"
+PAGE = Path(__file__).resolve().parents[2] / "docs" / "onnx.md"
 
 
 @pytest.fixture(scope="module")
@@ -238,5 +238,5 @@ def test_the_example_on_the_page_runs(
     code = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), re.DOTALL)
     assert len(code) == 1 and "motionkit" not in code[0].replace("about", "")
     monkeypatch.chdir(exported.parent)
-    exec(compile(code[0], "engines.md", "exec"), {})
+    exec(compile(code[0], "onnx.md", "exec"), {})
     assert re.match(r"Hips went to \[.*\] cm", capsys.readouterr().out)

@@ -37,7 +37,7 @@ from motionkit.cli.common import json_option, print_json, remark, say
 def command(path: Path, model_path: Path | None, character: str, weights: str, as_json: bool) -> None:
     """Write a model as an ONNX graph that computes one frame.
 
-    The graph takes controls and state, and returns a posed body and the next state (docs/engines.md). If
+    The graph takes controls and state, and returns a posed body and the next state (docs/onnx.md). If
     onnxruntime is installed, the command first runs graph and motionkit side by side for 600 frames and
     prints the largest difference. It fails and writes nothing if joints differ by more than 0.5 cm
     (int8: 200 cm).

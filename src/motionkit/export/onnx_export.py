@@ -1,7 +1,7 @@
 """The step of a model as an ONNX graph for engines: controls and state in, a global pose and the next state out.
 
 The graph is written node by node from the packed weights (inference/step_weights.py). It includes normalisation,
-integration of the root and forward kinematics, with static shapes and a batch of one. docs/engines.md explains how
+integration of the root and forward kinematics, with static shapes and a batch of one. docs/onnx.md explains how
 to drive it.
 """
 

@@ -14,7 +14,7 @@ from motionkit.training.sampler import SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 
 # A run from random weights. At first no prediction is near enough to be an input. Feet are to stand where they stood
-# once there are steps to speak of, and what is still hard is shown more often at the end (docs/training.md).
+# once there are steps to speak of, and what is still hard is shown more often at the end (docs/learning.md).
 STAGES = (
     Stage(0.0, {"share": 0.0}),
     Stage(0.04, {"share": 0.4}),

@@ -1,0 +1,65 @@
+"""Writes docs/types.md, what the bundled model knows of each of its motion types; run it after the model has changed.
+
+python docs/make_types.py
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from motionkit.models.bundled import load_bundled_model
+from motionkit.models.motion_type import MotionType
+
+PAGE = Path(__file__).resolve().parent / "types.md"
+HEAD = """# Types
+
+What the bundled model knows of each of its motion types, written from the model file by `python docs/make_types.py`.
+[scoreboard.md](scoreboard.md) has how well each is shown.
+
+- **kind**: *stands* and *gait* are steered by speed alone, without recordings; *performance* is shown from beginning to
+  end; *strikes* have a phase for each strike or jump; all others go on for as long as they are asked for.
+- **speed** over the ground in cm/s; **seconds** of one performance, strike or jump.
+- **recordings**: seconds of reference recordings in the file ([references.md](references.md)), and **gain** on them.
+- **blend**: share of the last velocity that is kept; **noise**: factor on the temperature
+  ([streaming.md](streaming.md)).
+- **slip**: share of the root-slip correction ([correction.md](correction.md)).
+
+| type | kind | speed | seconds | recordings | gain | blend | noise | slip |
+|---|---|---|---|---|---|---|---|---|
+"""
+
+
+def kind_of(known: MotionType) -> str:
+    """How a type is controlled, in one word."""
+    if known.stands:
+        return "stands"
+    if known.steered:
+        return "gait"
+    if known.performed:
+        return "performance"
+    return "strikes" if known.has_phase else "goes on"
+
+
+def page_text() -> str:
+    """The text of the page."""
+    model, lines = load_bundled_model(), []
+    for name, known in model.types.items():
+        recorded = sum(len(clip) for clip in known.reference_clips) / model.fps
+        speed = known.gait.speed if known.gait else 0.0
+        length = f"{known.gait.cycle_seconds:.1f}" if known.gait and known.gait.cycle_seconds else ""
+        preset = known.preset
+        numbers = (preset.reference_gain, preset.velocity_blend, preset.noise_scale, preset.slip_correction)
+        cells = [
+            name,
+            kind_of(known),
+            f"{speed:.0f}",
+            length,
+            f"{recorded:.0f}",
+            *map("{:g}".format, numbers),
+        ]
+        lines.append("| " + " | ".join(cells) + " |\n")
+    return HEAD + "".join(lines)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(page_text(), encoding="utf-8")
