@@ -242,7 +242,10 @@ def test_no_bvh_files(tmp_path: Path) -> None:
     [
         ("kickL", "kickR"),
         ("KickLeft", "KickRight"),
-        ("Tritt Rechts L", "Tritt Rechts R"),
+        ("Tritt Rechts", "Tritt Links"),
+        ("coup-gauche", "coup-droite"),
+        ("左キック", "右キック"),
+        ("der Lauf", "der Lauf"),
         ("JUMP_R", "JUMP_L"),
         ("Lauf_02", "Lauf_02"),
         ("HDM", "HDM"),

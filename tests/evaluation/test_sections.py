@@ -39,7 +39,10 @@ def quiet(share: float) -> None:
 
 
 def test_paths_are_as_long_as_they_say() -> None:
-    trials = {trial.name: trial.path for trial in path_trials()}
+    trials = {
+        trial.name: trial.path
+        for trial in path_trials("walking", "running", "wheel", ("jumping-l", "jumping-r"))
+    }
     assert trials["circle r = 3 m, walking"].length == pytest.approx(2 * math.pi * 300.0, rel=0.01)
     assert trials["circle r = 6 m, running"].length == pytest.approx(2 * math.pi * 600.0, rel=0.01)
     corner = trials["pentagram corner (144°), running"]
@@ -47,11 +50,15 @@ def test_paths_are_as_long_as_they_say() -> None:
     assert math.degrees(math.acos(cosine)) == pytest.approx(144.0, abs=1.0)
     mixed = next(path for name, path in trials.items() if name.startswith("jumping-r"))
     assert [part.type for part in mixed.parts][:3] == ["jumping-r", "jumping-l", "running"]
+    assert "running → wheel → running" in trials
+    names = [trial.name for trial in path_trials("Gehen", "Gehen", None, ("Hops",))]
+    assert names[-1] == "Hops → Gehen → Hops" and not any("None" in name for name in names)
 
 
 def test_every_path_of_known_types_is_measured(make_trial, monkeypatch: pytest.MonkeyPatch) -> None:
-    wanted = [trial for trial in path_trials() if trial.name.startswith(("line", "running"))]
-    asked = [trial for trial in speed_trials() if "0.7" in trial.name or "→" in trial.name]
+    usual = path_trials("walking", "running", "cartwheel")
+    wanted = [trial for trial in usual if trial.name.startswith(("line", "running"))]
+    asked = [t for t in speed_trials("walking", "running", "idle") if "0.7" in t.name or "→" in t.name]
     monkeypatch.setattr("motionkit.evaluation.paths.path_trials", lambda *kinds: wanted)
     monkeypatch.setattr("motionkit.evaluation.paths.speed_trials", lambda *kinds: asked)
     monkeypatch.setattr("motionkit.control.follow.PATIENCE", -0.2)  # leaves less than 3 s
@@ -86,7 +93,7 @@ def test_gaits_to_follow_paths_with_need_no_names(tiny_model: MotionModel) -> No
 
 
 def test_speed_trials_ask_for_their_speeds() -> None:
-    for trial in speed_trials():
+    for trial in speed_trials("walking", "running", "idle"):
         asked = [part.speed for part in trial.path.parts][: len(trial.speeds)]
         assert asked == pytest.approx([speed * 100.0 for speed in trial.speeds]), trial.name
         slow = [part for part in trial.path.parts if part.speed is not None and part.speed < 10.0]

@@ -168,6 +168,20 @@ def test_canonical_twins_are_those_of_the_skeleton() -> None:
     assert left_right_twins(JOINT_NAMES) == MIRROR_JOINTS
 
 
+def test_sides_are_known_in_other_languages() -> None:
+    names = (
+        "Hüfte",
+        "Bein_links",
+        "Bein_rechts",
+        "左腕",
+        "右腕",
+        "jambe.gauche",
+        "jambe.droite",
+        "Linkshand",
+    )
+    assert joint_sides(names) == ("", "left", "right", "left", "right", "left", "right", "")
+
+
 def test_canonical_mirror_is_the_mirror_image_and_its_own_inverse() -> None:
     motion = random_motion(canonical_skeleton(), spread=0.6)
     mirrored = mirror_motion(motion)

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from motionkit.errors import DatasetError
 from motionkit.files import files_below, read_text
+from motionkit.motion.sides import other_side
 
 MAX_FRAME = 10**9
 MAX_NAME = 100
@@ -210,18 +211,7 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
     return Segment(first, last, kind, subject, fps, split)
 
 
-_SIDES = {"l": "r", "r": "l", "left": "right", "right": "left"}
-
-
 def mirrored_type(kind: str) -> str:
     """The type of a mirrored motion: jumping-l becomes jumping-r, kickL kickR, walking stays walking."""
-    words = re.split(r"([\s_\-.]+|(?<=[a-z])(?=[A-Z]))", kind)
-    return "".join(_other_side(word) for word in words)
-
-
-def _other_side(word: str) -> str:
-    """The word for the other side, in the same case; other words as they are."""
-    other = _SIDES.get(word.lower(), word)
-    if other == word:
-        return word
-    return other.upper() if word.isupper() else other.capitalize() if word[:1].isupper() else other
+    words = re.split(r"([\s_\-.]+|(?<=[a-z])(?=[A-Z])|(?=[左右])|(?<=[左右]))", kind)
+    return "".join(other_side(word) for word in words)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
-from motionkit.evaluation.detectors import DETECTORS, HOLD, LEAST_WINDOW, detection_windows
+from motionkit.evaluation.detectors import HOLD, LEAST_WINDOW, detection_windows
 from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, Take, neutral_types
@@ -107,7 +107,7 @@ def accuracy_section(trial: Trial, progress: Progress) -> Section:
         "accuracy",
         "Action accuracy",
         [Table("Action accuracy per type", columns, rows), _detectors(trial.judge, kinds, real)],
-        _goals(found, list(alone.values()), real),
+        _goals(trial.judge, found, list(alone.values()), real),
         _notes(trial, kinds),
     )
 
@@ -153,19 +153,21 @@ def _notes(trial: Trial, kinds: tuple[str, ...]) -> list[str]:
         notes.append(f"not measured, because the dataset has no recordings: {', '.join(missing)}")
     if thin:
         notes.append(
-            "not measured, because no detector is known and one recording cannot be compared with another: "
+            "not measured, because no detector fits and one recording cannot be compared with another: "
             f"{', '.join(thin)}"
         )
     return notes
 
 
-def _goals(found: list[TypeAccuracy], alone: list[TypeAccuracy], real: dict[str, Calibration]) -> list[Goal]:
+def _goals(
+    judge: Judge, found: list[TypeAccuracy], alone: list[TypeAccuracy], real: dict[str, Calibration]
+) -> list[Goal]:
     goals = []
     for each in found:
         target = TARGET_ONE if each.training_clips == 1 else TARGET_MANY
         clips = "one training clip" if each.training_clips == 1 else ""
         goals.append(Goal(f"accuracy of {each.type}", each.share, f"≥ {target:.0%}", target, None, clips))
-        if each.type not in DETECTORS:
+        if judge.detector(each.type) is None:
             limits = f"{LIVELY[0]:g} to {LIVELY[1]:g}"
             goals.append(Goal(f"joint speed of {each.type} / real", each.joint_speed, limits, *LIVELY))
     if alone:
@@ -188,8 +190,9 @@ def _goals(found: list[TypeAccuracy], alone: list[TypeAccuracy], real: dict[str,
 
 def _shown(judge: Judge, kinds: list[str], body: Body, clip: int) -> dict[str, bool]:
     """Return which types a recorded window shows. One measurement of pose distances serves all types."""
-    out = {kind: DETECTORS[kind].shows(body) for kind in kinds if kind in DETECTORS}
-    profiles = {kind: judge.real.profile(kind) for kind in kinds if kind not in DETECTORS}
+    detectors = {kind: judge.detector(kind) for kind in kinds}
+    out = {kind: found.shows(body) for kind, found in detectors.items() if found is not None}
+    profiles = {kind: judge.real.profile(kind) for kind in kinds if kind not in out}
     if profiles:
         distances = judge.real.pose_distances(body, clip).mean(axis=0)
         out |= {k: profile is not None and profile.shows(body, distances) for k, profile in profiles.items()}

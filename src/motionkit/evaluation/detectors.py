@@ -1,7 +1,8 @@
 """Kinematic detectors of the motion types, in one table: does a motion show the type that was asked for?
 
 The thresholds are calibrated on recordings. `motionkit evaluate` reports how many recordings each detector
-accepts, and recordings of which other types.
+accepts, and recordings of which other types. Which type a detector judges is found from the type's recordings, not
+from its name (judge.py).
 """
 
 from __future__ import annotations
@@ -138,6 +139,8 @@ def _punching(body: Body) -> bool:
 
 # ---- turning over ----
 
+HANDS_DOWN, UPRIGHT_HIPS = 25.0, 50.0  # cm; hands this low may bear the body, hips this high do not roll
+
 
 @dataclass(frozen=True)
 class Turn:
@@ -242,21 +245,28 @@ DETECTORS: dict[str, Detector] = {
     ),
     "cartwheel": Detector(
         "head below hips and up again, hands within 25 cm of the ground, turned sideways by 3 rad, hips above 50 cm",
-        _turns_over(lambda t: t.sideways > 3.0 and t.hands <= 25.0 and t.hips > 50.0 and t.spin < 4.0),
+        _turns_over(
+            lambda t: t.sideways > 3.0 and t.hands <= HANDS_DOWN and t.hips > UPRIGHT_HIPS and t.spin < 4.0
+        ),
     ),
     "backflip": Detector(
         "head below hips and up again, hands free, turned backwards by 4 rad",
-        _turns_over(lambda t: t.forwards < -4.0 and t.hands > 25.0),
+        _turns_over(lambda t: t.forwards < -4.0 and t.hands > HANDS_DOWN),
     ),
     "handspring": Detector(
         "head below hips and up again, hands within 25 cm of the ground, turned forwards by 3 rad, hips above 50 cm",
         _turns_over(
-            lambda t: t.forwards > 3.0 and t.forwards > t.sideways and t.hands <= 25.0 and t.hips > 50.0
+            lambda t: (
+                t.forwards > 3.0
+                and t.forwards > t.sideways
+                and t.hands <= HANDS_DOWN
+                and t.hips > UPRIGHT_HIPS
+            )
         ),
     ),
     "side-somersault": Detector(
         "head below hips and up again, hands free, turned sideways by 3 rad",
-        _turns_over(lambda t: t.sideways > 3.0 and t.hands > 25.0 and t.spin < 4.0),
+        _turns_over(lambda t: t.sideways > 3.0 and t.hands > HANDS_DOWN and t.spin < 4.0),
     ),
     "dive-roll": Detector(
         "head below hips and up again, turned forwards by 2.5 rad, hips below 40 cm",

@@ -8,9 +8,11 @@ import numpy as np
 
 from motionkit.arrays import spans
 from motionkit.control.path import METRE, SHAPES, Path2D, PathPart, make_path, shape_path
+from motionkit.control.steering import usual_gaits
 from motionkit.evaluation.body import SPEED_SPAN, Body
 from motionkit.evaluation.limits import REAL_SHARE, acceleration_limit, accelerations
 from motionkit.evaluation.report import Cell, Goal, Section, Table
+from motionkit.evaluation.roles import find_roles
 from motionkit.evaluation.rolling import Progress, Walk, roll_paths
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
@@ -43,31 +45,41 @@ class PathTrial:
     stands: float = 0.0
 
 
-def path_trials(walking: str = "walking", running: str = "running") -> list[PathTrial]:
-    """Return the paths of the scoreboard at usual speeds, walked and run by the named types."""
+def path_trials(
+    walking: str, running: str, performance: str | None = None, hops: tuple[str, ...] = ()
+) -> list[PathTrial]:
+    """Return the paths of the scoreboard at usual speeds.
+
+    Args:
+        walking, running: the types to walk and to run with.
+        performance: a type to perform in the middle of a run; None for a model without any.
+        hops: types that hop along, before and after a run.
+    """
     corner = SHAPES["pentagram"](6.0 * METRE)[:3]
-    return [
+    trials = [
         PathTrial(f"line 10 m, {walking}", shape_path("line", 10.0, [walking], None), 0.8),
         PathTrial(f"circle r = 3 m, {walking}", shape_path("circle", 3.0, [walking], None), 0.8),
         PathTrial(f"circle r = 6 m, {running}", shape_path("circle", 6.0, [running], None), 2.0),
         PathTrial(f"figure-eight r = 2 m, {walking}", shape_path("figure-eight", 2.0, [walking], None), 0.8),
         PathTrial(f"pentagram corner (144°), {running}", make_path([PathPart(corner, running)]), 2.0),
         PathTrial(f"U-turn, {walking}", shape_path("u-turn", 6.0, [walking], None), 0.8),
-        PathTrial(
-            f"{running} → cartwheel → {running}", _line((running, 6), ("cartwheel", 3), (running, 6)), 2.0
-        ),
-        PathTrial(
-            f"jumping-r → jumping-l → {running} → jumping-l → jumping-r",
-            _line(("jumping-r", 4), ("jumping-l", 4), (running, 6), ("jumping-l", 4), ("jumping-r", 4)),
-            2.0,
-        ),
     ]
+    if performance is not None:
+        trials.append(_mixed((running, 6), (performance, 3), (running, 6)))
+    if hops:
+        first, last = hops[-1], hops[0]
+        ends = ((first, 4), (last, 4)) if first != last else ((first, 4),)
+        trials.append(_mixed(*ends, (running, 6), *ends[::-1]))
+    return trials
 
 
-def speed_trials(
-    walking: str = "walking", running: str = "running", standing: str = "idle"
-) -> list[PathTrial]:
-    """Return paths from 0.3 to 5 m/s, one that brakes, and one with a stop."""
+def _mixed(*parts: tuple[str, float]) -> PathTrial:
+    """Return a straight path of several types, each with a length in metres."""
+    return PathTrial(" → ".join(kind for kind, _ in parts), _line(*parts), 2.0)
+
+
+def speed_trials(walking: str, running: str, standing: str | None = None) -> list[PathTrial]:
+    """Return paths from 0.3 to 5 m/s, one that brakes, and one with a stop for a model that can stand."""
     trials = []
     for speed, kind in (
         (0.3, walking),
@@ -87,6 +99,8 @@ def speed_trials(
         PathPart(np.array([[0.0, 14.0 * METRE]]), walking, 1.0 * METRE),
     ]
     trials.append(PathTrial(f"{running} at 3.6 m/s → {walking} at 1 m/s", make_path(parts), 2.0, (3.6, 1.0)))
+    if standing is None:
+        return trials
     # The slowest part that a path may have: 10 cm in 2 s.
     stop = [
         PathPart(np.array([[0.0, 0.0], [0.0, 5.0 * METRE]]), walking, 1.3 * METRE),
@@ -99,19 +113,13 @@ def speed_trials(
 
 
 def steered_types(model: MotionModel) -> tuple[str, str] | None:
-    """Return the types to walk and to run paths with: by name, else the slowest and fastest gait that goes ahead.
+    """Return the types to walk and to run paths with; a model that has one of them does both with it.
 
     None for a model without gaits.
     """
-    gaits = {
-        name: kind.gait.speed
-        for name, kind in model.types.items()
-        if kind.steered and not kind.stands and kind.gait is not None and abs(kind.gait.facing) < np.pi / 4
-    }
-    if not gaits:
-        return None
-    slowest, fastest = min(gaits, key=lambda k: gaits[k]), max(gaits, key=lambda k: gaits[k])
-    return ("walking" if "walking" in gaits else slowest), ("running" if "running" in gaits else fastest)
+    gaits = usual_gaits(model)
+    walking, running = gaits.walk or gaits.run, gaits.run or gaits.walk
+    return None if walking is None or running is None else (walking, running)
 
 
 def _line(*parts: tuple[str, float]) -> Path2D:
@@ -128,15 +136,13 @@ def paths_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: distance from each path, how often its end was reached, speed, braking and feet."""
     model, settings = trial.model, trial.settings
     gaits = steered_types(model)
-    standing = next((name for name, kind in model.types.items() if kind.stands), "idle")
-    usual, asked = ([], []) if gaits is None else (path_trials(*gaits), speed_trials(*gaits, standing))
-    usual, asked = (
-        [t for t in trials if {p.type for p in t.path.parts} <= set(model.types)] for trials in (usual, asked)
-    )
-    if not usual:
+    if gaits is None:
         return Section(
             "paths", "Path following", notes=["not measured: the model has no gait to follow a path with"]
         )
+    roles = find_roles(trial)
+    usual = path_trials(*gaits, next(iter(roles.performances), None), roles.hops)
+    asked = speed_trials(*gaits, roles.gaits.stand)
     tasks = [(t.path, seed) for t in (*usual, *asked) for seed in trial.seeds(settings.repeats)]
     walks = roll_paths(model, tasks, settings.noise, trial.each, progress)
     groups = [walks[i : i + settings.repeats] for i in range(0, len(walks), settings.repeats)]

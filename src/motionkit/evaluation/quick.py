@@ -90,6 +90,7 @@ def quick_verdicts(
     kinds = [
         kind for kind in model.types if kind in judge.real.types and judge.real.profile(kind) is not None
     ]
+    judge = Judge(judge.real, own_clips=True)
     neutral = neutral_types(model)
     first = settings.first_seed
     plans = [

@@ -16,6 +16,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array, spans
 from motionkit.control.drive import Driver, Wish
+from motionkit.control.steering import usual_gaits
 from motionkit.evaluation.body import SPEED_SPAN, Body
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Driven, Progress, roll_live
@@ -28,7 +29,6 @@ DIRECTION_LIMIT = math.radians(15.0)
 SPEED_SHARE = 0.15
 TARGET_SECONDS = 0.5
 STEADY_SECONDS = 1 / 3  # over which a speed is averaged, because it varies within a step
-DEFAULT_SPEED = 1.3  # m/s, for a type without a measured speed
 
 # Takes a body and returns flags (T,): whether each frame meets the command.
 Answer = Callable[[Body], Array]
@@ -53,34 +53,50 @@ class Command:
     looks_ahead: float = SPEED_SPAN / 2
 
 
-# Conditions for a change of type: speed over the ground in m/s, and its forward component.
-_SHOWS: dict[str, Answer] = {
-    "idle": lambda body: body.speed < 0.25,
-    "walking": lambda body: (body.speed > 0.4) & (body.speed < 2.0) & (body.velocity[:, 1] > 0.0),
-    "running": lambda body: (body.speed > 1.8) & (body.velocity[:, 1] > 0.0),
-    "b-walking": lambda body: body.velocity[:, 1] < -0.3,
-}
+def _stands(body: Body) -> Array:
+    return body.speed < 0.25
+
+
+def _walks(body: Body) -> Array:
+    return (body.speed > 0.4) & (body.speed < 2.0) & (body.velocity[:, 1] > 0.0)
+
+
+def _runs(body: Body) -> Array:
+    return (body.speed > 1.8) & (body.velocity[:, 1] > 0.0)
+
+
+def _goes_back(body: Body) -> Array:
+    return body.velocity[:, 1] < -0.3
 
 
 def commands(model: MotionModel) -> list[Command]:
-    """Return the commands of the scoreboard whose types the model has."""
+    """Return the commands of the scoreboard for the gaits that the model has."""
+    gaits = usual_gaits(model)
 
     def ahead(kind: str, angle: float = 0.0, share: float = 1.0) -> Wish:
-        gait = model.types[kind].gait if kind in model.types else None
-        speed = share * (100.0 * DEFAULT_SPEED if gait is None else gait.speed)
-        velocity = (0.0, 0.0) if kind == "idle" else (speed * math.sin(angle), speed * math.cos(angle))
-        return Wish(velocity, None if gait is None or kind == "idle" else angle - gait.facing, kind)
+        each = model.types[kind]
+        if each.stands or each.gait is None:
+            return Wish((0.0, 0.0), None, kind)
+        speed = share * each.gait.speed
+        return Wish((speed * math.sin(angle), speed * math.cos(angle)), angle - each.gait.facing, kind)
 
+    stand, walk, run, back = gaits.stand, gaits.walk, gaits.run, gaits.back
     changes = [
-        ("idle", "walking"),
-        ("walking", "idle"),
-        ("walking", "running"),
-        ("running", "walking"),
-        ("running", "idle"),
-        ("idle", "b-walking"),
+        (stand, walk, _walks),
+        (walk, stand, _stands),
+        (walk, run, _runs),
+        (run, walk, _walks),
+        (run, stand, _stands),
+        (stand, back, _goes_back),
     ]
-    out = [Command(f"{a} → {b}", "type", ahead(a), ahead(b), _SHOWS[b]) for a, b in changes]
-    for kind in ("walking", "running"):
+    out = [
+        Command(f"{a} → {b}", "type", ahead(a), ahead(b), shows)
+        for a, b, shows in changes
+        if a is not None and b is not None
+    ]
+    for kind in (walk, run):
+        if kind is None:
+            continue
         for name, angle in (("left", math.pi / 2), ("right", -math.pi / 2)):
             answer = _goes_towards(angle)
             out.append(Command(f"{kind}, 90° {name}", "direction", ahead(kind), ahead(kind, angle), answer))
@@ -90,7 +106,7 @@ def commands(model: MotionModel) -> list[Command]:
             name = f"{kind}, {first:.0%} → {then:.0%} of its speed"
             ahead_by = (SPEED_SPAN + STEADY_SECONDS) / 2
             out.append(Command(name, "speed", before, after, _goes_at(wanted), ahead_by))
-    return [c for c in out if {c.before.type, c.after.type} <= set(model.types)]
+    return out
 
 
 def _goes_towards(angle: float) -> Answer:
@@ -136,7 +152,7 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     model, settings = trial.model, trial.settings
     wanted = [c for c in commands(model) for _ in range(settings.repeats)]
     if not wanted:
-        note = "not measured: every command needs a type the model does not have"
+        note = "not measured: the model has no gaits to be commanded"
         return Section("response", "Response time", notes=[note])
     frames = round((BEFORE_SECONDS + AFTER_SECONDS) * model.fps)
     characters = [_commanded(model, command) for command in wanted]
@@ -169,7 +185,7 @@ def response_section(trial: Trial, progress: Progress) -> Section:
         f"{settings.repeats} characters per command, driven as play drives them by default, from {BEFORE_SECONDS:g} s "
         f"before it; response: the first frame from which the condition holds for {HELD_SECONDS:g} s; no response "
         f"counts as {AFTER_SECONDS:g} s; characters that met the condition before the command are left out",
-        "conditions: idle below 0.25 m/s, walking 0.4 to 2 m/s forwards, running above 1.8 m/s forwards, b-walking "
+        "conditions: standing below 0.25 m/s, a walk 0.4 to 2 m/s forwards, a run above 1.8 m/s forwards, going back "
         "0.3 m/s backwards; direction: root within 15° of the commanded one; speed: within 15 % of the commanded one, "
         "averaged over 1/3 s",
     ]

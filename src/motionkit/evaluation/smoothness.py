@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import cycle
+
 from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.limits import REAL_SHARE, acceleration_limit, accelerations, turn_limit
 from motionkit.evaluation.report import Cell, Goal, Section, Table
+from motionkit.evaluation.roles import Roles, find_roles
 from motionkit.evaluation.rolling import Plan, Progress
 from motionkit.evaluation.trial import Trial
 from motionkit.evaluation.visible import DEPTH, flips
@@ -13,23 +17,45 @@ from motionkit.metrics.leaps import fastest_turn, leaps
 from motionkit.metrics.touch import lowest_points
 
 LASTING_SECONDS = 3.0  # for types that have no length of their own
-SEQUENCES = (
-    ("running", "twist", "cartwheel", "kicking"),
-    ("running", "side-somersault", "cartwheel", "running"),
-    ("walking", "backflip", "handspring", "walking"),
-    ("punching", "w-kicking", "dance-modern", "exercise"),
-    ("running", "balance", "walking", "idle"),
-)
+
+
+def sequences(roles: Roles) -> list[tuple[str, ...]]:
+    """Return sequences of a model's types that no clip holds: between gaits, performances, strikes and dances.
+
+    Types that the model lacks are left out, and types it has many of are spread over the sequences.
+    """
+    gaits = roles.gaits
+    run, walk, stand = gaits.run or gaits.walk, gaits.walk or gaits.run, gaits.stand
+    once, strike = _taken(roles.performances), _taken(roles.strikes)
+    lasting = _taken(roles.lasting)
+    plans = (
+        (run, next(once), next(once), next(strike)),
+        (run, next(once), next(once), run),
+        (walk, next(once), next(once), walk),
+        (next(strike), next(once), next(lasting), next(lasting)),
+        (run, next(lasting), walk, stand),
+    )
+    found = []
+    for plan in plans:
+        kinds = [kind for kind in plan if kind is not None]
+        sequence = tuple(kind for i, kind in enumerate(kinds) if i == 0 or kind != kinds[i - 1])
+        if len(sequence) > 1 and sequence not in found:
+            found.append(sequence)
+    return found
+
+
+def _taken(kinds: tuple[str, ...]) -> Iterator[str | None]:
+    """Types in turn, again and again; None for ever without any."""
+    return cycle(kinds or (None,))
 
 
 def smoothness_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: fastest joint, acceleration and lowest joint of each sequence, against recordings."""
     model, settings = trial.model, trial.settings
-    known = [s for s in SEQUENCES if set(s) <= set(trial.recorded_types)]
+    known = [s for s in sequences(find_roles(trial)) if set(s) <= set(trial.recorded_types)]
     if not known:
-        return Section(
-            "smoothness", "Transitions", notes=["not measured: every sequence needs a type that is missing"]
-        )
+        note = "not measured: the dataset has recordings of fewer than two types of the model"
+        return Section("smoothness", "Transitions", notes=[note])
     plans = [
         Plan(tuple(TypePart(k, model.phase_seconds(k) or LASTING_SECONDS) for k in sequence), seed)
         for sequence in known

@@ -11,6 +11,7 @@ import numpy as np
 
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.report import Cell, Goal, Section, Table
+from motionkit.evaluation.roles import bears_on_hands
 from motionkit.evaluation.rolling import Progress
 from motionkit.evaluation.trial import Trial
 from motionkit.metrics.body_movement import angular_speed, geodesic_movement
@@ -26,7 +27,6 @@ PLANTED = (0.8, 1.2)  # planted share relative to the recordings
 HOVER_MORE = 0.02  # share of the frames that may hover more than in the recordings
 DEPTH = 3.0  # cm below the ground that a joint may be, or as deep as recorded
 HANDS_NEAR = 3.0  # cm; difference to recorded hands where hands bear the body
-HANDSTANDS = ("cartwheel", "handspring")
 TRUNK = tuple(JOINT_NAMES.index(name) for name in ("LowerBack", "Spine", "Spine1", "Neck", "Neck1", "Head"))
 ARMS = tuple(
     JOINT_NAMES.index(side + name)
@@ -46,8 +46,9 @@ def visible_section(trial: Trial, progress: Progress) -> Section:
         for kind in trial.recorded_types
     }
     gaits = {kind for kind in default if trial.model.types[kind].steered}
+    handstands = [kind for kind in default if bears_on_hands(trial.real, kind)]
     tables, goals = [], []
-    for part in (_leaps(default, raw, real, gaits), _touch(default, raw, real), _lowest(default, raw, real),
+    for part in (_leaps(default, raw, real, gaits), _touch(default, raw, real), _lowest(default, raw, real, handstands),
                  _flights(default, raw, real), _gaits(default, real, gaits)):  # fmt: skip
         tables.append(part[0])
         goals += part[1]
@@ -150,7 +151,7 @@ def _touch(default: Bodies, raw: Bodies, real: Bodies) -> Part:
     return Table("Planted and hovering", columns, rows), goals
 
 
-def _lowest(default: Bodies, raw: Bodies, real: Bodies) -> Part:
+def _lowest(default: Bodies, raw: Bodies, real: Bodies, handstands: list[str]) -> Part:
     rows: list[tuple[Cell, ...]] = []
     deep, goals = [], []
     kinds = [kind for kind in default if real[kind]]
@@ -162,7 +163,7 @@ def _lowest(default: Bodies, raw: Bodies, real: Bodies) -> Part:
     columns = ("type", *(name for group in GROUPS for name in (group, f"{group}, recorded")), "body, raw")
     what = f"no joint more than {DEPTH:g} cm below the ground, or deeper than recorded: share of types"
     goals.append(share_of_types(what, kinds, deep))
-    for kind in HANDSTANDS:
+    for kind in handstands:
         if kind in kinds:
             apart = _hands(default[kind]) - _hands(real[kind])
             name = f"lowest hands in {kind} − recorded, cm"

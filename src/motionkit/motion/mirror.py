@@ -24,6 +24,7 @@ from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import mean_rotation, quat_angle, quat_multiply
+from motionkit.motion.sides import LEFT_WORDS, LONG_WORDS, other_side
 from motionkit.motion.skeleton import Skeleton
 
 # How rigs mark a side, from the clearest to the vaguest. A mark counts only if the name with the other side exists
@@ -31,7 +32,7 @@ from motionkit.motion.skeleton import Skeleton
 _SIDE_MARKS = tuple(
     re.compile(pattern)
     for pattern in (
-        r"(?i:left|right)",  # LeftArm, right_hip, Character1_LeftArm, mixamorig:LeftArm
+        f"(?i:{'|'.join(LONG_WORDS)})",  # LeftArm, right_hip, Character1_LeftArm, mixamorig:LeftArm, Arm_links, 左腕
         r"(?<![A-Za-z])[LRlr](?![A-Za-z])",  # Shoulder_L, thigh.R, Bip01 L Thigh, l_foot
         r"(?<![A-Za-z])[LRlr](?=[A-Z])",  # LHipJoint, rThigh
         r"(?<=[a-z0-9])[LR](?![a-z])",  # ThighL
@@ -39,16 +40,10 @@ _SIDE_MARKS = tuple(
         r"(?<=[a-z])[lr](?![A-Za-z])",  # handl
     )
 )
-_OTHER_SIDE = {"left": "right", "right": "left", "l": "r", "r": "l"}
 
 
 def _other_side(match: re.Match[str]) -> str:
-    """The word or letter for the other side, in the same case."""
-    word = match.group()
-    other = _OTHER_SIDE[word.lower()]
-    if word.isupper():
-        return other.upper()
-    return other.capitalize() if word[0].isupper() else other
+    return other_side(match.group())
 
 
 def _paired_marks(names: Sequence[str]) -> dict[int, tuple[int, bool]]:
@@ -60,7 +55,7 @@ def _paired_marks(names: Sequence[str]) -> dict[int, tuple[int, bool]]:
             match = mark.search(name)
             twin = indices.get(mark.sub(_other_side, name)) if match else None
             if match and twin is not None and twin != index and index not in paired and twin not in paired:
-                left = match.group()[0] in "lL"
+                left = match.group().lower() in LEFT_WORDS
                 paired[index], paired[twin] = (twin, left), (index, not left)
     return paired
 

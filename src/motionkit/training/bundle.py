@@ -227,6 +227,18 @@ def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
 
     The angle is zero for types that go no steady direction; walking backwards has half a turn.
     """
+    gaits = {}
+    for kind, (frames, distance, x, z) in ground_movement(dataset).items():
+        steady = math.hypot(x, z) > 0.8 * distance
+        facing = math.atan2(x, z) if steady else 0.0
+        gaits[kind] = Gait(
+            round(distance / frames, 2), round(facing, 3), dataset.phase_seconds.get(kind, 0.0)
+        )
+    return gaits
+
+
+def ground_movement(dataset: Dataset) -> dict[str, tuple[float, float, float, float]]:
+    """Sums over the training frames of each type that has some: frames, speed, sideways and forward velocity (cm/s)."""
     sums = {kind: np.zeros(4, np.float64) for kind in dataset.types}
     block = dataset.layout.blocks["root_xz_velocity"]
     for clip in dataset.select("train"):
@@ -235,12 +247,5 @@ def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
         for i in np.unique(kinds).tolist():
             mine = velocity[kinds == i]
             sums[dataset.types[i]] += [len(mine), np.linalg.norm(mine, axis=-1).sum(), *mine.sum(axis=0)]
-    gaits = {}
-    for kind, (frames, distance, x, z) in ((k, v.tolist()) for k, v in sums.items()):
-        if frames:
-            steady = math.hypot(x, z) > 0.8 * distance
-            facing = math.atan2(x, z) if steady else 0.0
-            gaits[kind] = Gait(
-                round(distance / frames, 2), round(facing, 3), dataset.phase_seconds.get(kind, 0.0)
-            )
-    return gaits
+    rows = {kind: found.tolist() for kind, found in sums.items() if found[0]}
+    return {kind: (frames, distance, x, z) for kind, (frames, distance, x, z) in rows.items()}
