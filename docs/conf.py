@@ -59,6 +59,11 @@ TUTORIALS = ("my-*", "experiments*")
 UNKNOWN_LANGUAGES = {"mermaid": "text", "csv": "text"}
 
 
+def title(page: Path) -> str:
+    """The first heading of a page."""
+    return next(line[2:] for line in page.read_text("utf-8").splitlines() if line.startswith("# "))
+
+
 def site_links(text: str, folder: Path, base: str) -> str:
     """The links of a page as the site has them.
 
@@ -76,6 +81,8 @@ def site_links(text: str, folder: Path, base: str) -> str:
         place = (folder / name).resolve()
         if place.parent == ROOT and place.name in ROOT_PAGES:
             return f"{label}({base}_generated/{ROOT_PAGES[place.name]}{hash_}{fragment})"
+        if place.suffix == ".md" and label == f"[{place.name}]" and place.is_file():
+            label = f"[{title(place)}]"  # a site has no files
         if place.parent == DOCS and place.name in MADE_BY:
             return f"{label}({base}_generated/{MADE_BY[place.name]})"
         if place in (ROOT / "README.md", DOCS / "README.md", DOCS):
