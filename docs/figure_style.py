@@ -69,6 +69,9 @@ def save(figure: Figure, name: str, folder: Path = FOLDER) -> Path:
         svg = svg.replace(stand_in, variable)
     svg = re.sub(r"(<svg [^>]*>)", lambda tag: tag[1] + STYLE, svg, count=1)
     svg = re.sub(r"\d+\.\d{3,}", lambda number: f"{float(number[0]):.2f}", svg)
+    ids = dict.fromkeys(re.findall(r"url\(#(p[0-9a-f]{10})\)", svg))  # of clip paths, another one at each run
+    for number, name_of in enumerate(ids):
+        svg = svg.replace(name_of, f"clip{number}")
     svg = svg.replace("'DejaVu Sans'", "'DejaVu Sans', Verdana, sans-serif")
     path = folder / f"{name}.svg"
     folder.mkdir(exist_ok=True)
