@@ -184,9 +184,9 @@ def follow_path(
     place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
     state = RolloutState(model, 1, options.noise or default_noise(model), options.seed)
-    if model.plain:
-        start = on_body(model, start, skeleton)
-        state.set_skeletons([skeleton])
+    body = model.moved_skeleton(options.character)
+    start = on_body(model, start, body)
+    state.set_skeletons([body])
     state.start(start.features, start.contacts, weights, place, length)
 
     furthest = 0.0

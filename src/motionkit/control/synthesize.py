@@ -100,7 +100,8 @@ def synthesize(
         raise ControlError(f"expected a count of at least 1, found {count}")
     plans = _plans(parts)
     check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
-    skeletons = [model.character(name.strip()) for name in options.character.split(",")]
+    names = [name.strip() for name in options.character.split(",")]
+    skeletons = [model.character(name) for name in names]
     for plan in plans:
         type_track(model, plan)  # an unknown type is refused before any frame is sought for it
     turn = [i % len(plans) for i in range(count)]
@@ -116,10 +117,9 @@ def synthesize(
     weights = [plan_weights(model, plan) for plan in plans]
     near = [last_poses(model, start.features[0]) for start in starts]
     state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
-    if model.plain:
-        bodies = [skeletons[i % len(skeletons)] for i in range(count)]
-        starts = [on_body(model, start, body) for start, body in zip(starts, bodies, strict=True)]
-        state.set_skeletons(bodies)
+    bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
+    starts = [on_body(model, start, body) for start, body in zip(starts, bodies, strict=True)]
+    state.set_skeletons(bodies)
     ground = np.concatenate([start.ground for start in starts])
     state.start(
         [start.features[0] for start in starts],
@@ -133,7 +133,7 @@ def synthesize(
         if len(plans) > 1:
             raise ControlError("keys are met by characters with the same types; give one list of types")
         check_length(options.keys, min(sum(part.seconds for part in plan) for plan in plans))
-        share = leg_length(skeletons[0]) / leg_length(model.character("default"))
+        share = model.body_scale(names[0])
         begin = Beginning(ground[0], near[0])
         types = type_track(model, plans[0])
         controller = KeyedController(model, controller, options.keys, begin, types, share)
@@ -183,13 +183,12 @@ def finish_motion(
 ) -> Motion:
     """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate.
 
-    A plain model was shown the skeleton and moves it as it is; what others do on the default body is scaled.
+    A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
     Args:
         hold: share of the sliding of feet in contact that is taken out of the root's way; 0 where the way was given.
     """
-    body = skeleton if model.plain else model.character("default")
-    motion = rollout_motion(model, rollout, index, body)
+    motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
         motion = lock_feet(motion, rollout.contacts[index], hold)
     motion = on_character(motion, skeleton)
@@ -217,11 +216,16 @@ def _meeting(
     model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, options: SynthesisOptions
 ) -> Motion:
     """One character of a roll-out as a motion that meets the keys of the options, and goes on from their clip."""
-    body = rollout_motion(model, rollout, index, model.character("default"))
+    body = rollout_motion(model, rollout, index, _moved(model, skeleton))
     before = None if options.init is None else on_character(clip_motion(model, options.init), skeleton)
     contacts = rollout.contacts[index]
     motion = meet_keys(on_character(body, skeleton), contacts, options.keys, options.ik, before)
     return motion if options.fps is None else resample(motion, options.fps)
+
+
+def _moved(model: MotionModel, skeleton: Skeleton) -> Skeleton:
+    """The skeleton that the network moved for a character with this one."""
+    return skeleton if model.shows_bodies else model.character("default")
 
 
 def on_character(motion: Motion, skeleton: Skeleton) -> Motion:

@@ -38,6 +38,7 @@ from motionkit.files import read_json
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
+SAME_BODY = 1e-3  # cm by which offsets of one body may differ
 # Number of frames to fit the pose embedding to; balance 0 weights all frames equally, 1 all types equally.
 EMBEDDING_FRAMES, EMBEDDING_BALANCE = 200_000, 0.75
 
@@ -201,6 +202,12 @@ class Dataset:
     def characters(self) -> dict[str, Array]:
         """Offsets (23, 3) in cm of the performers named in the labels."""
         return {name: np.array(body, np.float32) for name, body in self.manifest["characters"].items()}
+
+    @cached_property
+    def own_bodies(self) -> bool:
+        """Whether performers have their own bone lengths, not one body for all."""
+        body = canonical_skeleton().offsets
+        return not all(np.allclose(offsets, body, atol=SAME_BODY) for offsets in self.bodies)
 
     @property
     def phase_seconds(self) -> dict[str, float]:

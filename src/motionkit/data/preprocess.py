@@ -411,7 +411,7 @@ def _pass_two(
         "phase_seconds": {types[kind]: round(rule.frames / FPS, 3) for kind, rule in sorted(rules.items())},
         "phase_events": {types[kind]: rule.event for kind, rule in sorted(rules.items())},
         "bodies": bodies,
-        "characters": _characters(prepared),
+        "characters": _characters(prepared, options.own_bodies),
         "references": reference_rotations.tolist(),
         "feature_scaling": _plain(feature_scaling(moments, layout)),
         "trajectory_scaling": _plain(trajectory_scaling(trajectory_moments)),
@@ -445,14 +445,27 @@ def _write_phases(
     return rules
 
 
-def _characters(prepared: list[_Prepared]) -> dict[str, list[list[float]]]:
-    """The body (23, 3) in cm of each performer named in the labels, from the performer's first file."""
+def _characters(prepared: list[_Prepared], own_bodies: bool) -> dict[str, list[list[float]]]:
+    """The body (23, 3) in cm of each performer named in the labels, from the performer's first file.
+
+    Without such names, the distinct bodies that the dataset keeps.
+    """
     out: dict[str, list[list[float]]] = {}
     for item in prepared:
         for *_, subject in item.runs:
             if subject:
-                out.setdefault(f"subject-{subject}", [[round(x, 3) for x in row] for row in item.own_body])
+                out.setdefault(f"subject-{subject}", _rounded(item.own_body))
+    if not out and own_bodies:
+        kept: list[list[list[float]]] = []
+        for item in prepared:
+            if item.runs and _rounded(item.own_body) not in kept:
+                kept.append(_rounded(item.own_body))
+        out = {f"body-{i}": body for i, body in enumerate(kept, 1)}
     return out
+
+
+def _rounded(body: list[list[float]]) -> list[list[float]]:
+    return [[round(x, 3) for x in row] for row in body]
 
 
 def _references(prepared: list[_Prepared]) -> Array:

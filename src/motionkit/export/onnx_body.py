@@ -15,7 +15,7 @@ from motionkit.inference import height_correction
 from motionkit.inference.pose import FROM_CONSTANT, FROM_MATRIX, LEFT, TO_MATRIX, BodyKinematics
 from motionkit.inference.slip_correction import foot_columns
 from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS, leg_length
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS
 
 QUARTER = 0.5 * np.pi
 PER_PACE = height_correction.PACE * height_correction.DOUBT**2
@@ -30,7 +30,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     blocks = layout.blocks
     continuous = layout.root_is_sixd
     skeleton = model.character(character)
-    share = np.float32(leg_length(skeleton) / leg_length(model.character("default")))
+    share = np.float32(model.body_scale(character))
     height = layout.root_height
     # Split the features into the needed columns, in their order, and the rest between them.
     joints, root = blocks["joint_rotations"], blocks["root_rotation"]

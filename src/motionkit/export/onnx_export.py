@@ -34,11 +34,11 @@ from motionkit.inference.character import model_first_type
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import Noise, RolloutState
-from motionkit.inference.start import Start, type_start
+from motionkit.inference.start import Start, on_body, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import JOINT_COUNT, leg_length
+from motionkit.motion.skeleton import JOINT_COUNT
 
 if TYPE_CHECKING:
     from onnx import ModelProto
@@ -105,7 +105,7 @@ def build_graph(model: MotionModel, character: str = "default", weights: str = "
     inputs |= {name: shape for name, (shape, _) in CONTROLS.items()}
     outputs = {present_name(name): shape for name, shape in state_shapes(packed).items()}
     outputs |= {name: shape for name, (shape, _) in OUTPUTS.items()}
-    features = write_network(graph, model, packed, small=weights == "int8")
+    features = write_network(graph, model, packed, model.moved_skeleton(character), small=weights == "int8")
     write_body(graph, model, features, character)
     described = json.dumps(metadata(model, character, weights, starts=False))
     return graph.model(inputs, outputs, __version__, {"motionkit": described})
@@ -154,16 +154,19 @@ def metadata(
         "features": column_names(model.config.layout),
     }
     if starts:
-        described["starts"] = {
-            name: {
-                "pose": _rounded(model.scaling.normalize(kind.start_poses[0].features), 4),
-                "contacts": _rounded(kind.start_poses[0].contacts, 0),
-            }
-            for name, kind in model.types.items()
-            if kind.start_poses
-        }
+        known = [name for name, kind in model.types.items() if kind.start_poses]
+        described["starts"] = {name: _start(model, name, character) for name in known}
         described["reference_clips"] = {kind: _reference_clips(model, kind) for kind in model.types}
     return described
+
+
+def _start(model: MotionModel, kind: str, character: str) -> dict[str, list]:
+    """Return the first start pose of a type, on the character if the network is shown it."""
+    start = on_body(model, type_start(model, kind), model.moved_skeleton(character))
+    return {
+        "pose": _rounded(model.scaling.normalize(start.features[0]), 4),
+        "contacts": _rounded(start.contacts[0], 0),
+    }
 
 
 def _reference_clips(model: MotionModel, kind: str) -> list[dict[str, list]]:
@@ -405,16 +408,17 @@ def check_export(
     Raises ModelError if the model does not move in motionkit either.
     """
     kind = model_first_type(model)
-    start = type_start(model, kind)
+    start = on_body(model, type_start(model, kind), model.moved_skeleton(character))
     script = every_control(model, frames)
     state = RolloutState(model, 1, Noise(), compiled=False)
     state.network = NetworkStep(pack(model.network), 1)
+    state.set_skeletons([model.moved_skeleton(character)])
     state.start(start.features, start.contacts, script[0].type_weights)
     graph = OnnxStep(graph_file)
     _start_graph(graph, model, start, script[0].type_weights)
     decoder = PoseDecoder(model.config.layout, model.reference_rotations)
     skeleton = model.character(character)
-    share = np.array([leg_length(skeleton) / leg_length(model.character("default"))], np.float32)
+    share = np.array([model.body_scale(character)], np.float32)
     body = BodyKinematics(skeleton.offsets[None])
     height_correction = HeightCorrection(model.config.layout, 1)
     apart, features = np.zeros(frames), np.zeros(frames)

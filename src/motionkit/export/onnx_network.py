@@ -24,7 +24,7 @@ from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.rollout import blended_columns
 from motionkit.inference.step_weights import NORM_EPS, StepWeights
 from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import canonical_skeleton
+from motionkit.motion.skeleton import Skeleton
 
 INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
 
@@ -56,10 +56,11 @@ def present_name(name: str) -> str:
     )
 
 
-def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: bool) -> str:
+def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: Skeleton, small: bool) -> str:
     """Write the nodes from controls and state to the next state, without ground and rise.
 
     Args:
+        skeleton: the one that the network is shown.
         small: whether the products of the layers are in 8 bits.
 
     Returns:
@@ -69,7 +70,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     hidden = config.contact_hidden
     weights = balance_heads(spread_channels(weights)) if small else weights
     step = _Step(g, weights, small)
-    blocks = _control_blocks(step, model)
+    blocks = _control_blocks(step, model, skeleton)
     past = state_shapes(weights)["past_frames"][1]
     # The oldest frame is dropped; before is the pose of the last one.
     stay = past - INPUT_COUNT
@@ -111,7 +112,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, small: boo
     return g.add("Add", g.add("Mul", pose, model.scaling.std), model.scaling.mean, out="features")
 
 
-def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
+def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list[list[str]]:
     """Write what the controls add to the input (P, D) of each layer of both modules, and return the names.
 
     The skeleton is constant. Scales and offsets of the other signals are folded into the map: a signal (s - m) / d
@@ -123,7 +124,7 @@ def _control_blocks(step: _Step, model: MotionModel) -> list[list[str]]:
     embed = np.concatenate([m.controls for m in modules]).transpose(1, 0, 2).astype(np.float64)
     embed = embed.reshape(embed.shape[0], -1)  # (C, 2 P Dc)
     bias = np.concatenate([m.controls_bias for m in modules]).reshape(-1).astype(np.float64)
-    bias += skeleton_signal(canonical_skeleton()).astype(np.float64) @ embed[layout.skeleton]
+    bias += skeleton_signal(skeleton).astype(np.float64) @ embed[layout.skeleton]
     trajectory = embed[layout.trajectory] / scaling.std.astype(np.float64)[:, None]
     given = embed[layout.flag] - scaling.mean.astype(np.float64) @ trajectory
     reference = embed[layout.reference]

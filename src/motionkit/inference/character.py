@@ -15,9 +15,9 @@ from motionkit.inference.frame_kernel import PoseKernel, frame_library
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import Noise, RolloutState
-from motionkit.inference.start import type_start
+from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import JOINT_COUNT, leg_length
+from motionkit.motion.skeleton import JOINT_COUNT
 
 _POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
 
@@ -44,9 +44,10 @@ class CharacterFrame:
 class CharacterStream:
     """N characters that each go their own way, moved on together by step().
 
-    Every character has a skeleton of the model: its rotations are those of the network, its path over
-    the ground is scaled by the length of its legs. MotionIndex, trajectories and frames are all in the
-    character's own world, so nothing outside has to know of the scale.
+    Every character has a skeleton of the model. A network that is shown skeletons moves it as it is; else its
+    rotations are those of the network, and its path over the ground is scaled by the length of its legs.
+    MotionIndex, trajectories and frames are all in the character's own world, so nothing outside has to know of
+    the scale.
     """
 
     def __init__(
@@ -84,13 +85,18 @@ class CharacterStream:
         for index in range(count):
             self._take_body(index, characters[index % len(characters)])
         kind = model_first_type(model)
-        start = type_start(model, kind, count)
+        bodies = [model.moved_skeleton(characters[index % len(characters)]) for index in range(count)]
+        starts = [on_body(model, type_start(model, kind), body) for body in bodies]
+        features, contacts = (
+            np.concatenate(p) for p in zip(*((s.features, s.contacts) for s in starts), strict=True)
+        )
         weights = self._weights(kind).repeat(count, axis=0)
-        self.state.start(start.features, start.contacts, weights, None, model.phase_seconds(kind) * model.fps)
+        self.state.start(features, contacts, weights, None, model.phase_seconds(kind) * model.fps)
 
     def _take_body(self, index: int, character: str) -> None:
         skeleton = self.model.character(character)
-        self.scale[index] = leg_length(skeleton) / leg_length(self.model.character("default"))
+        self.scale[index] = self.model.body_scale(character)
+        self.state.set_skeleton(index, self.model.moved_skeleton(character))
         self._scaled = bool((self.scale != 1.0).any())
         self.offsets[index] = skeleton.offsets
         self.body.set_offsets(index, self.offsets[index])
@@ -118,7 +124,7 @@ class CharacterStream:
         """
         model, kind = self.model, type or model_first_type(self.model)
         weights = self._weights(kind)
-        start = type_start(model, kind, 1)
+        start = on_body(model, type_start(model, kind, 1), model.moved_skeleton(character))
         self._take_body(index, character)
         ground = np.array([place], np.float32)
         ground[:, :2] /= float(self.scale[index])

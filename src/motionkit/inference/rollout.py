@@ -177,6 +177,10 @@ class RolloutState:
         """The skeleton control signal of each character."""
         self._skeletons = np.stack([skeleton_signal(s) for s in skeletons])
 
+    def set_skeleton(self, index: int, skeleton: Skeleton) -> None:
+        """The skeleton control signal of one character."""
+        self._skeletons[index] = skeleton_signal(skeleton)
+
     def start(
         self,
         features: Array | Sequence[Array],

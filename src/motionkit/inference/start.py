@@ -45,7 +45,12 @@ def type_start(model: MotionModel, kind: str, count: int = 1, choice: int = 0) -
 
 
 def on_body(model: MotionModel, start: Start, skeleton: Skeleton) -> Start:
-    """The same poses on another body, its root as much higher as its legs are longer: as if it had been recorded."""
+    """The same poses on another body, its root as much higher as its legs are longer: as if it had been recorded.
+
+    Models that are not shown bodies know only one, and get the start as it is.
+    """
+    if not model.shows_bodies:
+        return start
     layout, kept = model.config.layout, []
     reach = _leg_reach(start.features[0], layout)
     for features in start.features:

@@ -88,6 +88,7 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "seeds": {name: len(kind.start_poses) for name, kind in types.items()},
         "gaits": {name: [g.speed, g.facing, g.cycle_seconds] for name, g in gaits.items() if g is not None},
         "guides": model.uses_references,
+        **({"own_bodies": True} if model.own_bodies else {}),
         **{
             key: {name: getattr(kind.preset, field) for name, kind in types.items()}
             for key, field in PRESET_KEYS.items()
@@ -161,6 +162,7 @@ def load_model(path: str | Path) -> MotionModel:
         {name: arrays[f"character.{name}"] for name in header["characters"]},
         header["guides"],
         header.get("card", {}),
+        header.get("own_bodies", False),
     )
 
 

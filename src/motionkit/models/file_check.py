@@ -51,8 +51,9 @@ def check_header(header: dict[str, Any]) -> None:
     types: Any = header.get("types")
     check_names(types, header.get("characters"))
     _number("fps", header.get("fps"), *RATES)
-    if not isinstance(header.get("guides"), bool):
-        raise ModelError(f"guides is {_shown(header.get('guides'))}, expected true or false")
+    for key, value in (("guides", header.get("guides")), ("own_bodies", header.get("own_bodies", False))):
+        if not isinstance(value, bool):
+            raise ModelError(f"{key} is {_shown(value)}, expected true or false")
     if not isinstance(header.get("card", {}), dict):
         raise ModelError(f"card is {_shown(header['card'])}, expected an object")
     for key in ("seeds", "outlines"):

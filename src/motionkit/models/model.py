@@ -16,7 +16,7 @@ from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_
 from motionkit.models.architectures import PredictorConfig
 from motionkit.models.motion_type import MotionType
 from motionkit.models.weights import NetworkWeights
-from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 
 REFERENCE_CHOICES = ("auto", "none")
 
@@ -33,6 +33,7 @@ class MotionModel:
         pose_embedding: maps features to pose embeddings.
         characters: rest-pose offsets (23, 3) in cm by name; "default" is always there.
         uses_references: whether the network was trained with reference poses.
+        own_bodies: whether it was trained on performers with bodies of their own.
         card: data, settings, time and scores of the training; for people, never needed to run.
     """
 
@@ -46,6 +47,7 @@ class MotionModel:
     characters: dict[str, Array]
     uses_references: bool = False
     card: dict[str, Any] = field(default_factory=dict)
+    own_bodies: bool = False
 
     @property
     def type_names(self) -> tuple[str, ...]:
@@ -66,6 +68,11 @@ class MotionModel:
     def plain(self) -> bool:
         """Whether frames are used as they are drawn, and the predicted trajectory is fed back: the paper's way."""
         return self.config.controls == "paper"
+
+    @property
+    def shows_bodies(self) -> bool:
+        """Whether the network is shown the skeleton of a character, and moves it as it is."""
+        return self.plain or self.own_bodies
 
     @property
     def reference_map(self) -> ReferenceMap:
@@ -117,6 +124,15 @@ class MotionModel:
         if name not in self.characters:
             raise ControlError(unknown_name("character", name, tuple(self.characters)))
         return canonical_skeleton(self.characters[name])
+
+    def moved_skeleton(self, name: str) -> Skeleton:
+        """The skeleton that the network moves for a character: its own if it is shown, else the default one."""
+        skeleton = self.character(name)
+        return skeleton if self.shows_bodies else self.character("default")
+
+    def body_scale(self, name: str) -> float:
+        """Length of a character's legs relative to those the network moves: 1 if the network is shown them."""
+        return leg_length(self.character(name)) / leg_length(self.moved_skeleton(name))
 
 
 def unknown_name(what: str, name: str, known: tuple[str, ...]) -> str:

@@ -73,6 +73,7 @@ def bundle_model(
         {"default": canonical_skeleton().offsets} | dataset.characters,
         references,
         card,
+        dataset.own_bodies,
     )
 
 

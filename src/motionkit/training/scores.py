@@ -21,7 +21,9 @@ from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.files import safe_name
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run, start_batch
+from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import StartPose
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
@@ -90,7 +92,9 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     count = len(model.types)
     state = RolloutState(model, count, noise or Noise(), seed)
     weights = np.eye(count, dtype=np.float32)
-    features, contacts = start_batch([kind.start_poses[0] for kind in model.types.values()])
+    body = model.moved_skeleton("default")
+    starts = [on_body(model, type_start(model, name), body) for name in model.types]
+    features, contacts = start_batch([StartPose(s.features[0], s.contacts[0], s.ground) for s in starts])
     state.start(features, contacts, weights)
     plans = [[TypePart(kind, frames / model.fps)] for kind in model.types]
     near = [last_poses(model, seen) for seen in features]
