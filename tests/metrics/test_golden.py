@@ -36,6 +36,9 @@ RUNS: dict[str, tuple[float | None, float | None]] = {
     "path-mean": (5.56333, 0.0),
     "path-max": (22.78825, 0.0),
     "path-coverage": (1.0, 1.0),
+    "l2p": (72.2991, 0.0),
+    "l2q": (0.760617, 0.0),
+    "npss": (0.0408808, 0.0),
 }
 
 # A cartwheel, alone.

@@ -57,6 +57,9 @@ def test_two_folders_are_paired_by_name_and_give_what_each_pair_gives(metrics) -
     alone = [json.loads(metrics(p["ground_truth"], p["generated"], "--json")[1]) for p in value["pairs"]]
     assert value["pairs"] == alone
     jerks = [next(row["value"] for row in pair["metrics"] if row["id"] == "jerk") for pair in alone]
+    both = {row["id"]: row for row in value["sets"]}
+    assert set(both) == {"fid-pose", "diversity"} and both["fid-pose"]["ground_truth"] == 0.0
+    assert both["fid-pose"]["value"] > 1.0 and both["diversity"]["ground_truth"] > 0.0
     mean = value["mean"]["jerk"]
     assert mean["value"] == pytest.approx(sum(jerks) / 2) and mean["count"] == 2
     assert (mean["lowest"], mean["highest"]) == (min(jerks), max(jerks))
@@ -80,7 +83,10 @@ def test_csv_has_a_row_for_each_metric_of_each_pair(metrics) -> None:
     rows = list(csv.DictReader(io.StringIO(out)))
     value = json.loads(metrics("truth", "made", "--json")[1])
     found = {(row["ground_truth"], row["metric"]): row for row in rows}
-    assert len(found) == len(rows) == sum(len(pair["metrics"]) for pair in value["pairs"])
+    count = sum(len(pair["metrics"]) for pair in value["pairs"])
+    assert len(found) == len(rows) == count + len(value["sets"])
+    for metric in value["sets"]:
+        assert float(found["", metric["id"]]["value"]) == metric["value"]
     for pair in value["pairs"]:
         for metric in pair["metrics"]:
             row = found[pair["ground_truth"], metric["id"]]

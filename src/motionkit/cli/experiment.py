@@ -52,7 +52,7 @@ def _plan_options(function: Callable) -> Callable:
             "--budget",
             default="cpu",
             show_default=True,
-            type=click.Choice(["cpu", "gpu", "paper"]),
+            type=click.Choice(["short", "cpu", "gpu", "paper"]),
             help="Training of every network: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
         ),
         click.option("--steps", type=click.IntRange(min=1), help="Training steps; the budget's by default."),

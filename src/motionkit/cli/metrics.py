@@ -28,7 +28,7 @@ from motionkit.names import visible
 
 if TYPE_CHECKING:
     from motionkit.metrics.pairs import Pair, PairResult
-    from motionkit.metrics.report import MetricReport
+    from motionkit.metrics.report import MetricReport, MetricRow
     from motionkit.metrics.value import MetricValue
 
 _FILE: Any = click.Path(exists=True, dir_okay=False, path_type=Path)
@@ -65,14 +65,15 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     help="""Measure GROUND_TRUTH, alone or with GENERATED.
 
     Each file is measured by body movement (bm), average foot sliding (afs), foot skate, jerk, penetration, leaps of
-    knees and elbows, planted and hovering feet, and flights; a pair also by SSIM, MPJPE and trajectory distance
-    (path). docs/metrics.md defines every id. Other rigs are mapped onto the 23 joints, other rates are resampled to
-    60 fps, and clips of different length are compared over their common frames; notes under the table say what was
-    changed.
+    knees and elbows, planted and hovering feet, and flights; a pair also by SSIM, MPJPE, trajectory distance
+    (path), L2P, L2Q and NPSS. docs/metrics.md defines every id. Other rigs are mapped onto the 23 joints, other rates
+    are resampled to 60 fps, and clips of different length are compared over their common frames; notes under the
+    table say what was changed.
 
     Both may be folders: files of the same name are pairs, and files without a partner are listed. One folder
     alone is measured file by file. --pair pairs files of different names. For many pairs the table shows each
-    pair and the means; the exit code is 1 if any file was left out.
+    pair, the means, and Frechet distance and diversity of all files together; the exit code is 1 if any file was
+    left out.
     """,
 )
 @click.argument("ground_truth", type=_PLACE, required=False)
@@ -163,6 +164,7 @@ def command(
 
     from motionkit.metrics.pairs import PairResult, find_pairs
     from motionkit.metrics.report import evaluate_files
+    from motionkit.metrics.sets import set_metrics_of_files
 
     settings = replace(MetricSettings(floor=floor), **thresholds)  # type: ignore[arg-type]
     scales, rates = (scale, generated_scale), (fps, generated_fps)
@@ -170,11 +172,15 @@ def command(
     def evaluate(truth: Path, made: Path | None) -> MetricReport:
         return evaluate_files(truth, made, settings, skip, align_start, scales, rates, given)
 
+    def of_sets(measured: Sequence[PairResult]) -> tuple[MetricRow, ...]:
+        files = [(r.ground_truth, r.generated) for r in measured if r.report and r.generated]
+        return set_metrics_of_files(files, scales, rates, skip, given) if files else ()
+
     if ground_truth is None or many:
         pairs, lonely = (
             (list(given_pairs), []) if ground_truth is None else find_pairs(ground_truth, generated)
         )
-        _measure_many(pairs, lonely, evaluate, as_json, as_csv)
+        _measure_many(pairs, lonely, evaluate, of_sets, as_json, as_csv)
         return
     report = evaluate(ground_truth, generated)
     page = _view(ground_truth, generated, rates, as_json or as_csv) if view else None
@@ -194,26 +200,33 @@ def _measure_many(
     pairs: Sequence[Pair],
     lonely: Sequence[Path],
     evaluate: Callable[[Path, Path | None], MetricReport],
+    of_sets: Callable[[Sequence[PairResult]], tuple[MetricRow, ...]],
     as_json: bool,
     as_csv: bool,
 ) -> None:
-    """Measure and print all pairs; raises MotionkitError at the end if any failed."""
+    """Measure and print all pairs, alone and as sets; raises MotionkitError at the end if any failed."""
     from motionkit.metrics.pairs import evaluate_pairs, mean_rows
 
     with progress_bar() as bar:
         found = bar.track(evaluate_pairs(pairs, evaluate), total=len(pairs), description="measuring")
         results = list(found)
     failed = [result for result in results if result.report is None]
+    sets = of_sets(results)
     if as_json:
         means = {row.id: {k: v for k, v in asdict(row).items() if k != "id"} for row in mean_rows(results)}
         left = [str(path) for path in lonely]
         print_json(
-            {"pairs": [result.as_dict() for result in results], "mean": means, "without_partner": left}
+            {
+                "pairs": [result.as_dict() for result in results],
+                "mean": means,
+                "sets": [row.as_dict() for row in sets],
+                "without_partner": left,
+            }
         )
     elif as_csv:
-        _print_csv(results)
+        _print_csv(results, sets)
     else:
-        _print_tables(results)
+        _print_tables(results, sets)
     for result in failed:
         remark(f"left out: {result.error}")
     for path in lonely:
@@ -224,8 +237,8 @@ def _measure_many(
         )
 
 
-def _print_csv(results: Sequence[PairResult]) -> None:
-    """Print one row per metric and pair, for spreadsheets and data frames."""
+def _print_csv(results: Sequence[PairResult], sets: Sequence[MetricRow] = ()) -> None:
+    """Print one row per metric and pair, for spreadsheets and data frames; those of sets name no files."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)
@@ -234,14 +247,19 @@ def _print_csv(results: Sequence[PairResult]) -> None:
             continue
         names = visible(result.ground_truth), "" if result.generated is None else visible(result.generated)
         for row in result.report.rows:
-            truth = None if row.ground_truth is None else row.ground_truth.value
-            values = row.id, row.motion.unit, row.motion.value, truth, row.ratio, row.motion.reason
-            writer.writerow([*names, result.report.frames, *values])
+            writer.writerow([*names, result.report.frames, *_csv_values(row)])
+    for row in sets:
+        writer.writerow(["", "", "", *_csv_values(row)])
     click.echo(text.getvalue(), nl=False)
 
 
-def _print_tables(results: Sequence[PairResult]) -> None:
-    """Print some metrics of every pair, then the means of all metrics."""
+def _csv_values(row: MetricRow) -> tuple:
+    truth = None if row.ground_truth is None else row.ground_truth.value
+    return row.id, row.motion.unit, row.motion.value, truth, row.ratio, row.motion.reason
+
+
+def _print_tables(results: Sequence[PairResult], sets: Sequence[MetricRow]) -> None:
+    """Print some metrics of every pair, then the means of all metrics, then the metrics of both sets."""
     from rich.table import Table
 
     from motionkit.metrics.pairs import mean_rows
@@ -270,6 +288,17 @@ def _print_tables(results: Sequence[PairResult]) -> None:
     console.print()
     console.print(f"means of {len(measured)} {'pairs' if paired else 'files'}, weighted equally:")
     console.print(means)
+    if not sets:
+        return
+    both = Table(box=None, header_style="bold", pad_edge=False)
+    for heading in ("metric", "ground truth", "generated"):
+        both.add_column(heading, justify="left" if heading == "metric" else "right")
+    for of_set in sets:
+        recorded = None if of_set.ground_truth is None else of_set.ground_truth.value
+        both.add_row(of_set.id, _number(recorded), _number(of_set.motion.value))
+    console.print()
+    console.print("all files together, as two sets of windows of a second:")
+    console.print(both)
 
 
 def _view(

@@ -19,7 +19,6 @@ from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.inference.rollout import RolloutState, default_noise, run
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
-from motionkit.metrics.prediction import position_distance, power_spectrum_similarity, rotation_distance
 from motionkit.metrics.report import evaluate_motion
 from motionkit.models.model import MotionModel
 from motionkit.models.parts import partition
@@ -37,6 +36,9 @@ METRICS = (
     "path-mean",
     "skate-ratio",
     "jerk",
+    "l2p",
+    "l2q",
+    "npss",
 )
 LOWER = tuple(sorted({j for j in partition("two").parts[1].joints}))
 UPPER = tuple(j for j in range(23) if j not in LOWER or j == 0)
@@ -189,12 +191,6 @@ def _values(motion: Motion, truth: Motion) -> dict[str, list[float | None]]:
             body_movement(each.local_rotations[:, list(joints)], "euler").value for each in (motion, truth)
         )
         out[name] = [_rounded(value) for value in pair]
-    for value in (
-        position_distance(motion, truth),
-        rotation_distance(motion, truth),
-        power_spectrum_similarity(motion, truth),
-    ):
-        out[value.id] = [_rounded(value.value), 0.0]
     return out
 
 

@@ -50,7 +50,7 @@ class TorchStep:
         return TorchStep(self.weights, 1)
 
     def reset(self, coming: int = 0) -> None:
-        """Forget all frames of all characters; the next `coming` frames are recorded ones."""
+        """Forget all frames of all characters; of the next `coming` recorded ones only the last's prediction counts."""
         for stream in self.streams:
             stream.reset(coming)
 

@@ -24,6 +24,11 @@ from motionkit.metrics.ground import (
 from motionkit.metrics.leaps import fastest_turn, leaps
 from motionkit.metrics.loading import load_canonical
 from motionkit.metrics.position_error import mean_position_error
+from motionkit.metrics.prediction import (
+    position_distance,
+    power_spectrum_similarity,
+    rotation_distance,
+)
 from motionkit.metrics.similarity import joint_expmaps, structural_similarity
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.metrics.touch import (
@@ -48,6 +53,9 @@ PAIR_METRICS: dict[str, tuple[str, float]] = {
     "path-mean": ("cm/frame", 0.0),
     "path-max": ("cm", 0.0),
     "path-coverage": ("", 1.0),
+    "l2p": ("cm", 0.0),
+    "l2q": ("", 0.0),
+    "npss": ("", 0.0),
 }
 # Heights, and what is wanted at one value: a ratio says nothing of them.
 _WITHOUT_RATIO = frozenset(
@@ -75,6 +83,20 @@ class MetricRow:
         if self.motion.value is None or not base or self.id in _WITHOUT_RATIO:
             return None
         return self.motion.value / base
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values for JSON."""
+        out: dict[str, Any] = {"id": self.id, "unit": self.motion.unit, "value": self.motion.value}
+        out["parameters"] = self.motion.parameters
+        if self.motion.reason:
+            out["reason"] = self.motion.reason
+        if self.ground_truth is not None:
+            out["ground_truth"] = self.ground_truth.value
+            out["ground_truth_parameters"] = self.ground_truth.parameters
+            out["ratio"] = self.ratio
+            if self.ground_truth.reason:
+                out["ground_truth_reason"] = self.ground_truth.reason
+        return out
 
 
 @dataclass(frozen=True)
@@ -107,23 +129,9 @@ class MetricReport:
         return {
             "frames": self.frames,
             "fps": self.fps,
-            "metrics": [_row_dict(row) for row in self.rows],
+            "metrics": [row.as_dict() for row in self.rows],
             "notes": list(self.notes),
         }
-
-
-def _row_dict(row: MetricRow) -> dict[str, Any]:
-    out: dict[str, Any] = {"id": row.id, "unit": row.motion.unit, "value": row.motion.value}
-    out["parameters"] = row.motion.parameters
-    if row.motion.reason:
-        out["reason"] = row.motion.reason
-    if row.ground_truth is not None:
-        out["ground_truth"] = row.ground_truth.value
-        out["ground_truth_parameters"] = row.ground_truth.parameters
-        out["ratio"] = row.ratio
-        if row.ground_truth.reason:
-            out["ground_truth_reason"] = row.ground_truth.reason
-    return out
 
 
 def evaluate_motion(
@@ -313,6 +321,9 @@ def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -
             lambda: trajectory_distance(track, path, settings.path_tolerance).values(),
             _units("path-mean", "path-max", "path-coverage"),
         ),
+        *_measured(lambda: position_distance(motion, reference), _units("l2p")),
+        *_measured(lambda: rotation_distance(motion, reference), _units("l2q")),
+        *_measured(lambda: power_spectrum_similarity(motion, reference), _units("npss")),
     ]
     return [
         MetricRow(value, replace(value, value=PAIR_METRICS[value.id][1], reason=None)) for value in values

@@ -57,7 +57,7 @@ class PredictorStream(Protocol):
     """The state of B independent characters."""
 
     def reset(self, given: int = 0) -> None:
-        """Forget all frames; the next `given` frames are recorded ones whose predictions are not used."""
+        """Forget all frames; the next `given` are recorded ones, of whose predictions only the last is used."""
         ...
 
     def step(

@@ -13,6 +13,7 @@ from torch import Tensor
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.backbones import LstmLayers, LstmState
 from motionkit.models.network import AttentionLayer, AutoRegressiveModule, PartTransformer, Prediction
+from motionkit.models.predictor import NextFrame
 
 
 class _ModuleRings:
@@ -40,8 +41,9 @@ class NetworkStream:
         self.reset()
 
     def reset(self, given: int = 0) -> None:
-        """Forget all frames."""
+        """Forget all frames; of the next `given` recorded ones only the last's prediction may be used."""
         network, config = self.network, self.network.config
+        self.unused = given - 1
         P, B, device = len(network.body.parts), self.batch, network.aggregate.weight.device
         self.frame = 0
         if self.recomputes:
@@ -59,7 +61,7 @@ class NetworkStream:
     @torch.inference_mode()
     def step(
         self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
-    ) -> Prediction:
+    ) -> Prediction | NextFrame:
         """Predict the next frame from one new frame; shapes as in PartTransformer.forward, without T."""
         if self.recomputes:
             return self._recompute(x_BF, contacts_B4, controls_BC)
@@ -91,10 +93,12 @@ class NetworkStream:
             x = layer.step(x, controls, rings.keys[i], rings.values[i], slot, bias)
         return x if module.final_norm is None else module.final_norm(x)
 
-    def _recompute(self, x: Tensor, contacts: Tensor, controls: Tensor) -> Prediction:
+    def _recompute(self, x: Tensor, contacts: Tensor, controls: Tensor) -> Prediction | NextFrame:
         row = torch.cat([x, contacts, controls], dim=-1)[:, None]
         self.past = torch.cat([self.past, row], dim=1)[:, -self.network.config.receptive_field :]
         self.frame += 1
+        if self.frame <= self.unused:  # a whole window for what nobody reads
+            return NextFrame(torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(contacts))
         sizes = [FEATURE_COUNT, CONTACT_COUNT, self.network.control_size]
         prediction = self.network(*self.past.split(sizes, dim=-1))
         return Prediction(

@@ -63,6 +63,7 @@ class Budget:
 
 
 BUDGETS = {
+    "short": Budget(200, 8, 96, 1e-3),  # minutes of one core: says little, but the same of everything
     "cpu": Budget(1500, 8, 96, 3e-4),  # under 40 minutes of two cores
     "gpu": Budget(40_000, 56, 300, 2e-4),  # a few hours of one GPU
     "paper": Budget(2_178_000, 56, 300, 1e-4),  # 2000 epochs of 60,962 windows

@@ -1,0 +1,77 @@
+"""Metrics of many pairs taken together: how the generated motions are distributed beside the recorded ones."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.errors import MotionkitError
+from motionkit.features.encode import encode_motion
+from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
+from motionkit.features.reference import fit_pose_embedding
+from motionkit.metrics.distribution import diversity, frechet_distance, window_features
+from motionkit.metrics.loading import load_canonical
+from motionkit.metrics.report import MetricRow
+from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.motion.motion import Motion, resample
+
+EMBEDDED_IN: dict[str, float | str] = {"features": "pose embedding of the ground truth"}
+
+
+def set_metrics(truths: Sequence[Motion], made: Sequence[Motion]) -> tuple[MetricRow, ...]:
+    """Measure "fid-pose" and "diversity" of sets of motions on the canonical joints, in cm.
+
+    The pose embedding is fitted to the ground truth (features/reference.py), so values are comparable between
+    models that are measured against the same recordings.
+
+    Returns:
+        Rows whose ground truth is the set of recordings; without a value, and with the reason, where a set has
+        fewer than two windows.
+    """
+    recorded, generated = (_features(each) for each in (truths, made))
+    frames = np.concatenate(recorded)
+    embedding = fit_pose_embedding(frames, np.ones(len(frames), np.float32), feature_layout(DEFAULT_LAYOUT))
+    real, drawn = (
+        np.concatenate([window_features(each, embedding) for each in features])
+        for features in (recorded, generated)
+    )
+    distance = _value("fid-pose", lambda: frechet_distance(drawn, real))
+    return (
+        MetricRow(distance, MetricValue("fid-pose", 0.0, "", distance.parameters)),
+        MetricRow(
+            _value("diversity", lambda: diversity(drawn)), _value("diversity", lambda: diversity(real))
+        ),
+    )
+
+
+def set_metrics_of_files(
+    pairs: Sequence[tuple[Path, Path]],
+    scales: tuple[float | None, float | None] = (None, None),
+    rates: tuple[float | None, float | None] = (None, None),
+    skip: int = 0,
+    given: int = 0,
+) -> tuple[MetricRow, ...]:
+    """Measure the sets of BVH files (ground truth, generated) of any rig; arguments as for evaluate_files."""
+    starts = skip + given, skip
+
+    def motion(path: Path, side: int) -> Motion:
+        whole = resample(load_canonical(path, scales[side], rates[side])[0], FRAME_RATE)
+        return whole.cut(starts[side], len(whole))
+
+    truths, made = ([motion(pair[side], side) for pair in pairs] for side in (0, 1))
+    return set_metrics(truths, made)
+
+
+def _features(motions: Sequence[Motion]) -> list[Array]:
+    return [encode_motion(resample(each, FRAME_RATE)).features for each in motions]
+
+
+def _value(name: str, measure: Callable[[], MetricValue]) -> MetricValue:
+    try:
+        value = measure()
+    except MotionkitError as error:
+        return MetricValue(name, None, "", reason=str(error))
+    return MetricValue(name, value.value, "", value.parameters | EMBEDDED_IN)

@@ -1,0 +1,48 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from motionkit.errors import MotionkitError
+from motionkit.metrics.distribution import diversity, frechet_distance
+from motionkit.metrics.sets import set_metrics
+
+from .conftest import placed, swaying
+
+
+def test_frechet_distance_of_known_gaussians() -> None:
+    draw = np.random.default_rng(0)
+    mixed = np.array([[2.0, 0.0, 0.0], [0.5, 1.0, 0.0], [0.0, 0.3, 0.7]])
+    real = draw.standard_normal((500, 3)) @ mixed
+    assert frechet_distance(real, real).value == pytest.approx(0.0, abs=1e-9)
+    # Moved, it is the squared distance; larger by a factor, every deviation differs by it.
+    assert frechet_distance(real + np.array([3.0, 0.0, 4.0]), real).value == pytest.approx(25.0)
+    middle = real - real.mean(axis=0)
+    wanted = float(np.trace(np.cov(middle, rowvar=False)))
+    assert frechet_distance(3.0 * middle, middle).value == pytest.approx(4.0 * wanted)
+    with pytest.raises(MotionkitError, match="found 1 and 500"):
+        frechet_distance(real[:1], real)
+
+
+def test_diversity_of_two_windows_is_their_distance() -> None:
+    windows = np.array([[0.0, 0.0], [3.0, 4.0]])
+    assert diversity(windows).value == pytest.approx(5.0)
+    with pytest.raises(MotionkitError, match="at least 2 windows"):
+        diversity(windows[:1])
+
+
+def test_sets_do_not_see_places_but_poses() -> None:
+    truths = [swaying(seed=seed) for seed in range(3)]
+    distance, spread = set_metrics(truths, [placed(each, 1.0, (50.0, 0.0, 20.0)) for each in truths])
+    assert distance.motion.value == pytest.approx(0.0, abs=1e-3)
+    assert distance.ground_truth is not None and distance.ground_truth.value == 0.0
+    assert spread.ratio == pytest.approx(1.0, abs=1e-3)
+    other, _ = set_metrics(truths, [swaying(seed=seed) for seed in range(5, 8)])
+    assert other.motion.value is not None and other.motion.value > 1.0
+    assert other.motion.parameters["features"] == "pose embedding of the ground truth"
+
+
+def test_one_short_motion_is_too_little_for_a_distribution() -> None:
+    distance, spread = set_metrics([swaying(frames=40)], [swaying(frames=40, seed=1)])
+    assert distance.motion.value is None and "2 windows" in str(distance.motion.reason)
+    assert spread.motion.value is None
