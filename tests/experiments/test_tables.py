@@ -11,6 +11,7 @@ import pytest
 
 from motionkit.errors import MotionkitError
 from motionkit.experiments.page import page
+from motionkit.experiments.scenes import SCENES, read_scenes
 from motionkit.experiments.study import ASPECTS, write_study
 from motionkit.experiments.tables import Column, Figure, clear_best, latex, markdown, tables
 from motionkit.experiments.ttest import FORMAT, Score, compare, read_answers, scores, upper_tail
@@ -170,3 +171,44 @@ def test_a_study_is_blind_and_shuffled(tmp_path: Path, make_motion) -> None:
     (folder / "g1" / "HTSS.bvh").unlink()
     with pytest.raises(MotionkitError, match=r"g1: has MVAE, TPTN, the groups before HTSS, MVAE, TPTN"):
         write_study(folder, tmp_path / "study.html")
+
+
+def test_the_page_says_where_networks_have_not_learnt_enough() -> None:
+    def matching(error: float) -> dict[str, Any]:
+        return result("motion matching", "floors", 0, error) | {"parameters": 0}
+
+    assert "no network comes nearer to the recordings than motion matching (MPJPE 9 cm)" in page(
+        [*RESULTS[:6], matching(9.0)]
+    )
+    three = [*RESULTS[:6], result("PFNN", "baselines", 0, 14.0)]
+    assert "only TPTN of 3 networks come nearer" in page([*three, matching(11.0)])
+    assert "motion matching (MPJPE" not in page([*three, matching(15.0)])
+
+
+def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) -> None:
+    def scenes(model: str, shift: float) -> dict[str, Any]:
+        facts = [
+            {
+                "figure": each.figure,
+                "name": each.name,
+                "text": each.text,
+                "distances": [] if each.types else [1.0 + shift, 2.0 + shift],
+                "finished": 1 if each.figure == "8" else 2,
+                "paper": each.paper,
+            }
+            for each in SCENES
+        ]
+        return {"model": model, "scenes": facts}
+
+    for name, shift in (("tptn-0", 2.0), ("shipped", 0.0)):
+        (tmp_path / f"{name}.json").write_text(json.dumps(scenes(name, shift)))
+    (tmp_path / "figure-6-curves.png").write_bytes(b"")
+    found = read_scenes(tmp_path)
+    text = page(RESULTS, found, tmp_path)
+    assert "| figure | what it shows | shipped (cm/frame) | tptn-0 (cm/frame) | paper |" in text
+    assert "| 6 | walking a path with large curvatures | 1.500 ± 0.707 | 3.500 ± 0.707 | 0.513 |" in text
+    assert "1.500 ± 0.707; 1 of 2 did not reach the end" in text
+    assert text.count("![Figure") == 1 and "](figure-6-curves.png)" in text
+    (tmp_path / "old.json").write_text('{"model": "old", "scenes": []}')
+    with pytest.raises(MotionkitError, match=r"old\.json: not the results of all scenes"):
+        read_scenes(tmp_path)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from motionkit.experiments.runs import Plan
 
 RESULTS = Path("experiments/results")
+SCENES = Path("experiments/scenes")
 
 
 def _data_option(function: Callable) -> Callable:
@@ -198,7 +200,7 @@ def run_command(
     from motionkit.experiments.runs import Plan, result_file, run_all
     from motionkit.experiments.variants import chosen
 
-    variants = chosen(names)
+    variants = [each for each in chosen(names) if each.runs_at(budget)]
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames, device)
     tasks = [
         (variant, seed) for seed in range(seeds) for variant in variants
@@ -235,8 +237,9 @@ def tables_command(results: Path, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     _needs_torch()
     from motionkit.experiments.page import write_page
+    from motionkit.experiments.scenes import read_scenes
 
-    write_page(_read(results), output, latex)
+    write_page(_read(results), output, latex, read_scenes(results.parent / SCENES.name))
     stdout_console().print(f"wrote {output}" + (f" and {latex}" if latex else ""))
 
 
@@ -257,6 +260,75 @@ def figures_command(results: Path, output: Path) -> None:
 
     for path in write_figures(_read(results), output):
         stdout_console().print(f"wrote {path}")
+
+
+@command.command("scenes")
+@click.argument("names", nargs=-1)
+@click.option(
+    "--model",
+    "model_path",
+    type=click.Path(exists=True, path_type=Path, dir_okay=False),
+    help="Model file; the bundled model by default.",
+)
+@click.option(
+    "--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Motions of each scene."
+)
+@click.option(
+    "-o",
+    "--output",
+    default=str(SCENES),
+    show_default=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder to write to.",
+)
+@json_option
+def scenes_command(
+    names: tuple[str, ...], model_path: Path | None, seeds: int, output: Path, as_json: bool
+) -> None:
+    """Make what the paper's figures 1 and 5 to 9 show: NAMES of scenes or figure numbers, all by default.
+
+    Each scene becomes a BVH file and a picture, both of the first seed. On paths the distance of the root's track is
+    printed beside the paper's, and written to a file named after the model, from which `experiment tables` takes it.
+    Feet are not held (--no-ik), as in the paper's figures.
+    """
+    from motionkit.experiments.scenes import chosen_scenes, make_scene, scene_facts
+    from motionkit.files import atomic_write
+    from motionkit.models.bundled import open_model
+    from motionkit.motion.bvh import write_bvh
+    from motionkit.view.strobe import write_strobe
+
+    scenes = chosen_scenes(names)
+    model = open_model(model_path, "auto")
+    name = "shipped" if model_path is None else model_path.stem
+    folder = output / name
+    facts = []
+    with progress_bar() as bar:
+        for scene in bar.track(scenes, description="making"):
+            made = [make_scene(model, scene, seed) for seed in range(seeds)]
+            stem = folder / f"{scene.figure}-{scene.name}"
+            write_bvh(stem.with_suffix(".bvh"), made[0].shown.motion)
+            write_strobe(stem.with_suffix(".png"), made[0].shown)
+            facts.append(scene_facts(made))
+    if not names:
+        with atomic_write(output / f"{name}.json", "w") as out:
+            out.write(json.dumps({"model": name, "scenes": facts}, indent=1) + "\n")
+    if as_json:
+        print_json({"folder": str(folder), "scenes": facts})
+        return
+    from rich.table import Table
+
+    table = Table()
+    for heading in ("figure", "what it shows", "cm/frame", "paper", "end reached"):
+        table.add_column(heading, justify="left" if heading == "what it shows" else "right")
+    for row in facts:
+        distances = row["distances"]
+        mean = f"{sum(distances) / len(distances):.3f}" if distances else ""
+        paper = "" if row["paper"] is None else f"{row['paper']:g}"
+        table.add_row(
+            row["figure"], row["text"], mean, paper, f"{row['finished']} of {seeds}" if distances else ""
+        )
+    stdout_console().print(table)
+    stdout_console().print(f"wrote {len(facts)} scenes to {folder}")
 
 
 @command.command("study")

@@ -38,17 +38,21 @@ TARGET_SLIDING, TARGET_RAW_SLIDING = 0.6, 1.3  # relative to the recordings; the
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A held-out clip: its main type, data, motion on the default body, and the number of frames to roll out."""
+    """A held-out clip: its main type, data, motion on the default body, and how many frames to roll out after the first.
+
+    initial is the number of frames that are given.
+    """
 
     type: str
     data: ClipData
     motion: Motion
     frames: int
+    initial: int = INIT_FRAMES
 
     @property
     def rest(self) -> Motion:
         """The recorded motion of the frames to roll out."""
-        return self.motion.cut(INIT_FRAMES, INIT_FRAMES + self.frames)
+        return self.motion.cut(self.initial, self.initial + self.frames)
 
 
 def held_out_clips(
@@ -88,7 +92,7 @@ def roll_like(
     settings: EvaluationSettings,
     progress: Progress,
 ) -> list[Take]:
-    """Roll out every clip from its first INIT_FRAMES with its own types, trajectory and phase.
+    """Roll out every clip from its first frames with its own types, trajectory and phase.
 
     Reference poses are those of path following: none for gaits, poses of training clips for the other types.
     """
@@ -99,7 +103,7 @@ def roll_like(
     references_of = {clip: clip_references(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
     references = [references_of[clip] for clip in clips]
     for clip in clips:
-        wanted = np.minimum(np.arange(frames) + INIT_FRAMES, len(clip.data.types) - 1)
+        wanted = np.minimum(np.arange(frames) + clip.initial, len(clip.data.types) - 1)
         weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
         trajectories.append(future_trajectory(clip.data.ground, wanted))
         phases.append(clip.data.phases[wanted])
@@ -119,10 +123,10 @@ def roll_like(
 
     state = RolloutState(model, len(clips), settings.noise, settings.first_seed)
     state.start(
-        np.stack([c.data.features[:INIT_FRAMES] for c in clips]),
-        np.stack([c.data.contacts[:INIT_FRAMES] for c in clips]),
+        [c.data.features[: c.initial] for c in clips],
+        [c.data.contacts[: c.initial] for c in clips],
         first,
-        np.stack([c.data.ground[INIT_FRAMES - 1] for c in clips]),
+        np.stack([c.data.ground[c.initial - 1] for c in clips]),
     )
     rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
     skeleton = model.character("default")
@@ -138,15 +142,15 @@ def roll_like(
 
 
 def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Controls:
-    """Return reference poses for the types of a clip after its first INIT_FRAMES; the last type lasts to the end."""
-    types = clip.data.types[INIT_FRAMES : INIT_FRAMES + frames]
+    """Return reference poses for the types of a clip after its given frames; the last type lasts to the end."""
+    types = clip.data.types[clip.initial : clip.initial + frames]
     player = ReferencePlayer(model)
-    near: Array | None = last_poses(model, clip.data.features[:INIT_FRAMES])
+    near: Array | None = last_poses(model, clip.data.features[: clip.initial])
     last = len(clip.data.types) - 1
     parts = []
     for start, end, kind in type_stretches(types):
         name = dataset.types[kind]
-        ahead = np.minimum(np.arange(start, frames if end == len(types) else end) + INIT_FRAMES, last)
+        ahead = np.minimum(np.arange(start, frames if end == len(types) else end) + clip.initial, last)
         trajectories = future_trajectory(clip.data.ground, ahead)
         player.begin(name, near, trajectory=trajectories[0])
         near = None
@@ -221,9 +225,9 @@ def reconstruction_section(trial: Trial, progress: Progress) -> Section:
     sums: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
     for number, clip in enumerate(repeated):
         take = rolled["model"][number]
-        candidates = {"model": _as_motion(model, take.default), "raw network": _as_motion(model, take.raw)}
+        candidates = {"model": as_motion(model, take.default), "raw network": as_motion(model, take.raw)}
         if ALONE in rolled:
-            candidates[ALONE] = _as_motion(model, rolled[ALONE][number].default)
+            candidates[ALONE] = as_motion(model, rolled[ALONE][number].default)
         if number < len(clips):
             candidates |= {
                 name: clip.motion.cut(INIT_FRAMES - delay, INIT_FRAMES - delay + clip.frames)
@@ -288,7 +292,7 @@ def _why_none(model: MotionModel, dataset: Dataset, split: str) -> str:
     return f"not measured: the {len(long)} {split} clips hold types that the model does not have: {unknown}"
 
 
-def _as_motion(model: MotionModel, body: Body) -> Motion:
+def as_motion(model: MotionModel, body: Body) -> Motion:
     return Motion(model.character("default"), body.rotations, body.positions[:, 0], body.fps)
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from motionkit.experiments.tables import (
     Results,
+    TextTable,
     budget_lines,
+    figure,
     figure_of,
     latex,
     markdown,
@@ -37,15 +41,59 @@ Metrics are those of [metrics.md](metrics.md): `bm-euler`, `afs`, `ssim-channel`
 """
 
 
-def page(results: Results) -> str:
-    """Return docs/experiments.md."""
+PICTURES = "figure-{figure}-{name}.png"  # of scenes, beside the page
+
+SCENES = """## The paper's figures 1 and 5 to 9
+
+`motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). The paper gives its
+paths as pictures alone: types and shapes are those of the paper, lengths are chosen to suit the recordings, so the
+distances are of like paths and not of the same. Each distance is the mean over frames from the root's place on the
+ground to the nearest point of the path, ± the standard deviation over seeds. Feet are not held, as in the paper's
+figures; the shipped model uses its reference poses.
+"""
+
+
+def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
+    """Return the section of scenes: a table with a column for each model, and the pictures beside the page."""
+    if not scenes:
+        return []
+    rows = []
+    for number, scene in enumerate(scenes[0]["scenes"]):
+        cells = [scene_cell(each["scenes"][number]) for each in scenes]
+        paper = "" if scene["paper"] is None else f"{scene['paper']:g}"
+        rows.append((scene["figure"], scene["text"], *cells, paper))
+    names = [f"{each['model']} (cm/frame)" for each in scenes]
+    table = TextTable("Distances from paths", ("figure", "what it shows", *names, "paper"), tuple(rows))
+    parts = [SCENES, markdown(table)]
+    for scene in scenes[0]["scenes"]:
+        file = PICTURES.format(**scene)
+        if (folder / file).exists():
+            parts.append(f"![Figure {scene['figure']}: {scene['text']}]({file})\n")
+    return parts
+
+
+def scene_cell(scene: dict[str, Any]) -> str:
+    """Return a scene's distance over seeds, and how many did not reach the end of the path."""
+    found = figure(scene["distances"])
+    if found is None:
+        return "made"
+    spread = f" ± {found.spread:.3f}" if found.seeds > 1 else ""
+    short = len(scene["distances"]) - scene["finished"]
+    return f"{found.mean:.3f}{spread}" + (
+        f"; {short} of {found.seeds} did not reach the end" if short else ""
+    )
+
+
+def page(results: Results, scenes: Sequence[dict[str, Any]] = (), beside: Path = Path("docs")) -> str:
+    """Return docs/experiments.md, with the pictures of scenes that lie beside it in a folder."""
     parts = [HEAD, "## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
     for folder in sorted({result["folder"] for result in results}):
         lacking = missing(results, folder)
         if lacking:
             parts.append(f"Not run yet in `{folder}`: {', '.join(lacking)}.\n")
     parts += ["## What can be said\n", *(f"- {line}" for line in findings(results)), "", "## Tables\n"]
-    return "\n".join([*parts, *(markdown(table) for table in tables(results))])
+    parts += [markdown(table) for table in tables(results)]
+    return "\n".join([*parts, *scenes_section(scenes, beside)])
 
 
 def findings(results: Results) -> list[str]:
@@ -63,7 +111,25 @@ def findings(results: Results) -> list[str]:
             said = _compared(here, rival)
             if said:
                 lines.append(f"`{folder}`, {claim}: {said}.")
+        lines += _unlearnt(folder, here)
     return lines or ["Nothing yet: no results of TPTN beside another."]
+
+
+def _unlearnt(folder: str, results: Results) -> list[str]:
+    """Say so where the networks have not learnt enough for a comparison of what they can learn."""
+    networks = [r for r in results if r.get("parameters")]
+    floor = figure_of([r for r in results if r["name"] == "motion matching"], "mpjpe")
+    if not networks or floor is None:
+        return []
+    errors = {r["name"]: figure_of([r], "mpjpe") for r in networks}
+    better = sorted(name for name, error in errors.items() if error and error.mean < floor.mean)
+    if len(better) > len(errors) / 2:
+        return []
+    said = f"only {', '.join(better)} of {len(errors)} networks come" if better else "no network comes"
+    return [
+        f"`{folder}`: {said} nearer to the recordings than motion matching (MPJPE {floor.mean:.3g} cm). Differences "
+        "between networks show which begin to learn sooner at this budget, not which are better when trained."
+    ]
 
 
 def _compared(results: Results, rival: str) -> str:
@@ -90,10 +156,12 @@ def _compared(results: Results, rival: str) -> str:
     return ", ".join(words)
 
 
-def write_page(results: Results, path: Path, latex_path: Path | None = None) -> None:
+def write_page(
+    results: Results, path: Path, latex_path: Path | None = None, scenes: Sequence[dict[str, Any]] = ()
+) -> None:
     """Write the page, and all tables in LaTeX if a path is given, each whole or not at all."""
     with atomic_write(path, "w") as out:
-        out.write(page(results))
+        out.write(page(results, scenes, path.parent))
     if latex_path is not None:
         with atomic_write(latex_path, "w") as out:
             out.write("\n".join(latex(table) for table in tables(results)))

@@ -11,6 +11,7 @@ from typing import Any
 from motionkit.experiments.datasets import SELECTIONS
 from motionkit.experiments.paper import BODY_MOVEMENT, paper_row
 from motionkit.experiments.variants import VARIANTS, Variant
+from motionkit.training.presets import BUDGETS
 
 Results = Sequence[dict[str, Any]]
 
@@ -86,10 +87,11 @@ def figure_of(results: Results, metric: str, group: str = "all", recorded: bool 
         pair = result["groups"].get(group, {}).get(metric)
         if pair is not None and pair[recorded] is not None:
             values.append(float(pair[recorded]))
-    return _figure(values)
+    return figure(values)
 
 
-def _figure(values: Sequence[float]) -> Figure | None:
+def figure(values: Sequence[float]) -> Figure | None:
+    """Return mean and standard deviation of values; None of none."""
     if not values:
         return None
     mean = sum(values) / len(values)
@@ -218,10 +220,10 @@ def _distribution(
     rows = []
     for v in variants:
         values = {
-            k: _figure([r["distribution"][k] for r in by_name[v.name]]) for k in ("fid-pose", "diversity")
+            k: figure([r["distribution"][k] for r in by_name[v.name]]) for k in ("fid-pose", "diversity")
         }
         rows.append((v.name, _cell(values["fid-pose"], 2), _cell(values["diversity"], 2)))
-    recorded = _figure([by_name[variants[0].name][0]["distribution"]["diversity-gt"]])
+    recorded = figure([by_name[variants[0].name][0]["distribution"]["diversity-gt"]])
     rows.insert(0, ("recorded", "0.00", _cell(recorded, 2)))
     return TextTable(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
 
@@ -231,7 +233,7 @@ def _derivatives(title: str, by_name: dict[str, list[dict[str, Any]]]) -> TextTa
     for v in VARIANTS:
         found = [r["derivatives"] for r in by_name.get(v.name, []) if r.get("derivatives")]
         if found:
-            gains = (_figure([d[key] for d in found]) for key in ("trajectory", "features"))
+            gains = (figure([d[key] for d in found]) for key in ("trajectory", "features"))
             rows.append((v.name, *(_cell(gain, 2) for gain in gains)))
     return TextTable(title, ("", "by the trajectory fed in", "by the features fed in"), tuple(rows))
 
@@ -252,6 +254,13 @@ def budget_lines(results: Results) -> list[str]:
                 f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
                 f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
             )
+            changes = BUDGETS[b["name"]].config if b["name"] in BUDGETS else {}
+            if changes:
+                words = ", ".join(f"{option} {value:g}" for option, value in changes.items())
+                line += (
+                    f" So short a training needs part transformers that begin near a copy of the present frame, with "
+                    f"little dropout: {words}. Absolute head is TPTN without these changes."
+                )
         lines.append(f"{line} At most {here[0]['longest']} frames are made of a sequence.")
     return lines
 
@@ -262,7 +271,8 @@ def missing(results: Results, folder: str) -> list[str]:
     for result in results:
         if result["folder"] == folder:
             seeds[result["name"]].add(result["seed"])
-    lacking = [(v.name, v.seeds - len(seeds[v.name])) for v in VARIANTS]
+    budget = folder.partition("/")[2].partition("-")[0]
+    lacking = [(v.name, v.seeds - len(seeds[v.name])) for v in VARIANTS if v.runs_at(budget)]
     return [f"{name} ({count})" if count > 1 else name for name, count in lacking if count > 0]
 
 

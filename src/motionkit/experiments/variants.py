@@ -27,6 +27,7 @@ class Variant:
         options: options of training that differ from the paper's.
         paper_parameters: as the paper gives them, in millions.
         seeds: how many runs it is to have.
+        budgets: those at which it differs from the others; () for all.
     """
 
     name: str
@@ -37,6 +38,11 @@ class Variant:
     options: dict[str, Any] = field(default_factory=dict)
     paper_parameters: float | None = None
     seeds: int = 1
+    budgets: tuple[str, ...] = ()
+
+    def runs_at(self, budget: str) -> bool:
+        """Whether there is something to run at a budget."""
+        return not self.budgets or budget in self.budgets
 
 
 def _weights(**changes: float) -> dict[str, Any]:
@@ -51,6 +57,9 @@ _NO_SIGMA = {"log_sigma_min": -9.2, "log_sigma_max": -9.2}  # drawn frames are t
 
 VARIANTS: tuple[Variant, ...] = (
     Variant("TPTN", "tptn", "the paper's network", paper_parameters=3.59, seeds=3),
+    Variant("absolute head", "tptn", "TPTN with the paper's head and dropout, where a budget changes them",
+            config={"head_leak": 0.0, "input_dropout": 0.5, "deep_dropout": 0.5}, paper_parameters=3.59,
+            budgets=("short",)),
     Variant(
         "EBTN", "parts", "one stream for the whole body",
         config={"partition": "one", "width": 176, "ffn": 314}, paper_parameters=3.1, seeds=3,

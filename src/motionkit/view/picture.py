@@ -35,7 +35,7 @@ SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm(
 
 
 @dataclass(frozen=True, eq=False)
-class _Actor:
+class Actor:
     """A motion prepared for drawing: rotations (T, J, 3, 3), places (T, J, 3) and hips (T, 3), in metres."""
 
     shown: Shown
@@ -77,20 +77,13 @@ class Scenery:
     def __init__(self, shown: Sequence[Shown], width: int, height: int) -> None:
         self.pillow = load_pillow()
         self.size = width * ZOOM, height * ZOOM
-        self.actors = [_Actor(one, SHIRTS[n % len(SHIRTS)]) for n, one in enumerate(shown)]
+        self.actors = [Actor(one, SHIRTS[n % len(SHIRTS)]) for n, one in enumerate(shown)]
         self.labels = Labels(shown, [a.color for a in self.actors], width, height) if len(shown) > 1 else None
         top = 0 if self.labels is None else self.labels.height * ZOOM
         self.framing = Framing([a.figure for a in self.actors], self.size, top)
         self.seconds = self.framing.seconds
-        sun = self.framing.angle - SIDE_ANGLE  # it shines past the camera's shoulder
-        self.sun = np.array(
-            [
-                SUN[0] * np.cos(sun) + SUN[2] * np.sin(sun),
-                SUN[1],
-                SUN[2] * np.cos(sun) - SUN[0] * np.sin(sun),
-            ]
-        )
-        self.step = _grid_step(self.framing.farthest)
+        self.sun = sunlight(self.framing.angle)
+        self.step = grid_step(self.framing.farthest)
 
     def frame(self, time: float) -> Image.Image:
         """The picture at a time in seconds."""
@@ -101,16 +94,16 @@ class Scenery:
             (body + place, skin) for (body, skin), place in zip(bodies, self.framing.places, strict=True)
         ]
         picture = image.new("RGB", self.size, SKY)
-        self._ground(image_draw.Draw(picture), camera)
-        self._shadows(picture, bodies, camera)
+        self.ground(image_draw.Draw(picture), camera)
+        self.shadows(picture, bodies, camera)
         pixels = np.array(picture)
-        fill_triangles(pixels, *self._shaded(bodies, camera))
+        fill_triangles(pixels, *self.shaded(bodies, camera))
         picture = image.fromarray(pixels).reduce(ZOOM)
         if self.labels is not None:
             self.labels.draw(picture, camera.screen(self.framing.tops(time))[:, :2] / ZOOM)
         return picture
 
-    def _shadows(self, picture: Image.Image, bodies: list[tuple[Array, Array]], camera: Camera) -> None:
+    def shadows(self, picture: Image.Image, bodies: list[tuple[Array, Array]], camera: Camera) -> None:
         """Draw soft shadows on the ground, at low resolution because they are blurred."""
         image, _, _ = self.pillow
         from PIL import ImageFilter
@@ -131,7 +124,7 @@ class Scenery:
             )
             picture.paste((40, 46, 58), large, mask)
 
-    def _ground(self, pen: Any, camera: Camera) -> None:
+    def ground(self, pen: Any, camera: Camera) -> None:
         """Draw the floor with lines that fade into the distance."""
         width, height = self.size
         away = -camera.axes[2] * [1.0, 0.0, 1.0]
@@ -155,7 +148,7 @@ class Scenery:
         for way, color in zip(ways, colors, strict=True):
             pen.line(way, fill=tuple(color), width=ZOOM)
 
-    def _shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
+    def shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
         """Corners (F, 3, 2) and colours (F, 3) of the triangles that face the camera, from far to near."""
         corners: list[Array] = []
         colors: list[NDArray[np.uint8]] = []
@@ -174,7 +167,13 @@ class Scenery:
         return every[order][..., :2], shades[order]
 
 
-def _grid_step(distance: float) -> float:
+def sunlight(angle: float) -> Array:
+    """Direction (3,) of the light for a camera at an angle: past its shoulder."""
+    sine, cosine = np.sin(angle - SIDE_ANGLE), np.cos(angle - SIDE_ANGLE)
+    return np.array([SUN[0] * cosine + SUN[2] * sine, SUN[1], SUN[2] * cosine - SUN[0] * sine])
+
+
+def grid_step(distance: float) -> float:
     """Distance in metres between the lines of the ground: 1, 2, 5, 10 ..., by the camera's distance."""
     wanted = max(1.0, distance / (2 * DISTANCE))
     ten = 10.0 ** np.floor(np.log10(wanted))

@@ -1,0 +1,145 @@
+"""One picture of a whole motion, as papers show their results.
+
+Along a path the poses stand where they were, with the root's track beside the wanted path. Without one they stand in a
+row, from left to right.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from motionkit.files import atomic_write
+from motionkit.view.contact_sheet import load_pillow
+from motionkit.view.figure_data import CM, Shown
+from motionkit.view.framing import Camera, frame_at
+from motionkit.view.picture import SHIRTS, SKY, ZOOM, Actor, Scenery, grid_step, sunlight
+from motionkit.view.raster import fill_triangles
+from motionkit.view.surface import Array
+
+LIFT = 0.42  # radians the camera looks down
+TRACK, PATH, INK = (34, 139, 76), (222, 130, 40), (40, 46, 58)
+NEAREST, FARTHEST = 4.0, 400.0  # m, distances of the camera that are tried
+STEP = 1.03  # from one of them to the next
+APART = 0.95  # m between bodies in a row
+EDGE = 0.05  # share of the picture kept free on every side
+LINE_WIDTH = 4
+
+
+class StrobePicture(Scenery):
+    """A motion at several times in one picture, the bodies coloured by motion type.
+
+    shown.types gives the types and their seconds, shown.path a wanted path in cm.
+    """
+
+    def __init__(self, shown: Shown, poses: int = 14, width: int = 1600, height: int = 640) -> None:
+        self.pillow = load_pillow()
+        self.size = width * ZOOM, height * ZOOM
+        self.shown = shown
+        kinds = list(dict.fromkeys(kind for kind, _ in shown.types)) or [""]
+        self.of_kind = {kind: Actor(shown, SHIRTS[n % len(SHIRTS)]) for n, kind in enumerate(kinds)}
+        figure = self.of_kind[kinds[0]].figure
+        self.times = np.linspace(0.0, (len(figure.positions) - 1) / figure.fps, poses)
+        self.actors = [self.of_kind[self._type_at(time, kinds[0])] for time in self.times]
+        frames = [frame_at(float(time), figure.fps, len(figure.positions)) for time in self.times]
+        floor = 0.0 if figure.floor_is_zero else figure.floor
+        self.places = np.zeros((poses, 3))
+        self.track, self.path = np.zeros((0, 3)), np.zeros((0, 3))
+        bodies = figure.positions[frames] - [0.0, floor, 0.0]
+        if shown.path is None:
+            self.places = _in_a_row(bodies[:, figure.hips])
+            way = np.array([1.0, 0.0, 0.0])
+        else:
+            self.track = figure.positions[:, figure.hips] * [1.0, 0.0, 1.0]
+            self.path = _on_ground(shown.path * CM)
+            way = _longer_way(self.track)
+        points = [(bodies + self.places[:, None]).reshape(-1, 3), self.track, self.path]
+        self.camera = _camera(np.concatenate(points), way, self.size)
+        self.sun = sunlight(float(np.arctan2(self.camera.axes[2][0], self.camera.axes[2][2])))
+        self.step = grid_step(self.camera.distance)
+
+    def _type_at(self, time: float, first: str) -> str:
+        ends = np.cumsum([seconds for _, seconds in self.shown.types])
+        if not len(ends):
+            return first
+        return self.shown.types[min(int(np.searchsorted(ends, time)), len(ends) - 1)][0]
+
+    def draw(self) -> Any:
+        """Return the picture, a PIL image."""
+        image, image_draw, _ = self.pillow
+        bodies = []
+        for actor, time, place in zip(self.actors, self.times, self.places, strict=True):
+            corners, normals = actor.triangles(float(time))
+            bodies.append((corners + place, normals))
+        picture = image.new("RGB", self.size, SKY)
+        pen = image_draw.Draw(picture)
+        self.ground(pen, self.camera)
+        self.shadows(picture, bodies, self.camera)
+        pen = image_draw.Draw(picture)
+        self._line(pen, self.path, PATH)
+        self._line(pen, self.track, TRACK)
+        pixels = np.array(picture)
+        fill_triangles(pixels, *self.shaded(bodies, self.camera))
+        picture = image.fromarray(pixels).reduce(ZOOM)
+        self._legend(image_draw.Draw(picture))
+        return picture
+
+    def _legend(self, pen: Any) -> None:
+        """Write the motion's name, and the types in their colours."""
+        x, y = 16, 12
+        pen.text((x, y), self.shown.name, fill=INK, font_size=20)
+        for kind, actor in self.of_kind.items():
+            if kind:
+                pen.rectangle((x, y + 36, x + 12, y + 48), fill=actor.color)
+                pen.text((x + 18, y + 32), kind, fill=INK, font_size=16)
+                x += 30 + int(pen.textlength(kind, font_size=16))
+
+    def _line(self, pen: Any, points: Array, color: tuple[int, int, int]) -> None:
+        if len(points) > 1:
+            seen = self.camera.screen(points)[:, :2]
+            pen.line([tuple(p) for p in seen.tolist()], fill=color, width=LINE_WIDTH * ZOOM, joint="curve")
+
+
+def write_strobe(path: str | Path, shown: Shown, poses: int = 14) -> None:
+    """Write the picture of a motion as PNG, atomically. Raises MotionkitError if Pillow is not installed."""
+    picture = StrobePicture(shown, poses).draw()
+    with atomic_write(path, "wb") as file:
+        picture.save(file, format="PNG", optimize=True)
+
+
+def _on_ground(points: Array) -> Array:
+    """Points (N, 2) x, z as (N, 3) at height 0."""
+    return np.stack([points[:, 0], np.zeros(len(points)), points[:, 1]], axis=-1)
+
+
+def _in_a_row(hips: Array) -> Array:
+    """Shifts (N, 3) that place bodies with hips (N, 3) side by side along +X."""
+    row = np.arange(len(hips))[:, None] * np.array([APART, 0.0, 0.0])
+    return row - hips * [1.0, 0.0, 1.0]
+
+
+def _longer_way(track: Array) -> Array:
+    """The direction (3,) along the ground in which a track (T, 3) is longest, from its start to its end."""
+    flat = track[:, [0, 2]] - track[:, [0, 2]].mean(axis=0)
+    _, _, ways = np.linalg.svd(flat, full_matrices=False)
+    way = np.array([ways[0, 0], 0.0, ways[0, 1]])
+    return -way if way @ (track[-1] - track[0]) < 0.0 else way
+
+
+def _camera(points: Array, right: Array, size: Sequence[int]) -> Camera:
+    """The nearest camera that has all points in its picture, and a direction on the ground to the right."""
+    level = np.cross(right, [0.0, 1.0, 0.0])
+    back = np.cos(LIFT) * level + np.sin(LIFT) * np.array([0.0, 1.0, 0.0])
+    axes = np.stack([right, np.cross(back, right), back])
+    target = (points.min(axis=0) + points.max(axis=0)) / 2
+    free, distance = EDGE * np.array(size), NEAREST
+    while True:
+        camera = Camera(target, np.array([0.0, 0.0, distance]), axes, (size[0], size[1]))
+        seen = camera.screen(points)
+        inside = (seen[:, :2] > free).all() and (seen[:, :2] < size - free).all()
+        if (inside and seen[:, 2].min() > 1.0) or distance > FARTHEST:
+            return camera
+        distance *= STEP
