@@ -38,7 +38,7 @@ TARGET_SLIDING, TARGET_RAW_SLIDING = 0.6, 1.3  # relative to the recordings; the
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """A held-out clip: its main type, data, motion on the default body, and how many frames to roll out after the first.
+    """A held-out clip: its main type, data, motion on the default body, and how many frames to roll out.
 
     initial is the number of frames that are given.
     """
