@@ -56,6 +56,65 @@ def test_what_is_saved_is_what_is_loaded(tiny_model: MotionModel, tmp_path: Path
     assert np.array_equal(copy.reference_rotations, tiny_model.reference_rotations)
 
 
+FORMER_KEYS = {
+    "start_poses": "seeds",
+    "reference_clips": "outlines",
+    "uses_references": "guides",
+    "reference_gain": "guidance",
+    "noise_scale": "noise",
+    "velocity_blend": "inertia",
+    "slip_correction": "grip",
+}
+
+
+def former(name: str) -> str:
+    """What the first releases called a tensor."""
+    for present, before in (
+        ("start_pose.", "seed."),
+        ("reference_clip.", "outline."),
+        ("pose_embedding.", "outline."),
+        ("reference_rotations", "references"),
+    ):
+        if name.startswith(present):
+            return before + name.removeprefix(present)
+    return name
+
+
+def write_former(path: Path, tensors: dict[str, Array], header: dict) -> None:
+    """Write a model as the first releases did, which measured what is steered whenever they opened one."""
+    header = {FORMER_KEYS.get(k, k): v for k, v in header.items() if k != "steered"}
+    header["format"] = "motionkit-model-3"
+    named = {former(name): array for name, array in tensors.items()}
+    save_file(named, path, metadata={"motionkit": json.dumps(header)})
+
+
+def test_files_of_the_first_releases_open(
+    tiny_model_file: Path, tiny_model: MotionModel, tmp_path: Path
+) -> None:
+    tensors, header = raw(tiny_model_file)
+    write_former(tmp_path / "former", tensors, header)
+    assert {"seed.0.walking:features", "outline.matrix"} <= set(raw(tmp_path / "former")[0])
+    opened = load_model(tmp_path / "former")
+    assert [kind.steered for kind in opened.types.values()] == [k.steered for k in tiny_model.types.values()]
+    save_model(tmp_path / "written-anew", opened)
+    assert (tmp_path / "written-anew").read_bytes() == tiny_model_file.read_bytes()
+
+
+def test_a_former_file_with_a_tensor_twice(tiny_model_file: Path, tmp_path: Path) -> None:
+    tensors, header = raw(tiny_model_file)
+    write_former(tmp_path / "former", tensors, header)
+    tensors, header = raw(tmp_path / "former")
+    tensors["reference_rotations"] = tensors["references"].copy()
+    save_file(tensors, tmp_path / "twice", metadata={"motionkit": json.dumps(header)})
+    assert "'reference_rotations' and 'references' are one and the same" in refused(tmp_path / "twice")
+
+
+def test_what_is_steered_is_read_not_measured(tiny_model: MotionModel, tmp_path: Path) -> None:
+    swapped = tiny_model.with_types({"cartwheel": {"steered": not tiny_model.types["cartwheel"].steered}})
+    save_model(tmp_path / "m", swapped)
+    assert load_model(tmp_path / "m").types["cartwheel"].steered == swapped.types["cartwheel"].steered
+
+
 def test_the_same_model_gives_the_same_bytes(tiny_model: MotionModel, tmp_path: Path) -> None:
     for name in "ab":
         save_model(tmp_path / name, tiny_model)
@@ -82,11 +141,11 @@ def test_consistency_modules_are_not_in_the_file(tiny_model: MotionModel) -> Non
     }
 
 
-def test_every_type_has_seed_frames_of_its_own(tiny_model: MotionModel) -> None:
+def test_every_type_has_start_poses_of_its_own(tiny_model: MotionModel) -> None:
     for kind in tiny_model.types.values():
         assert 1 <= len(kind.start_poses) <= 3
-        for seed in kind.start_poses:
-            assert seed.features.shape[1] == 276 and len(seed.features) == len(seed.contacts) >= 2
+        for start in kind.start_poses:
+            assert start.features.shape[1] == 276 and len(start.features) == len(start.contacts) >= 2
 
 
 def test_header_without_weights(tiny_model_file: Path) -> None:
@@ -134,7 +193,7 @@ def test_somebody_elses_safetensors(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "name", ["network.aggregate.bias", "scaling.mean", "references", "character.default"]
+    "name", ["network.aggregate.bias", "scaling.mean", "reference_rotations", "character.default"]
 )
 def test_a_missing_tensor(tiny_model_file: Path, tmp_path: Path, name: str) -> None:
     tensors, header = raw(tiny_model_file)
@@ -155,8 +214,8 @@ def test_a_tensor_of_another_shape(tiny_model_file: Path, tmp_path: Path) -> Non
     [
         {"types": None},
         {"fps": "sixty"},
-        {"seeds": []},
-        {"seeds": {"walking": 9}},
+        {"start_poses": []},
+        {"start_poses": {"walking": 9}},
         {"characters": ["giant"]},
         {"gaits": {"walking": [1.0]}},
         {"config": {"wings": 2}},

@@ -1,9 +1,8 @@
 """A trained model as one safetensors file that needs nothing else to run. No pickle anywhere.
 
 Tensors: the network's weights under "network.", scaling, reference rotations, bodies, start poses and reference clips.
-The header's metadata holds one JSON document with config, types, rate, characters and the data card. Some keys have
-the names of the first release: seeds and outlines are start poses and reference clips, guides, guidance, inertia and
-grip are what MotionModel and SamplingPreset call uses_references, reference_gain, velocity_blend and slip_correction.
+The header's metadata holds one JSON document with config, types, rate, characters and the data card. Files of the
+first releases, which have other names for some of it (former_names.py), are read too.
 """
 
 from __future__ import annotations
@@ -12,6 +11,7 @@ import json
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from motionkit.features.reference import PoseEmbedding
 from motionkit.files import atomic_write
 from motionkit.models.architectures import config_from_dict
 from motionkit.models.file_check import check_header, check_tensors, check_values
+from motionkit.models.former_names import FORMER_FORMAT, renamed_header, renamed_tensor
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import (
     Gait,
@@ -39,15 +40,9 @@ from motionkit.models.motion_type import (
 from motionkit.models.tensor_file import TensorFile, open_tensors
 from motionkit.models.weights import NetworkWeights
 
-FORMAT = "motionkit-model-3"
+FORMAT = "motionkit-model-4"
 MOST_BYTES = 256 * 2**20  # of a model file; the bundled one has 13 MB
-# Keys of the header for fields of SamplingPreset.
-PRESET_KEYS = {
-    "guidance": "reference_gain",
-    "noise": "noise_scale",
-    "inertia": "velocity_blend",
-    "grip": "slip_correction",
-}
+PRESET_FIELDS = tuple(field.name for field in fields(SamplingPreset))
 
 
 def model_arrays(model: MotionModel, half: bool) -> dict[str, Array]:
@@ -57,18 +52,18 @@ def model_arrays(model: MotionModel, half: bool) -> dict[str, Array]:
     arrays["scaling.mean"], arrays["scaling.std"] = model.scaling.mean, model.scaling.std
     trajectory, embedding = model.trajectory_scaling, model.pose_embedding
     arrays["trajectory.mean"], arrays["trajectory.std"] = trajectory.mean, trajectory.std
-    arrays["outline.matrix"], arrays["outline.offset"] = embedding.matrix, embedding.offset
-    arrays["references"] = model.reference_rotations
+    arrays["pose_embedding.matrix"], arrays["pose_embedding.offset"] = embedding.matrix, embedding.offset
+    arrays["reference_rotations"] = model.reference_rotations
     for name, offsets in model.characters.items():
         arrays[f"character.{name}"] = offsets
     for name, kind in model.types.items():
         for i, start in enumerate(kind.start_poses):
-            key = f"seed.{i}.{name}"
+            key = f"start_pose.{i}.{name}"
             arrays[f"{key}:features"] = start.features.astype(weight)
             arrays[f"{key}:contacts"] = start.contacts.astype(np.uint8)
             arrays[f"{key}:ground"] = start.ground
         for i, clip in enumerate(kind.reference_clips):
-            key = f"outline.{i}.{name}"
+            key = f"reference_clip.{i}.{name}"
             arrays[f"{key}:poses"] = clip.poses.astype(np.float16)  # of unit size, only the network sees them
             arrays[f"{key}:ground"], arrays[f"{key}:phases"] = clip.ground, clip.phases
     return {name: np.ascontiguousarray(array) for name, array in arrays.items()}
@@ -85,15 +80,16 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "types": list(types),
         "fps": model.fps,
         "characters": list(model.characters),
-        "seeds": {name: len(kind.start_poses) for name, kind in types.items()},
+        "start_poses": {name: len(kind.start_poses) for name, kind in types.items()},
+        "reference_clips": {name: len(kind.reference_clips) for name, kind in types.items()},
         "gaits": {name: [g.speed, g.facing, g.cycle_seconds] for name, g in gaits.items() if g is not None},
-        "guides": model.uses_references,
+        "steered": [name for name, kind in types.items() if kind.steered],
+        "uses_references": model.uses_references,
         **({"own_bodies": True} if model.own_bodies else {}),
         **{
-            key: {name: getattr(kind.preset, field) for name, kind in types.items()}
-            for key, field in PRESET_KEYS.items()
+            field: {name: getattr(kind.preset, field) for name, kind in types.items()}
+            for field in PRESET_FIELDS
         },
-        "outlines": {name: len(kind.reference_clips) for name, kind in types.items()},
         "card": _plain(model.card),
     }
     data = save(model_arrays(model, half), metadata={"motionkit": json.dumps(header)})
@@ -121,7 +117,7 @@ def _open_model(path: str | Path) -> Iterator[TensorFile]:
     """A model file of this release, its header and tensors checked; faults name the file."""
     with open_tensors(path, "motionkit", "a motionkit model", MOST_BYTES) as file:
         header = file.metadata
-        if not isinstance(header, dict) or header.get("format") != FORMAT:
+        if not isinstance(header, dict) or header.get("format") not in (FORMAT, FORMER_FORMAT):
             found = (
                 f"format {header['format']!r:.60}" if isinstance(header, dict) and "format" in header else ""
             )
@@ -131,6 +127,9 @@ def _open_model(path: str | Path) -> Iterator[TensorFile]:
                 else f"{path}: a safetensors file, but not a motionkit model"
             )
         try:
+            if header["format"] == FORMER_FORMAT:
+                header = file.metadata = renamed_header(header)
+                file.rename(renamed_tensor)
             check_header(header)
             check_tensors(header, config_from_dict(header.get("config")), file.found)
             yield file
@@ -150,17 +149,18 @@ def load_model(path: str | Path) -> MotionModel:
     weights = {n.removeprefix("network."): a for n, a in arrays.items() if n.startswith("network.")}
     config = config_from_dict(header["config"])
     size = ControlLayout(tuple(header["types"]), config.controls).size
-    fps, embedding = float(header["fps"]), PoseEmbedding(arrays["outline.matrix"], arrays["outline.offset"])
+    fps = float(header["fps"])
+    embedding = PoseEmbedding(arrays["pose_embedding.matrix"], arrays["pose_embedding.offset"])
     return MotionModel(
         NetworkWeights(config, size, weights),
         {name: _read_type(header, arrays, name, embedding, fps) for name in header["types"]},
         fps,
         Scaling(arrays["scaling.mean"], arrays["scaling.std"]),
         Scaling(arrays["trajectory.mean"], arrays["trajectory.std"]),
-        arrays["references"],
+        arrays["reference_rotations"],
         embedding,
         {name: arrays[f"character.{name}"] for name in header["characters"]},
-        header["guides"],
+        header["uses_references"],
         header.get("card", {}),
         header.get("own_bodies", False),
     )
@@ -169,14 +169,16 @@ def load_model(path: str | Path) -> MotionModel:
 def _read_type(
     header: dict[str, Any], arrays: dict[str, Array], name: str, embedding: PoseEmbedding, fps: float
 ) -> MotionType:
-    starts = [f"seed.{i}.{name}" for i in range(header["seeds"].get(name, 0))]
+    starts = [f"start_pose.{i}.{name}" for i in range(header["start_poses"].get(name, 0))]
     clips = tuple(
-        ReferenceClip(*(arrays[f"outline.{i}.{name}:{key}"] for key in ("poses", "ground", "phases")))
-        for i in range(header["outlines"].get(name, 0))
+        ReferenceClip(*(arrays[f"reference_clip.{i}.{name}:{key}"] for key in ("poses", "ground", "phases")))
+        for i in range(header["reference_clips"].get(name, 0))
     )
+    # Files of the first releases do not say which types are steered.
+    steered = name in header["steered"] if "steered" in header else is_steered(clips, embedding, fps)
     gait = header.get("gaits", {}).get(name)
-    known = {key: header.get(key, {}) for key in PRESET_KEYS}
-    preset = {field: float(known[key][name]) for key, field in PRESET_KEYS.items() if name in known[key]}
+    known = {field: header.get(field, {}) for field in PRESET_FIELDS}
+    preset = {field: float(known[field][name]) for field in PRESET_FIELDS if name in known[field]}
     return MotionType(
         tuple(
             StartPose(
@@ -189,5 +191,5 @@ def _read_type(
         clips,
         None if gait is None else Gait(*gait),
         SamplingPreset(**preset),
-        is_steered(clips, embedding, fps),
+        steered,
     )

@@ -51,12 +51,16 @@ def check_header(header: dict[str, Any]) -> None:
     types: Any = header.get("types")
     check_names(types, header.get("characters"))
     _number("fps", header.get("fps"), *RATES)
-    for key, value in (("guides", header.get("guides")), ("own_bodies", header.get("own_bodies", False))):
+    switches = {
+        "uses_references": header.get("uses_references"),
+        "own_bodies": header.get("own_bodies", False),
+    }
+    for key, value in switches.items():
         if not isinstance(value, bool):
             raise ModelError(f"{key} is {_shown(value)}, expected true or false")
     if not isinstance(header.get("card", {}), dict):
         raise ModelError(f"card is {_shown(header['card'])}, expected an object")
-    for key in ("seeds", "outlines"):
+    for key in ("start_poses", "reference_clips"):
         for kind, count in _by_type(header, key, types):
             whole = isinstance(count, int) and not isinstance(count, bool)
             if not whole or not 0 <= count <= MOST_RECORDINGS:
@@ -64,12 +68,12 @@ def check_header(header: dict[str, Any]) -> None:
                     f"{key} of {kind!r} are {_shown(count)}, expected a number up to {MOST_RECORDINGS}"
                 )
     for key, low, high in (
-        ("guidance", *REFERENCE_GAINS),
-        ("noise", *REFERENCE_GAINS),
-        ("inertia", 0.0, 1.0),
-        ("grip", 0.0, 1.0),
+        ("reference_gain", *REFERENCE_GAINS),
+        ("noise_scale", *REFERENCE_GAINS),
+        ("velocity_blend", 0.0, 1.0),
+        ("slip_correction", 0.0, 1.0),
     ):
-        for kind, value in _by_type(header, key, types, needed=key in ("guidance", "noise")):
+        for kind, value in _by_type(header, key, types, needed=key in ("reference_gain", "noise_scale")):
             _number(f"{key} of {kind!r}", value, low, high)
     for kind, values in _by_type(header, "gaits", types, needed=False):
         if not isinstance(values, list) or len(values) not in (2, 3):
@@ -77,6 +81,9 @@ def check_header(header: dict[str, Any]) -> None:
         limits = ((0.0, FASTEST), (-2.0 * math.pi, 2.0 * math.pi), (0.0, LONGEST_PHASE))
         for value, (low, high) in zip(values, limits, strict=False):
             _number(f"the gait of {kind!r}", value, low, high)
+    steered = header.get("steered", [])
+    if not isinstance(steered, list) or any(kind not in types for kind in steered):
+        raise ModelError(f"steered is {_shown(steered)}, expected a list of types")
 
 
 def check_names(types: Any, characters: Any) -> None:
@@ -176,9 +183,9 @@ def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mappin
         "scaling.std": (FEATURE_COUNT,),
         "trajectory.mean": (TRAJECTORY_COUNT,),
         "trajectory.std": (TRAJECTORY_COUNT,),
-        "references": (JOINT_COUNT, 4),
-        "outline.matrix": (FEATURE_COUNT, EMBEDDING_COUNT),
-        "outline.offset": (EMBEDDING_COUNT,),
+        "reference_rotations": (JOINT_COUNT, 4),
+        "pose_embedding.matrix": (FEATURE_COUNT, EMBEDDING_COUNT),
+        "pose_embedding.offset": (EMBEDDING_COUNT,),
     }
     expected |= {f"character.{name}": (JOINT_COUNT, 3) for name in header["characters"]}
     size = ControlLayout(tuple(header["types"]), config.controls).size
@@ -191,21 +198,21 @@ def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mappin
     else:
         shapes = built_shapes(config, size)
     expected |= {f"network.{name}": shape for name, shape in shapes.items()}
-    for kind, count in header["seeds"].items():
+    for kind, count in header["start_poses"].items():
         for i in range(count):
-            frames = _frames(found, f"seed.{i}.{kind}:features")
-            expected[f"seed.{i}.{kind}:features"] = (frames, FEATURE_COUNT)
-            expected[f"seed.{i}.{kind}:contacts"] = (frames, CONTACT_COUNT)
-            expected[f"seed.{i}.{kind}:ground"] = (frames, 3)
-    for kind, count in header["outlines"].items():
+            frames = _frames(found, f"start_pose.{i}.{kind}:features")
+            expected[f"start_pose.{i}.{kind}:features"] = (frames, FEATURE_COUNT)
+            expected[f"start_pose.{i}.{kind}:contacts"] = (frames, CONTACT_COUNT)
+            expected[f"start_pose.{i}.{kind}:ground"] = (frames, 3)
+    for kind, count in header["reference_clips"].items():
         for i in range(count):
-            frames = _frames(found, f"outline.{i}.{kind}:phases")
-            expected[f"outline.{i}.{kind}:poses"] = (frames + REFERENCE_OFFSETS[-1], EMBEDDING_COUNT)
-            expected[f"outline.{i}.{kind}:ground"] = (frames, 3)
-            expected[f"outline.{i}.{kind}:phases"] = (frames,)
+            frames = _frames(found, f"reference_clip.{i}.{kind}:phases")
+            expected[f"reference_clip.{i}.{kind}:poses"] = (frames + REFERENCE_OFFSETS[-1], EMBEDDING_COUNT)
+            expected[f"reference_clip.{i}.{kind}:ground"] = (frames, 3)
+            expected[f"reference_clip.{i}.{kind}:phases"] = (frames,)
     check_shapes(found, expected)
     for name, facts in found.items():
-        allowed = ("U8",) if name.startswith("seed.") and name.endswith(":contacts") else FLOATS
+        allowed = ("U8",) if name.startswith("start_pose.") and name.endswith(":contacts") else FLOATS
         if facts.dtype not in allowed:
             raise ModelError(
                 f"the tensor {_shown(name)} is of type {facts.dtype}, expected {' or '.join(allowed)}"
@@ -243,7 +250,7 @@ def check_values(tensors: Iterable[tuple[str, np.ndarray]]) -> None:
             raise ModelError(f"the tensor {_shown(name)} has numbers that are NaN or infinite")
         if name in ("scaling.std", "trajectory.std") and values.min() <= 0.0:
             raise ModelError(f"the tensor {_shown(name)} has {values.min():g}, expected positive deviations")
-        if name == "references" and np.abs(np.linalg.norm(values, axis=-1) - 1.0).max() > 0.01:
+        if name == "reference_rotations" and np.abs(np.linalg.norm(values, axis=-1) - 1.0).max() > 0.01:
             raise ModelError(f"the tensor {_shown(name)} has rotations that are not unit quaternions")
         if name.startswith("character.") and np.abs(values).max() > LONGEST_BONE:
             raise ModelError(f"the tensor {_shown(name)} has a bone longer than {LONGEST_BONE:g} cm")

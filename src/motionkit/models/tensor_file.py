@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -33,10 +33,22 @@ class TensorFile:
         for name in file.keys():
             part = file.get_slice(name)
             self.found[name] = TensorFacts(str(part.get_dtype()), tuple(part.get_shape()))
+        self._stored = {name: name for name in self.found}
+
+    def rename(self, name_of: Callable[[str], str]) -> None:
+        """Call the tensors by other names from now on. Raises ModelError if two would have the same."""
+        found: dict[str, TensorFacts] = {}
+        stored: dict[str, str] = {}
+        for name, facts in self.found.items():
+            other = name_of(name)
+            if other in found:
+                raise ModelError(f"the tensors {stored[other]!a} and {name!a} are one and the same")
+            found[other], stored[other] = facts, self._stored[name]
+        self.found, self._stored = found, stored
 
     def read(self, name: str) -> Array:
         """Return a tensor of the file."""
-        return self._file.get_tensor(name)
+        return self._file.get_tensor(self._stored[name])
 
     def read_all(self) -> dict[str, Array]:
         """Return all tensors by name."""
