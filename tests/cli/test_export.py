@@ -104,7 +104,7 @@ def test_graph_and_metadata_appear_together(
 
 
 def test_a_network_that_recomputes(motionkit: Callable, tiny_model: MotionModel, tmp_path: Path) -> None:
-    config = replace(preset("tiny"), position="sinusoidal")
+    config = preset("tiny", position="sinusoidal")
     network = PartTransformer(config, tiny_model.controls.size).weights()
     save_model(tmp_path / "paper.safetensors", replace(tiny_model, network=network))
     done = motionkit("export", "--onnx", "out.onnx", "--model", "paper.safetensors")

@@ -55,7 +55,7 @@ VARIANTS: list[dict] = [
 
 @pytest.mark.parametrize("change", VARIANTS)
 def test_variants(tiny_model: MotionModel, tmp_path: Path, change: dict) -> None:
-    network = PartTransformer(replace(preset("tiny"), **change), tiny_model.controls.size)
+    network = PartTransformer(preset("tiny", **change), tiny_model.controls.size)
     assert network.momentum is not None
     torch.nn.init.uniform_(network.momentum, -0.2, 0.2)  # zero at the start
     model, path = replace(tiny_model, network=network.weights()), tmp_path / "model.onnx"

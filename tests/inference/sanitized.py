@@ -42,7 +42,7 @@ def random_config(rng: np.random.Generator) -> ModelConfig:
     width = heads * int(rng.integers(1, 9))
     width += -width % heads + heads * max(0, -(-(4 - width) // heads))
     control = int(rng.integers(1, max(2, width // 2)))
-    return ModelConfig(
+    return ModelConfig().changed(
         partition=str(rng.choice(list(PARTITIONS))),
         width=width,
         heads=heads,

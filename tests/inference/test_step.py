@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,7 +70,7 @@ def test_steps_equal_the_batch_forward(
 @pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("change", VARIANTS, ids=lambda change: "-".join(map(str, change)))
 def test_variants(make_network: Callable, make_inputs: Callable, change: dict, way: str) -> None:
-    network = make_network(replace(preset("tiny"), **change))
+    network = make_network(preset("tiny", **change))
     assert largest_difference(network, make_inputs(3, 40), way) < TOLERANCE[way]
 
 
@@ -123,7 +122,7 @@ def test_reset_forgets_everything(make_network: Callable, make_inputs: Callable,
 )
 def test_what_cannot_be_packed_says_why(make_network: Callable, change: dict, reason: str) -> None:
     with pytest.raises(ModelError, match=reason):
-        pack(make_network(replace(preset("tiny"), **change)).weights())
+        pack(make_network(preset("tiny", **change)).weights())
 
 
 def test_memory_per_character_is_that_of_the_rings(make_network: Callable) -> None:

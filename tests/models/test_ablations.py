@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -19,7 +18,7 @@ SMALL = {"width": 48, "ffn": 96, "control_width": 16, "control_embedding": 16, "
 
 def network(seed: int = 0, **changes: Any) -> PartTransformer:
     torch.manual_seed(seed)
-    made = PartTransformer(replace(preset("tptn-paper"), **{**SMALL, **changes}), CONTROL_SIZE).eval()
+    made = PartTransformer(preset("tptn-paper", **{**SMALL, **changes}), CONTROL_SIZE).eval()
     with torch.no_grad():
         made.aggregate.weight.mul_(10.0)  # far frames have little influence on random weights
     return made
@@ -119,4 +118,4 @@ def test_attention_without_positions_is_the_same_by_the_kernel(monkeypatch: pyte
 
 def test_other_backbones_need_the_papers_norm() -> None:
     with pytest.raises(ModelError, match="backbone lstm needs norm 'post'"):
-        ModelConfig(backbone="lstm")
+        ModelConfig().changed(backbone="lstm")

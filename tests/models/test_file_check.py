@@ -164,7 +164,7 @@ def test_files_that_are_none(tmp_path: Path) -> None:
 
 
 VARIANTS = [preset(name) for name in PRESETS] + [
-    replace(preset("tiny"), **change)
+    preset("tiny", **change)
     for change in (
         {"partition": "one"},
         {"partition": "five", "fusion": "none"},

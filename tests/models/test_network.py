@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 
@@ -30,7 +28,7 @@ def test_receptive_field_is_exactly_87_frames(make_network, make_inputs) -> None
     config = preset("tptn")
     assert config.receptive_field == 87
     # At full size the first of the 87 frames is felt through 12 softmaxes: small, but in float64 there.
-    network = make_network(replace(config, log_sigma_min=-99.0, log_sigma_max=99.0)).double()
+    network = make_network(config.changed(log_sigma_min=-99.0, log_sigma_max=99.0)).double()
     felt = reach(network, [v.double() for v in make_inputs(1, 120)], 110)
     first = 110 - 87 + 1
     assert (felt[:first] == 0).all() and (felt[111:] == 0).all()
@@ -39,7 +37,7 @@ def test_receptive_field_is_exactly_87_frames(make_network, make_inputs) -> None
 
 @pytest.mark.parametrize("name", ["tptn-paper", "ebtn", "5ptn", "tiny"])
 def test_receptive_field_is_what_the_config_says(make_network, make_inputs, name: str) -> None:
-    config = replace(preset(name), log_sigma_min=-99.0, log_sigma_max=99.0)
+    config = preset(name, log_sigma_min=-99.0, log_sigma_max=99.0)
     network = make_network(config).double()
     last = config.receptive_field + 15
     felt = reach(network, [v.double() for v in make_inputs(1, last + 4)], last)
@@ -74,12 +72,14 @@ def test_shapes(make_network, make_inputs, name: str) -> None:
     network = make_network(config)
     with torch.no_grad():
         out = network(*make_inputs(3, 21))
-    parts = len(partition(config.partition).parts)
+    parts = len(partition(config.variant.partition).parts)
     assert out.mean.shape == out.log_sigma.shape == (3, 21, 276)
     assert out.trajectory_mean.shape == out.trajectory_log_sigma.shape == (3, 21, 24)
     assert out.contact_logits.shape == (3, 21, 4)
     assert out.shallow.shape == out.deep.shape == (parts, 3, 21, config.width)
-    assert out.log_sigma.min() >= config.log_sigma_min and out.log_sigma.max() <= config.log_sigma_max
+    assert (
+        out.log_sigma.min() >= config.head.log_sigma_min and out.log_sigma.max() <= config.head.log_sigma_max
+    )
 
 
 @pytest.mark.parametrize("frames", [1, 2, 15, 16, 17, 33])
@@ -102,14 +102,14 @@ def test_characters_of_a_batch_do_not_meet(make_network, make_inputs) -> None:
 
 def own_columns(config: ModelConfig, part: int) -> list[int]:
     """Columns of the 276 that only one part takes in."""
-    layout, body = feature_layout(config.layout), partition(config.partition)
+    layout, body = feature_layout(config.layout), partition(config.variant.partition)
     return [c for j in body.parts[part].joints if j not in body.shared for c in layout.joint_columns(j)]
 
 
 @pytest.mark.parametrize("fusion", ["none", "linear"])
 @pytest.mark.parametrize("name", ["two", "five"])
 def test_parts_meet_in_the_fusion_only(make_network, make_inputs, name: str, fusion: str) -> None:
-    config = replace(preset("tiny"), partition=name, fusion=fusion)
+    config = preset("tiny", partition=name, fusion=fusion)
     network = make_network(config)
     x, contacts, controls = make_inputs(1, 20)
     other = x.clone()
@@ -140,7 +140,7 @@ def test_shared_channels_take_in_the_shared_joints_alone(make_network, make_inpu
     config = preset(name)
     network = make_network(config)
     x, contacts, _ = make_inputs(1, 6)
-    layout, body = feature_layout(config.layout), partition(config.partition)
+    layout, body = feature_layout(config.layout), partition(config.variant.partition)
     shared = [c for joint in body.shared for c in layout.joint_columns(joint)]
     others = [c for c in range(276) if c not in shared]
     module = network.shallow
@@ -152,7 +152,7 @@ def test_shared_channels_take_in_the_shared_joints_alone(make_network, make_inpu
     changed = x.clone()
     changed[..., others] += 1.0
     before, after = embed(x, contacts), embed(changed, 1 - contacts)
-    S = config.shared_channels
+    S = config.embedding.shared_channels
     assert torch.equal(before[..., :S], after[..., :S])
     assert (before[..., S:] - after[..., S:]).abs().amax(dim=(1, 2)).min() > 0
     changed = x.clone()
@@ -172,7 +172,7 @@ def test_partitions_hold_every_joint_and_every_contact(name: str) -> None:
 
 @pytest.mark.parametrize("name", PARTITIONS)
 def test_part_columns_begin_with_the_shared_joints(name: str) -> None:
-    config = replace(ModelConfig(), partition=name)
+    config = ModelConfig().changed(partition=name)
     gather, shared = part_columns(config)
     body = partition(name)
     common = 12 * len(body.shared)
@@ -195,11 +195,11 @@ def test_lower_and_upper_part_take_in_what_the_paper_says() -> None:
 def test_leaky_head_adds_a_share_of_the_input(make_network, make_inputs) -> None:
     inputs = make_inputs(1, 8)
     leaky = make_network(preset("tiny"))
-    absolute = make_network(replace(preset("tiny"), head_leak=0.0))
+    absolute = make_network(preset("tiny", head_leak=0.0))
     absolute.load_state_dict(leaky.state_dict())
     with torch.no_grad():
         difference = leaky(*inputs).mean - absolute(*inputs).mean
-    assert torch.allclose(difference, leaky.config.head_leak * inputs[0], atol=1e-5)
+    assert torch.allclose(difference, leaky.config.head.head_leak * inputs[0], atol=1e-5)
 
 
 def test_momentum_adds_a_share_of_the_last_step(make_network, make_inputs) -> None:
@@ -215,7 +215,7 @@ def test_momentum_adds_a_share_of_the_last_step(make_network, make_inputs) -> No
 
 
 def test_layer_controls_can_be_left_out(make_network) -> None:
-    without = make_network(replace(preset("tiny"), layer_controls=False))
+    without = make_network(preset("tiny", layer_controls=False))
     assert not any(".control." in name for name in without.state_dict())
     assert any(".control." in name for name in make_network(preset("tiny")).state_dict())
 
@@ -296,7 +296,12 @@ def test_config_survives_a_dictionary(name: str) -> None:
 
 def test_paper_preset_is_the_papers() -> None:
     config = preset("tptn-paper")
-    assert (config.head_leak, config.position, config.norm, config.input_dropout) == (
+    assert (
+        config.head.head_leak,
+        config.variant.position,
+        config.variant.norm,
+        config.dropout.input_dropout,
+    ) == (
         0.0,
         "sinusoidal",
         "post",
@@ -318,7 +323,7 @@ def test_paper_preset_is_the_papers() -> None:
 )
 def test_impossible_configs(change: dict, complaint: str) -> None:
     with pytest.raises(ModelError, match=complaint):
-        replace(ModelConfig(), **change)
+        ModelConfig().changed(**change)
 
 
 def test_config_of_another_release() -> None:

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 
@@ -9,7 +7,7 @@ from motionkit.models.presets import PRESETS, preset
 from motionkit.models.stream import NetworkStream
 
 FIELDS = ("mean", "log_sigma", "trajectory_mean", "trajectory_log_sigma", "contact_logits")
-STREAMED = [name for name, make in PRESETS.items() if make().position == "bias"]
+STREAMED = [name for name, make in PRESETS.items() if make().variant.position == "bias"]
 
 
 def largest_difference(network, inputs) -> float:
@@ -45,7 +43,7 @@ def test_streaming_equals_the_batch_forward(make_network, make_inputs, name: str
     ],
 )
 def test_streaming_equals_the_batch_forward_for_variants(make_network, make_inputs, change: dict) -> None:
-    network = make_network(replace(preset("tiny"), **change))
+    network = make_network(preset("tiny", **change))
     assert largest_difference(network, make_inputs(1, 60)) < 1e-5
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -85,7 +85,7 @@ def parts_speed(frames: int = 20) -> list[tuple[float, float]]:
     out = []
     for name in PARTS:
         each = variant(name)
-        config = replace(preset(each.preset), **each.config)
+        config = preset(each.preset, **each.config)
         size = ControlLayout(tuple(map(str, range(21))), config.controls).size
         network = build(config, size).eval()
         stream = network.stream(1)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from motionkit.errors import MotionkitError
@@ -117,7 +117,7 @@ def parameters(each: Variant, types: int = 21) -> int:
     """Return the number of parameters of a variant's network for so many motion types (the paper's 21)."""
     if not each.preset:
         return 0
-    config = replace(preset(each.preset), **each.config)
+    config = preset(each.preset, **each.config)
     layout = ControlLayout(tuple(map(str, range(types))), config.controls)
     return parameter_count(build(config, layout.size))
 

@@ -67,7 +67,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
         The name of the unnormalised features (1, 276).
     """
     config, P, D = weights.config, len(weights.columns), weights.config.width
-    hidden = config.contact_hidden
+    hidden = config.head.contact_hidden
     weights = balance_heads(spread_channels(weights)) if small else weights
     step = _Step(g, weights, small)
     blocks = _control_blocks(step, model, skeleton)
@@ -94,9 +94,9 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     sigma, feet_too = g.split(rest, [FEATURE_COUNT, hidden], axis=1)
     feet = g.add("Relu", g.add("Add", feet, feet_too))
     g.add("Sigmoid", g.add("Gemm", feet, weights.contact, weights.contact_bias), out="present_contacts")
-    low, high = np.float32(config.log_sigma_min), np.float32(config.log_sigma_max)
+    low, high = np.float32(config.head.log_sigma_min), np.float32(config.head.log_sigma_max)
     drawn = g.add("Mul", "noise", g.add("Exp", g.add("Clip", sigma, low, high)))
-    terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head_leak))]
+    terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head.head_leak))]
     # At the first frame nothing has moved yet.
     moved = g.add("Mul", g.add("Sub", "pose", before), g.add("Min", "frames_seen", np.float32(1.0)))
     if weights.momentum is not None:

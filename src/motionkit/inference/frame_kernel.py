@@ -99,25 +99,52 @@ def frame_library() -> ctypes.CDLL | None:
 
 
 @dataclass(frozen=True, eq=False)
-class DrawArrays:
-    """What RolloutState draws frames with: from the network, constants, and state; rows are characters."""
+class PredictionArrays:
+    """What the network predicts of the next frame: mean and log_sigma (N, 276) normalised, contact logits (N, 4)."""
 
     mean: Floats
     log_sigma: Floats
     logits: Floats
-    scaling_mean: Floats
-    scaling_std: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseArrays:
+    """White noise (N, 276), None without noise, and the states (N, 276) of the two filters it goes through."""
+
     fresh: Floats | None
-    noise: Floats
-    smooth: Floats
-    blended: Floats
+    first: Floats
+    second: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class BlendArrays:
+    """Columns (276,) whose velocity is blended, by what shares (N, 1), slip correction (N, 1), last frame (N, 276)."""
+
+    columns: Floats
     velocity_blend: Floats
     slip_correction: Floats
     before: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class FrameArrays:
+    """The frame drawn: x (N, 276) normalised, contacts (N, 4), features (N, 276), ground (N, 3)."""
+
     x: Floats
     contacts: Floats
     features: Floats
     ground: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class DrawArrays:
+    """What RolloutState draws frames with: from the network, constants, and state; rows are characters."""
+
+    prediction: PredictionArrays
+    scaling: tuple[Floats, Floats]  # mean and standard deviation (276,)
+    noise: NoiseArrays
+    blend: BlendArrays
+    frame: FrameArrays
 
 
 def bind_draw(
@@ -133,12 +160,12 @@ def bind_draw(
         columns: of the root's yaw velocity, of the first of its ground velocities, and of the foot joints (4, 3).
         noise: Noise.filters and the temperature.
     """
-    a = arrays
-    strides = [array.strides[0] // 4 for array in (a.mean, a.logits)]
-    followed = (a.noise, a.smooth, a.blended, a.velocity_blend, a.slip_correction, a.before)
-    whole = (a.scaling_mean, a.scaling_std, *followed, a.x, a.contacts, a.features, a.ground)
+    made, filters, frame = arrays.prediction, arrays.noise, tuple(vars(arrays.frame).values())
+    strides = [array.strides[0] // 4 for array in (made.mean, made.logits)]
+    followed = (filters.first, filters.second, *vars(arrays.blend).values())
+    whole = (*arrays.scaling, *followed, *frame)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
-    assert a.log_sigma.strides == a.mean.strides
+    assert made.log_sigma.strides == made.mean.strides
     yaw, xz, feet = columns
     four = c_double * 4
     draw = _Draw(
@@ -146,12 +173,11 @@ def bind_draw(
         (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
         four(*slip_correction.REACHES), four(*slip_correction.SHARES),
         slip_correction.EASE, slip_correction.STIFFNESS, slip_correction.ENOUGH, slip_correction.LIMIT,
-        *(_address(v) for v in (a.mean, a.log_sigma, a.logits, a.scaling_mean, a.scaling_std)),
-        *(_address(v) for v in (a.fresh, *followed)),
+        *(_address(v) for v in (*vars(made).values(), *arrays.scaling, filters.fresh, *followed)),
         *noise, fps,
-        *(_address(v) for v in (a.x, a.contacts, a.features, a.ground)),
+        *(_address(v) for v in frame),
     )  # fmt: skip
-    return _call(library.draw_frames, draw, len(a.x), arrays)
+    return _call(library.draw_frames, draw, len(arrays.frame.x), arrays)
 
 
 class PoseKernel:

@@ -19,7 +19,15 @@ from motionkit.features.control import (
 from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.inference import slip_correction
-from motionkit.inference.frame_kernel import DrawArrays, bind_draw, frame_library
+from motionkit.inference.frame_kernel import (
+    BlendArrays,
+    DrawArrays,
+    FrameArrays,
+    NoiseArrays,
+    PredictionArrays,
+    bind_draw,
+    frame_library,
+)
 from motionkit.inference.height_correction import raised
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.stepping import TorchStep, stepper
@@ -307,10 +315,12 @@ class RolloutState:
             return
         fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
         arrays = DrawArrays(
-            network.mean, network.log_sigma, network.contact_logits, self._mean, self._std, fresh,
-            self._noise_state, self._smooth_noise, self._blended, self._velocity_blend,
-            self._slip_correction, self._before, self._x, self._contacts, self._features, self._ground,
-        )  # fmt: skip
+            PredictionArrays(network.mean, network.log_sigma, network.contact_logits),
+            (self._mean, self._std),
+            NoiseArrays(fresh, self._noise_state, self._smooth_noise),
+            BlendArrays(self._blended, self._velocity_blend, self._slip_correction, self._before),
+            FrameArrays(self._x, self._contacts, self._features, self._ground),
+        )
         noise = (*self.noise.filters, self.noise.temperature)
         columns = (self._yaw, self._xz.start, self._feet)
         call = bind_draw(library, arrays, columns, noise, self.model.fps)

@@ -38,7 +38,7 @@ class NetworkStep:
         self.before = np.zeros((batch, FEATURE_COUNT), np.float32)
         self.slot = W - 1
         # Rows as wide as the kernel's tiles.
-        head = 2 * FEATURE_COUNT + config.contact_hidden
+        head = 2 * FEATURE_COUNT + config.head.contact_hidden
         self.out = np.zeros((batch, head + -head % TILE), np.float32)
         self.contacts_out = np.zeros((batch, TILE), np.float32)
         self.mean, self.log_sigma = (
@@ -106,8 +106,8 @@ class NetworkStep:
         from_shallow = row_products(shallow, weights.contact_shallow)
         hidden = np.maximum(head[:, 2 * FEATURE_COUNT :] + from_shallow, 0.0)
         self.contact_logits[:] = row_products(hidden, weights.contact) + weights.contact_bias
-        self.mean += np.float32(config.head_leak) * self.recent[:, -1, :FEATURE_COUNT]
-        np.clip(self.log_sigma, config.log_sigma_min, config.log_sigma_max, out=self.log_sigma)
+        self.mean += np.float32(config.head.head_leak) * self.recent[:, -1, :FEATURE_COUNT]
+        np.clip(self.log_sigma, config.head.log_sigma_min, config.head.log_sigma_max, out=self.log_sigma)
 
     def _module(self, index: int, weights: ModuleWeights, inputs: Floats, controls: Floats) -> Floats:
         """Features (B, P D) without their sqrt(D), from inputs (P, B, N)."""

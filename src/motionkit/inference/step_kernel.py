@@ -103,15 +103,15 @@ class StepKernel:
         self._position = np.ascontiguousarray(np.moveaxis(position[..., distance], (3, 4, 5), (5, 0, 4)))
         sizes = (
             P, config.layers, config.width, config.ffn, config.heads, config.window, config.kernel, N,
-            weights.shallow.controls.shape[1], config.control_embedding,
-            weights.shallow.layer_controls.shape[-1] // config.width, config.contact_hidden,
+            weights.shallow.controls.shape[1], config.embedding.control_embedding,
+            weights.shallow.layer_controls.shape[-1] // config.width, config.head.contact_hidden,
             FEATURE_COUNT, CONTACT_COUNT,
         )  # fmt: skip
         self._program = _Program(
             *sizes,
-            config.head_leak,
-            config.log_sigma_min,
-            config.log_sigma_max,
+            config.head.head_leak,
+            config.head.log_sigma_min,
+            config.head.log_sigma_max,
             NORM_EPS,
             self._maps,
             self._keep(weights.columns),

@@ -94,9 +94,9 @@ def why_not_packable(config: PredictorConfig) -> str | None:
         return f"{config.architecture} is not a part transformer"
     if config.controls != "extended":
         return "controls='paper' needs the predicted trajectory"
-    if config.position != "bias":
+    if config.variant.position != "bias":
         return "position='sinusoidal' changes with every frame, so the window has to be computed anew"
-    if config.norm != "pre":
+    if config.variant.norm != "pre":
         return "norm='post' is run by the layers themselves"
     return None
 
@@ -129,7 +129,7 @@ def pack(network: NetworkWeights) -> StepWeights:
     if fusion_bias is not None:
         deep_bias = deep_bias + fusion_bias @ deep_weight
     shown = 2 * FEATURE_COUNT
-    hidden, feet = config.contact_hidden, foot_parts(config)
+    hidden, feet = config.head.contact_hidden, foot_parts(config)
     first = network["contact_mlp.inner.weight"][0].astype(np.float64).reshape(len(feet), 2, D, hidden)
     from_shallow, from_deep = (np.zeros((P, D, hidden)) for _ in range(2))
     from_shallow[feet], from_deep[feet] = root * first[:, 0], root * first[:, 1]
@@ -154,8 +154,8 @@ def pack(network: NetworkWeights) -> StepWeights:
 def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Doubles) -> ModuleWeights:
     config = network.config
     assert isinstance(config, ModelConfig)
-    D, Dc, E = config.width, config.control_embedding, config.width // config.heads
-    beside_count = config.control_width
+    D, Dc, E = config.width, config.embedding.control_embedding, config.width // config.heads
+    beside_count = config.embedding.control_width
     P, root = embed.shape[0], math.sqrt(D)
 
     def layers(name: str) -> Doubles:
@@ -167,7 +167,7 @@ def _pack_module(network: NetworkWeights, module: str, embed: Doubles, bias: Dou
     beside = np.zeros((P, Dc, D))
     beside[:, :beside_count, D - beside_count :] = np.eye(beside_count)
     controls = [beside]
-    if config.layer_controls:
+    if config.embedding.layer_controls:
         added = layers("control.weight")
         controls = [beside + added[0], *added[1:]]
     wide = _centred(np.pad(np.concatenate([embed, bias], axis=1), ((0, 0), (0, 0), (0, beside_count))))

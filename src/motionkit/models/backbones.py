@@ -69,7 +69,7 @@ class LstmLayers(nn.Module):
 
 def backbone_layers(parts: int, config: ModelConfig) -> list[nn.Module]:
     """Return the layers of one auto-regressive module whose backbone is not attention."""
-    if config.backbone == "lstm":
+    if config.variant.backbone == "lstm":
         return [LstmLayers(parts, config)]
     last = NON_LOCAL_EVERY - 1
     return [NonLocalLayer(parts, config, non_local=i % NON_LOCAL_EVERY == last) for i in range(config.layers)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from typing import Any
 
 from motionkit.errors import ModelError
@@ -48,10 +49,55 @@ RESIDUAL_KERNEL, NON_LOCAL_EVERY = 3, 2
 
 
 @dataclass(frozen=True)
-class ModelConfig:
-    """Sizes and choices of the network. The paper gives its sizes in a supplement that is not public."""
+class Embedding:
+    """How the motion and the controls enter the attention layers."""
+
+    control_width: int = 32  # channels of width for the embedded controls; the motion has the others
+    control_embedding: int = 32  # channels of the embedded controls; all of them enter every layer
+    shared_channels: int = 24  # first channels of the motion, which see the shared joints only
+    layer_controls: bool = True  # whether the embedded controls also enter every layer
+
+
+@dataclass(frozen=True)
+class Dropout:
+    """Dropout in training."""
+
+    input_dropout: float = 0.4  # on the input motion (paper: 0.5)
+    deep_dropout: float = 0.1  # on the input of the deep modules (paper: 0.5)
+    spatial_dropout: float = 0.1  # of whole channels, before the attention layers (paper: 0.1)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """Which network it is: the paper's, its ablations, or ours."""
 
     partition: str = "two"  # body parts, see models/parts.py
+    position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
+    norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
+    fusion: str = "linear"  # "linear" (paper), "none", or "cross-attention" (the paper's ablation)
+    backbone: str = "attention"  # or "non-local" or "lstm", the paper's ablations (models/backbones.py)
+
+
+@dataclass(frozen=True)
+class Head:
+    """What is read from the deep features: the Gaussian of the next frame, contacts, consistency."""
+
+    head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
+    head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last step
+    log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
+    log_sigma_max: float = 2.0
+    contact_hidden: int = 64  # hidden channels of the Foot-MLP
+    consistency: bool = True  # whether training uses consistency modules
+    consistency_hidden: int = 64  # hidden channels of the consistency modules
+
+
+@dataclass(frozen=True)
+class ModelConfig:
+    """Sizes and choices of the network. The paper gives its sizes in a supplement that is not public.
+
+    Model files have the fields of all groups side by side, by the names they have here.
+    """
+
     layout: str = DEFAULT_LAYOUT  # version of the 276 columns
     controls: str = "extended"  # control signals; with "paper" the predicted trajectory is fed back
     width: int = 128  # channels of each part
@@ -60,38 +106,26 @@ class ModelConfig:
     layers: int = 6  # attention layers in each auto-regressive module (paper: 6)
     window: int = 8  # frames a layer sees, including the current one (paper: lm = 8)
     kernel: int = 3  # causal convolution of the shallow modules (paper: 3; deep: 1)
-    control_width: int = 32  # channels of width for the embedded controls; the motion has the others
-    control_embedding: int = 32  # channels of the embedded controls; all of them enter every layer
-    shared_channels: int = 24  # first channels of the embedding, which see the shared joints only
-    input_dropout: float = 0.4  # on the input motion (paper: 0.5)
-    deep_dropout: float = 0.1  # on the input of the deep modules (paper: 0.5)
-    spatial_dropout: float = 0.1  # of whole channels, before the attention layers (paper: 0.1)
-    position: str = "bias"  # "bias": learned per head and offset, can stream; "sinusoidal": the paper's
-    norm: str = "pre"  # "pre" or "post" (Vaswani et al. 2017)
-    fusion: str = "linear"  # "linear" (paper), "none", or "cross-attention" (the paper's ablation)
-    backbone: str = "attention"  # or "non-local" or "lstm", the paper's ablations (models/backbones.py)
-    layer_controls: bool = True  # whether the embedded controls also enter every layer
-    consistency: bool = True  # whether training uses consistency modules
-    head_leak: float = 0.8  # mean = head_leak x input pose + output; 0 is the paper's absolute head
-    head_momentum: bool = False  # whether the mean adds a learned share, per column, of the last step
-    log_sigma_min: float = -5.0  # in normalised units (paper: sigma > 1e-4)
-    log_sigma_max: float = 2.0
-    contact_hidden: int = 64  # hidden channels of the Foot-MLP
-    consistency_hidden: int = 64  # hidden channels of the consistency modules
+    variant: Variant = Variant()
+    embedding: Embedding = Embedding()
+    dropout: Dropout = Dropout()
+    head: Head = Head()
 
     def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            _check(name, value, getattr(type(self), name))
-        motion_width = self.width - self.control_width
-        if self.width % self.heads or motion_width <= self.shared_channels:
+        defaults = _defaults()
+        for name, value in self.to_dict().items():
+            _check(name, value, defaults[name])
+        embedding, variant = self.embedding, self.variant
+        motion_width = self.width - embedding.control_width
+        if self.width % self.heads or motion_width <= embedding.shared_channels:
             raise ModelError("model width must be a multiple of heads and exceed control and shared channels")
-        if self.control_embedding < self.control_width:
+        if embedding.control_embedding < embedding.control_width:
             raise ModelError("control_embedding must be at least control_width")
-        if self.backbone != "attention" and (self.layer_controls or self.norm != "post"):
-            raise ModelError(f"backbone {self.backbone} needs norm 'post' and no layer_controls")
-        if self.log_sigma_min > self.log_sigma_max:
+        if variant.backbone != "attention" and (embedding.layer_controls or variant.norm != "post"):
+            raise ModelError(f"backbone {variant.backbone} needs norm 'post' and no layer_controls")
+        if self.head.log_sigma_min > self.head.log_sigma_max:
             raise ModelError("log_sigma_min must be at most log_sigma_max")
-        if self.position == "sinusoidal" and motion_width % 2:
+        if variant.position == "sinusoidal" and motion_width % 2:
             raise ModelError("sinusoidal positions need an even number of channels beside the controls")
 
     @property
@@ -107,25 +141,51 @@ class ModelConfig:
         """
         reach = self.window - 1
         steps = 2 * self.layers * reach
-        if self.backbone == "non-local":
+        if self.variant.backbone == "non-local":
             steps = 2 * self.layers * (RESIDUAL_KERNEL - 1) + 2 * (self.layers // NON_LOCAL_EVERY) * reach
-        fused = reach if self.fusion == "cross-attention" else 0
+        fused = reach if self.variant.fusion == "cross-attention" else 0
         return (self.kernel - 1) + 1 + steps + fused
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain values, for a model file."""
-        return asdict(self)
+        """Return the plain values of all groups side by side, for a model file."""
+        values: dict[str, Any] = {}
+        for name, value in asdict(self).items():
+            values |= value if name in GROUPS else {name: value}
+        return values
+
+    def changed(self, **changes: Any) -> ModelConfig:
+        """Return the config with some fields of any group changed: changed(layers=4, norm="post").
+
+        Raises:
+            ModelError: for an unknown field, or a value out of range.
+        """
+        return ModelConfig.from_dict(self.to_dict() | changes)
 
     @classmethod
     def from_dict(cls, values: Any) -> ModelConfig:
         """Return the config of a model file. Raises ModelError for unknown fields or bad values."""
         if not isinstance(values, dict):
             raise ModelError(f"config is {values!r:.60}, expected an object")
-        unknown = set(values) - {f.name for f in fields(cls)}
+        unknown = set(values) - set(_defaults())
         if unknown:
             names = ", ".join(name if name.isidentifier() else ascii(name) for name in sorted(unknown))
             raise ModelError(f"the model was made by another release: unknown settings {names:.200}")
-        return cls(**values)
+        groups = {
+            group: kind(**{f.name: values[f.name] for f in fields(kind) if f.name in values})
+            for group, kind in GROUPS.items()
+        }
+        own = {f.name: values[f.name] for f in fields(cls) if f.name in values}
+        return cls(**own, **groups)
+
+
+GROUPS: dict[str, Any] = {"variant": Variant, "embedding": Embedding, "dropout": Dropout, "head": Head}
+
+
+@cache
+def _defaults() -> dict[str, Any]:
+    """Return the default of every field, the groups' side by side."""
+    kinds = (ModelConfig, *GROUPS.values())
+    return {f.name: f.default for kind in kinds for f in fields(kind) if f.name not in GROUPS}
 
 
 def _check(name: str, value: Any, default: Any) -> None:

@@ -17,9 +17,9 @@ class ConsistencyModules(nn.Module):
         super().__init__()
         config: ModelConfig = network.config
         self.parts = len(network.body.parts)
-        self.channels = config.shared_channels
+        self.channels = config.embedding.shared_channels
         self.outputs = 12 * len(network.body.shared)
-        sizes = (self.parts, self.channels, config.consistency_hidden, self.outputs)
+        sizes = (self.parts, self.channels, config.head.consistency_hidden, self.outputs)
         self.shallow, self.deep = FeedForward(*sizes), FeedForward(*sizes)
 
     def forward(self, shallow: Tensor, deep: Tensor) -> tuple[Tensor, Tensor]:

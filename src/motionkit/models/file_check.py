@@ -134,9 +134,9 @@ def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
 
     Not for the backbones and the fusion of the paper's ablations, which run in torch only.
     """
-    body = partition(config.partition)
-    P, D, Dc = len(body.parts), config.width, config.control_embedding
-    motion, feet = D - config.control_width, sum(bool(part.contacts) for part in body.parts)
+    body = partition(config.variant.partition)
+    P, D, Dc = len(body.parts), config.width, config.embedding.control_embedding
+    motion, feet = D - config.embedding.control_width, sum(bool(part.contacts) for part in body.parts)
     inputs = config.kernel * part_columns(config)[0].shape[1]
     shapes: dict[str, Shape] = {}
 
@@ -154,21 +154,21 @@ def weight_shapes(config: ModelConfig, control_size: int) -> dict[str, Shape]:
             linear(f"{layer}.attention.out", P, D, D, bias=False)
             linear(f"{layer}.ffn.inner", P, D, config.ffn)
             linear(f"{layer}.ffn.outer", P, config.ffn, D, bias=False)
-            if config.position == "bias":
+            if config.variant.position == "bias":
                 shapes[f"{layer}.attention.offset_bias"] = (P, config.heads, config.window)
-            if config.layer_controls:
+            if config.embedding.layer_controls:
                 linear(f"{layer}.control", P, Dc, D, bias=False)
-            if config.norm == "post":
+            if config.variant.norm == "post":
                 for norm in ("attention_norm", "ffn_norm"):
                     shapes[f"{layer}.{norm}.scale"] = shapes[f"{layer}.{norm}.shift"] = (P, 1, 1, D)
-    if P > 1 and config.fusion == "linear":
+    if P > 1 and config.variant.fusion == "linear":
         linear("fusion", P, (P - 1) * D, D)
     outputs = 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT
     shapes["aggregate.weight"], shapes["aggregate.bias"] = (outputs, P * D), (outputs,)
-    if config.head_momentum:
+    if config.head.head_momentum:
         shapes["momentum"] = (FEATURE_COUNT,)
-    linear("contact_mlp.inner", 1, 2 * D * feet, config.contact_hidden)
-    linear("contact_mlp.outer", 1, config.contact_hidden, CONTACT_COUNT)
+    linear("contact_mlp.inner", 1, 2 * D * feet, config.head.contact_hidden)
+    linear("contact_mlp.outer", 1, config.head.contact_hidden, CONTACT_COUNT)
     return shapes
 
 
@@ -191,8 +191,8 @@ def check_tensors(header: dict[str, Any], config: PredictorConfig, found: Mappin
     size = ControlLayout(tuple(header["types"]), config.controls).size
     if (
         isinstance(config, ModelConfig)
-        and config.backbone == "attention"
-        and config.fusion != "cross-attention"
+        and config.variant.backbone == "attention"
+        and config.variant.fusion != "cross-attention"
     ):
         shapes = weight_shapes(config, size)
     else:

@@ -52,14 +52,18 @@ class AttentionLayer(nn.Module):
 
     def __init__(self, parts: int, config: ModelConfig) -> None:
         super().__init__()
-        self.pre = config.norm == "pre"
+        self.pre = config.variant.norm == "pre"
         D = config.width
         self.attention_norm = PartNorm(parts, D, affine=not self.pre)
-        self.attention = LocalAttention(parts, D, config.heads, config.window, bias=config.position == "bias")
+        self.attention = LocalAttention(
+            parts, D, config.heads, config.window, bias=config.variant.position == "bias"
+        )
         self.ffn_norm = PartNorm(parts, D, affine=not self.pre)
         self.ffn = FeedForward(parts, D, config.ffn, D, bias=False)
         self.control = (
-            PartLinear(parts, config.control_embedding, D, bias=False) if config.layer_controls else None
+            PartLinear(parts, config.embedding.control_embedding, D, bias=False)
+            if config.embedding.layer_controls
+            else None
         )
 
     def forward(self, x_PBTD: Tensor, controls: Tensor) -> Tensor:
@@ -93,16 +97,18 @@ class AutoRegressiveModule(nn.Module):
     def __init__(self, parts: int, inputs: int, control_size: int, config: ModelConfig, kernel: int) -> None:
         super().__init__()
         self.config, self.kernel = config, kernel
-        motion_width = config.width - config.control_width
+        motion_width = config.width - config.embedding.control_width
         self.embed = PartLinear(parts, kernel * inputs, motion_width)
-        self.embed_controls = PartLinear(parts, control_size, config.control_embedding)
-        attends = config.backbone == "attention"
+        self.embed_controls = PartLinear(parts, control_size, config.embedding.control_embedding)
+        attends = config.variant.backbone == "attention"
         self.layers = nn.ModuleList(
             [AttentionLayer(parts, config) for _ in range(config.layers)]
             if attends
             else backbone_layers(parts, config)
         )
-        self.final_norm = PartNorm(parts, config.width, affine=False) if config.norm == "pre" else None
+        self.final_norm = (
+            PartNorm(parts, config.width, affine=False) if config.variant.norm == "pre" else None
+        )
         self.embed_mask: Tensor
         self.register_buffer("embed_mask", torch.ones(1), persistent=False)
 
@@ -120,10 +126,10 @@ class AutoRegressiveModule(nn.Module):
             x_PBTD = torch.cat([padded[:, :, i : i + T] for i in range(self.kernel)], dim=-1)
         motion = self.embed_motion(x_PBTD)
         controls = self.embed_controls.shared(controls_BTC)
-        if self.config.position == "sinusoidal" and self.config.backbone != "lstm":
+        if self.config.variant.position == "sinusoidal" and self.config.variant.backbone != "lstm":
             motion = motion + sinusoidal_positions(motion.shape[2], motion.shape[3], motion.device)
-        motion = spatial_dropout(motion, self.config.spatial_dropout, self.training)
-        x = torch.cat([motion, controls[..., : self.config.control_width]], dim=-1)
+        motion = spatial_dropout(motion, self.config.dropout.spatial_dropout, self.training)
+        x = torch.cat([motion, controls[..., : self.config.embedding.control_width]], dim=-1)
         for layer in self.layers:
             x = layer(x, controls)
         return x if self.final_norm is None else self.final_norm(x)
@@ -137,7 +143,7 @@ class PartTransformer(Predictor):
 
     def __init__(self, config: ModelConfig, control_size: int) -> None:
         super().__init__(config, control_size)
-        self.body: Partition = partition(config.partition)
+        self.body: Partition = partition(config.variant.partition)
         P, D = len(self.body.parts), config.width
         gather, _ = part_columns(config)
         self.part_columns: Tensor
@@ -146,13 +152,13 @@ class PartTransformer(Predictor):
         self.shallow.embed_mask = torch.from_numpy(embedding_mask(config))
         self.deep = AutoRegressiveModule(P, D, control_size, config, 1)
         # Each part gets one linear map of all the other parts' shallow features.
-        self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.fusion == "linear" else None
-        crosses = P > 1 and config.fusion == "cross-attention"
+        self.fusion = PartLinear(P, (P - 1) * D, D) if P > 1 and config.variant.fusion == "linear" else None
+        crosses = P > 1 and config.variant.fusion == "cross-attention"
         self.cross = LocalAttention(P, D, config.heads, config.window, bias=False) if crosses else None
         self.aggregate = nn.Linear(P * D, 2 * FEATURE_COUNT + 2 * TRAJECTORY_COUNT)
-        self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head_momentum else None
+        self.momentum = nn.Parameter(torch.full((FEATURE_COUNT,), 0.8)) if config.head.head_momentum else None
         self.feet = foot_parts(config)
-        self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.contact_hidden, CONTACT_COUNT)
+        self.contact_mlp = FeedForward(1, 2 * D * len(self.feet), config.head.contact_hidden, CONTACT_COUNT)
         self._initialise()
 
     def _initialise(self) -> None:
@@ -180,9 +186,11 @@ class PartTransformer(Predictor):
             contacts_BT4: (B, T, 4) foot contacts.
             controls_BTC: (B, T, C) normalised control vectors.
         """
-        inputs = F.dropout(self.split_parts(x_BTF, contacts_BT4), self.config.input_dropout, self.training)
+        inputs = F.dropout(
+            self.split_parts(x_BTF, contacts_BT4), self.config.dropout.input_dropout, self.training
+        )
         shallow = self.shallow(inputs, controls_BTC)
-        fused = F.dropout(self.fuse(shallow), self.config.deep_dropout, self.training)
+        fused = F.dropout(self.fuse(shallow), self.config.dropout.deep_dropout, self.training)
         deep = self.deep(fused, controls_BTC)
         before = torch.cat([x_BTF[:, :1], x_BTF[:, :-1]], dim=1)
         return self.predict(x_BTF, before, shallow, deep)
@@ -207,13 +215,13 @@ class PartTransformer(Predictor):
         out = self.aggregate(body).float()
         sizes = [FEATURE_COUNT, FEATURE_COUNT, TRAJECTORY_COUNT, TRAJECTORY_COUNT]
         mean, log_sigma, trajectory, trajectory_log_sigma = out.split(sizes, dim=-1)
-        if self.config.head_leak:
-            mean = mean + self.config.head_leak * x.float()
+        if self.config.head.head_leak:
+            mean = mean + self.config.head.head_leak * x.float()
         if self.momentum is not None:
             mean = mean + self.momentum * (x - before).float()
         feet = torch.cat([torch.cat([shallow[i], deep[i]], dim=-1) for i in self.feet], dim=-1)
         contact_logits = self.contact_mlp(feet[None])[0].float()
-        low, high = self.config.log_sigma_min, self.config.log_sigma_max
+        low, high = self.config.head.log_sigma_min, self.config.head.log_sigma_max
         return Prediction(
             mean,
             log_sigma.clamp(low, high),

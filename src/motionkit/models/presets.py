@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 from motionkit.errors import ModelError
@@ -12,7 +11,7 @@ from motionkit.models.config import ModelConfig
 
 def tptn() -> ModelConfig:
     """Two parts, a leaky head with momentum, which learns fast, and relative positions, which allow streaming."""
-    return ModelConfig(
+    return ModelConfig().changed(
         control_embedding=80,
         input_dropout=0.1,
         deep_dropout=0.0,
@@ -24,7 +23,7 @@ def tptn() -> ModelConfig:
 
 def tptn_paper() -> ModelConfig:
     """The paper's network: absolute head, sinusoidal positions, post-norm, its dropout, features and controls."""
-    return ModelConfig(
+    return ModelConfig().changed(
         layout="expmap-root-1",
         controls="paper",
         input_dropout=0.5,
@@ -39,23 +38,22 @@ def tptn_paper() -> ModelConfig:
 
 def ebtn() -> ModelConfig:
     """One stream for the entire body (paper table 6)."""
-    return replace(tptn(), partition="one", width=176, ffn=352, control_width=32)
+    return tptn().changed(partition="one", width=176, ffn=352, control_width=32)
 
 
 def fptn_r() -> ModelConfig:
     """Four parts that share the root."""
-    return replace(tptn(), partition="four-root", width=88, ffn=176, control_width=24, shared_channels=16)
+    return tptn().changed(partition="four-root", width=88, ffn=176, control_width=24, shared_channels=16)
 
 
 def fptn_s() -> ModelConfig:
     """Four parts that share the spine."""
-    return replace(tptn(), partition="four-spine", width=88, ffn=176, control_width=24, shared_channels=40)
+    return tptn().changed(partition="four-spine", width=88, ffn=176, control_width=24, shared_channels=40)
 
 
 def five_ptn() -> ModelConfig:
     """Five parts: two arms, two legs, the spine."""
-    return replace(
-        tptn(),
+    return tptn().changed(
         partition="five",
         width=80,
         ffn=160,
@@ -67,8 +65,7 @@ def five_ptn() -> ModelConfig:
 
 def tiny() -> ModelConfig:
     """A small network for tests and first tries; it learns little."""
-    return replace(
-        tptn(),
+    return tptn().changed(
         width=48,
         heads=4,
         ffn=96,
@@ -90,10 +87,15 @@ PRESETS = {
 }
 
 
-def preset(name: str) -> Any:
-    """Return the config of a preset, or of an architecture by its name. Raises ModelError if it is unknown."""
+def preset(name: str, **changes: Any) -> Any:
+    """Return the config of a preset, or of an architecture by its name, with some of its fields changed.
+
+    Raises:
+        ModelError: if the preset or a field is unknown, or a value is out of range.
+    """
     if name in PRESETS:
-        return PRESETS[name]()
+        return PRESETS[name]().changed(**changes)
     if name in ARCHITECTURES:
-        return network_class(name).config_class()
+        config = network_class(name).config_class
+        return config.from_dict(config().to_dict() | changes)
     raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")

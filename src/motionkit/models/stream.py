@@ -35,9 +35,11 @@ class NetworkStream:
         # An LSTM carries its state instead, and has no positions.
         config = network.config
         windowed = (
-            config.position == "sinusoidal" or config.backbone == "non-local" or network.cross is not None
+            config.variant.position == "sinusoidal"
+            or config.variant.backbone == "non-local"
+            or network.cross is not None
         )
-        self.recomputes = windowed and config.backbone != "lstm"
+        self.recomputes = windowed and config.variant.backbone != "lstm"
         self.reset()
 
     def reset(self, given: int = 0) -> None:
@@ -54,7 +56,7 @@ class NetworkStream:
         self.recent = torch.zeros(P, B, config.kernel, inputs, device=device)
         self.before = torch.zeros(B, FEATURE_COUNT, device=device)
         self.lstm_states: list[LstmState | None] = [None, None]
-        if config.backbone == "lstm":
+        if config.variant.backbone == "lstm":
             return
         self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
 
@@ -79,8 +81,8 @@ class NetworkStream:
         module: AutoRegressiveModule = (self.network.shallow, self.network.deep)[index]
         motion = module.embed_motion(x)
         controls = module.embed_controls(controls.expand(motion.shape[0], *controls.shape))
-        x = torch.cat([motion, controls[..., : module.config.control_width]], dim=-1)
-        if module.config.backbone == "lstm":
+        x = torch.cat([motion, controls[..., : module.config.embedding.control_width]], dim=-1)
+        if module.config.variant.backbone == "lstm":
             lstm = module.layers[0]
             assert isinstance(lstm, LstmLayers)
             made, self.lstm_states[index] = lstm.run(x[:, :, None], self.lstm_states[index])

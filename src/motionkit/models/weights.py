@@ -44,7 +44,7 @@ def part_columns(config: ModelConfig) -> tuple[Array, Array]:
     Columns count the 276 features, then the 4 contacts, then one column of zeros for padding.
     """
     layout = feature_layout(config.layout)
-    body = partition(config.partition)
+    body = partition(config.variant.partition)
     rows, shared = [], []
     for part in body.parts:
         joints = list(body.shared) + [j for j in part.joints if j not in body.shared]
@@ -62,12 +62,12 @@ def part_columns(config: ModelConfig) -> tuple[Array, Array]:
 def embedding_mask(config: ModelConfig) -> Floats:
     """Return a mask (P, kernel N, motion width): the first channels see shared joints only, and none sees padding."""
     gather, shared = part_columns(config)
-    mask = np.ones((*gather.shape, config.width - config.control_width), np.float32)
-    mask[:, :, : config.shared_channels] = shared[:, :, None]
+    mask = np.ones((*gather.shape, config.width - config.embedding.control_width), np.float32)
+    mask[:, :, : config.embedding.shared_channels] = shared[:, :, None]
     mask *= (gather < FEATURE_COUNT + CONTACT_COUNT)[:, :, None]
     return np.tile(mask, (1, config.kernel, 1))
 
 
 def foot_parts(config: ModelConfig) -> list[int]:
     """Return the parts that have a foot; their features are the input of the Foot-MLP."""
-    return [i for i, part in enumerate(partition(config.partition).parts) if part.contacts]
+    return [i for i, part in enumerate(partition(config.variant.partition).parts) if part.contacts]

@@ -219,7 +219,7 @@ def consistency_loss(
 
     The data are the recorded frames, not the inputs, which are noisy or predicted: the target of the frame before.
     """
-    channels = network.config.shared_channels
+    channels = network.config.embedding.shared_channels
     alike = feature_difference(prediction.shallow, channels) + feature_difference(prediction.deep, channels)
     truth = shared_data(network, torch.cat([batch.inputs[:, :1], batch.targets[:, :-1]], dim=1))
     root = torch.zeros((), device=truth.device)

@@ -9,7 +9,7 @@ import signal
 import time
 from collections.abc import Callable
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -83,7 +83,7 @@ class TrainingModule(nn.Module):
     ) -> None:
         super().__init__()
         self.network = network
-        self.consistency = ConsistencyModules(network) if network.config.consistency else None
+        self.consistency = ConsistencyModules(network) if network.config.head.consistency else None
         self.types = dataset.types
         self.space = FeatureSpace.of(dataset)
         self.use(options)
@@ -251,7 +251,7 @@ class TrainingRun:
         except ModelError as error:
             raise DatasetError(f"{dataset.folder}: {error}") from None
         torch.manual_seed(options.seed)
-        config = replace(preset(options.preset), **options.config)
+        config = preset(options.preset, **options.config)
         if config.layout != dataset.layout.version:
             raise DatasetError(
                 f"{dataset.folder}: layout {dataset.layout.version}, but preset {options.preset} needs "
