@@ -156,7 +156,7 @@ def parts(model: MotionModel) -> Any:
     """5: two parts that share the root."""
     figure, (left, right) = new_figure(2.8, 1, 2, width_ratios=(1, 2.1))
     body = mk.canonical_skeleton().rest_positions()
-    upper, lower = (set(part.joints) for part in PARTITIONS[model.config.partition].parts)
+    upper, lower = (set(part.joints) for part in PARTITIONS[model.config.variant.partition].parts)
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:
             ends = body[[parent, joint]][:, :2]
