@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -266,6 +267,17 @@ def test_other_joints_stay_at_rest_or_move_as_in_a_clip(tmp_path: Path) -> None:
     assert np.rad2deg(quat_angle(out.local_rotations[:, others], turns[at][:, others])).max() < 0.01
     back, _ = retarget(motion_to_bvh(out), rig=rig)
     assert worst_turn(source, back, list(rig.joints.places)) < 0.01  # the twist does not turn the hand
+
+
+@pytest.mark.parametrize("make", [furnished, split, odd_axes, z_up])
+def test_a_clip_at_rest_is_as_none(make: Callable[[], Motion], tmp_path: Path) -> None:
+    rig = rig_of(make(), tmp_path)
+    still = quat_identity((1, len(rig.skeleton)))
+    rest = Motion(rig.skeleton, still, rig.skeleton.offsets[:1], 60.0)
+    motion = make_walk(20)
+    one, other = to_rig(motion, rig), to_rig(motion, rig, clip=rest)
+    assert float(quat_angle(one.local_rotations, other.local_rotations).max()) < 1e-3
+    assert np.allclose(one.root_positions, other.root_positions, atol=1e-4)
 
 
 def test_a_clip_of_another_rig_is_refused(tmp_path: Path) -> None:

@@ -79,11 +79,19 @@ def running(server: PlayServer) -> Iterator[Running]:
 
 @pytest.fixture
 def serve(tiny_model: MotionModel) -> Iterator[Callable[..., Running]]:
-    """A function that starts a server on free ports: serve(tcp=0, limits=Limits(...)); stopped after the test."""
+    """A function that starts a server on free ports: serve(tcp=0, limits=Limits(...)); stopped after the test.
+
+    model and body are those of the session.
+    """
     with ExitStack() as stack:
 
-        def start(limits: Limits | None = None, **options: Any) -> Running:
-            server = PlayServer(Session(tiny_model, limits=limits), ServerOptions(port=0, **options))
+        def start(
+            limits: Limits | None = None,
+            model: MotionModel = tiny_model,
+            body: str = "default",
+            **options: Any,
+        ) -> Running:
+            server = PlayServer(Session(model, body, limits=limits), ServerOptions(port=0, **options))
             return stack.enter_context(running(server))
 
         yield start

@@ -50,7 +50,9 @@ def _visible_log() -> Iterator[None]:
     help="Model file; the bundled model by default.",
 )
 @reference_option
-@click.option("--character", default="default", show_default=True, help="Body of new characters.")
+@click.option(
+    "--character", help="Body of new characters; that of the --rig by default, else the model's default."
+)
 @click.option(
     "--port",
     default=8642,
@@ -80,7 +82,7 @@ def _visible_log() -> Iterator[None]:
 def command(
     model_path: Path | None,
     reference: str,
-    character: str,
+    character: str | None,
     port: int,
     host: str,
     no_open: bool,
@@ -93,7 +95,7 @@ def command(
     """Steer characters live: start a server on this machine and open its page.
 
     Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). With --rig,
-    recordings are on the rig of that file. Ctrl-C stops the server.
+    characters have the body of that file, and recordings and TCP frames are on its joints. Ctrl-C stops the server.
     """
     try:
         import websockets  # noqa: F401
@@ -131,7 +133,13 @@ def command(
         if not headless and not no_open:
             open_in_browser(addresses.url)
 
-    session = Session(open_model(model_path, reference), character)
+    model = open_model(model_path, reference)
+    if choice.rig is not None:
+        from motionkit.play.on_rig import with_rig
+
+        model = with_rig(model, choice.rig)
+        character = character or choice.rig.name
+    session = Session(model, character or "default")
     options = ServerOptions(host, port, tcp, vmc, not headless, choice.rig, choice.clip)
     with _visible_log():
         try:

@@ -48,9 +48,8 @@ def to_rig(motion: Motion, rig: Rig, contacts: Array | None = None, clip: Motion
     if contacts is not None and (stance := _stance(motion, rig, contacts)) is not None:
         body = _lifted(body, stance - (_stance(body, rig, contacts) or 0.0))
         body = lock_feet(body, contacts)
-        wanted = max(stance if rig.stance is None else rig.stance, _depth(rig))
-        body = _lifted(body, wanted - (_stance(body, rig, contacts) or 0.0))
-    return _from_body(body, rig, clip)
+        body = _lifted(body, standing_height(rig, stance) - (_stance(body, rig, contacts) or 0.0))
+    return from_body(body, rig, clip)
 
 
 def rig_bvh(motion: Motion, rig: Rig) -> BvhFile:
@@ -117,6 +116,11 @@ def _lifted(motion: Motion, height: float) -> Motion:
     return replace(motion, root_positions=motion.root_positions + up)
 
 
+def standing_height(rig: Rig, usual: float) -> float:
+    """The height in cm, for canonical legs, at which toes or ankles of a rig stand; usual where its file shows none."""
+    return max(usual if rig.stance is None else rig.stance, _depth(rig))
+
+
 def _depth(rig: Rig) -> float:
     """How far below its toe, or its ankle, the lowest point of a flat foot is, in cm of the rig's body."""
     rest, skeleton = rig.skeleton.rest_positions(), rig.skeleton
@@ -135,8 +139,8 @@ def _depth(rig: Rig) -> float:
     return max(depths)
 
 
-def _from_body(body: Motion, rig: Rig, clip: Motion | None) -> Motion:
-    """The rig's own rotations and positions for a motion of its body."""
+def from_body(body: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
+    """The rig's own rotations and positions for a motion of its body (rig_body); clip as for to_rig."""
     skeleton, frames = rig.skeleton, len(body)
     rotations, _ = motion_kinematics(body)
     down = quat_inverse(up_turn(rig.up)).astype(np.float64)
@@ -147,20 +151,11 @@ def _from_body(body: Motion, rig: Rig, clip: Motion | None) -> Motion:
         ),
     )
     local, places = _kept(rig, frames, clip)
-    turned = quat_identity((frames, len(skeleton)), np.float64)
     carriers = {joint: JOINT_NAMES.index(name) for name, joint in rig.joints.places.items()}
     carriers.setdefault(top_joint(skeleton, rig.joints), 0)  # a spine beside the hips turns with them
-    above = quat_identity((frames,), np.float64)
-    for joint, parent in enumerate(skeleton.parents):
-        outer = turned[:, parent] if parent >= 0 else above
-        if joint in carriers and _turns(rig, joint):
-            name = JOINT_NAMES[carriers[joint]]
-            aim = wanted[:, carriers[joint]]
-            last = rig.joints.turns[name] if rig.joints.places[name] == joint else joint
-            for between in _between(skeleton, joint, last)[::-1]:
-                aim = quat_multiply(aim, quat_inverse(local[:, between]))
-            local[:, joint] = quat_normalize(quat_multiply(quat_inverse(outer), aim))
-        turned[:, joint] = quat_multiply(outer, local[:, joint])
+    carriers = {joint: carrier for joint, carrier in carriers.items() if _turns(rig, joint)}
+    turn = _turn_from_rest if clip is None else _turn_from_clip
+    turned = turn(rig, carriers, wanted, local)
     hips = quat_rotate(down, body.root_positions.astype(np.float64)) / rig.scale
     _move(rig, places, turned, hips)
     translates = clip is not None and clip.local_positions is not None
@@ -172,6 +167,44 @@ def _from_body(body: Motion, rig: Rig, clip: Motion | None) -> Motion:
         body.fps,
         places.astype(np.float32) if translates else None,
     )
+
+
+def _turn_from_rest(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:
+    """Global rotations (T, J, 4) of the rig where all joints without a canonical one keep their rest pose.
+
+    Args:
+        carriers: joints of the rig to the canonical joints whose rotation they take.
+        wanted: (T, 23, 4) the global rotations they take.
+        local: (T, J, 4) local rotations at rest; those of the carriers are set.
+    """
+    parents = rig.skeleton.parents
+    every = np.concatenate([wanted, quat_identity((len(wanted), 1), np.float64)], axis=1)
+    sources: list[int] = []
+    for joint, parent in enumerate(parents):
+        sources.append(carriers.get(joint, sources[parent] if parent >= 0 else -1))
+    turned = every[:, sources]
+    mine = list(carriers)
+    outer = every[:, [sources[parents[joint]] if parents[joint] >= 0 else -1 for joint in mine]]
+    local[:, mine] = quat_normalize(quat_multiply(quat_inverse(outer), turned[:, mine]))
+    return turned
+
+
+def _turn_from_clip(rig: Rig, carriers: dict[int, int], wanted: Doubles, local: Doubles) -> Doubles:
+    """The same where joints without a canonical one have the local rotations of a clip."""
+    skeleton = rig.skeleton
+    turned = quat_identity((len(wanted), len(skeleton)), np.float64)
+    above = quat_identity((len(wanted),), np.float64)
+    for joint, parent in enumerate(skeleton.parents):
+        outer = turned[:, parent] if parent >= 0 else above
+        if joint in carriers:
+            name = JOINT_NAMES[carriers[joint]]
+            aim = wanted[:, carriers[joint]]
+            last = rig.joints.turns[name] if rig.joints.places.get(name) == joint else joint
+            for between in _between(skeleton, joint, last)[::-1]:
+                aim = quat_multiply(aim, quat_inverse(local[:, between]))
+            local[:, joint] = quat_normalize(quat_multiply(quat_inverse(outer), aim))
+        turned[:, joint] = quat_multiply(outer, local[:, joint])
+    return turned
 
 
 def _turns(rig: Rig, joint: int) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -105,7 +106,11 @@ def frame_bytes(frame: WorldFrame) -> bytes:
     return header + records.tobytes()
 
 
-def frame_text(frame: WorldFrame, types: tuple[str, ...]) -> str:
+# What a frame's JSON also says of a character, such as its pose on a user's rig; nothing of others.
+Extra = Callable[[Shown], dict[str, Any]]
+
+
+def frame_text(frame: WorldFrame, types: tuple[str, ...], extra: Extra | None = None) -> str:
     """The JSON event of a frame."""
     event = {
         "event": "frame",
@@ -113,7 +118,9 @@ def frame_text(frame: WorldFrame, types: tuple[str, ...]) -> str:
         "time": round(frame.time, 6),
         "step_ms": round(frame.step_ms, 3),
         "fps": round(frame.fps, 2),
-        "characters": [_character_event(one, types) for one in frame.characters],
+        "characters": [
+            _character_event(one, types) | (extra(one) if extra else {}) for one in frame.characters
+        ],
     }
     return json.dumps(event, allow_nan=False, separators=(",", ":"))
 
@@ -126,13 +133,14 @@ def _character_event(one: Shown, types: tuple[str, ...]) -> dict[str, Any]:
         "performing": one.performing,
         "following": None if one.following is None else round(one.following, 4),
         "recording": one.recording,
-        "contacts": _rounded(one.contacts, 3),
+        "contacts": rounded(one.contacts, 3),
         "heading": round(one.heading, 5),
-        "root": _rounded(one.root, 3),
-        "rotations": _rounded(one.rotations, 6),
-        "positions": _rounded(one.positions, 3),
+        "root": rounded(one.root, 3),
+        "rotations": rounded(one.rotations, 6),
+        "positions": rounded(one.positions, 3),
     }
 
 
-def _rounded(values: Floats, digits: int) -> list:
+def rounded(values: Floats, digits: int) -> list:
+    """An array as nested lists of rounded numbers."""
     return np.round(values.astype(np.float64), digits).tolist()

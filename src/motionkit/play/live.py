@@ -12,7 +12,8 @@ from motionkit.errors import ControlError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig
 from motionkit.play.client import COSTS, Client
-from motionkit.play.frames import WorldFrame, frame_bytes, frame_text
+from motionkit.play.frames import Shown, WorldFrame, frame_bytes, frame_text
+from motionkit.play.on_rig import LiveRig
 from motionkit.play.pace import Pacer
 from motionkit.play.recording import Recordings, bvh_bytes
 from motionkit.play.requests import ProtocolError, Request, parse_request
@@ -31,8 +32,9 @@ class Live:
         clock: Callable[[], float] = time.perf_counter,
         rig: tuple[Rig | None, Motion | None] = (None, None),
     ) -> None:
-        """rig: that of recordings, and a clip of it for its other joints (bvh_bytes)."""
+        """rig: that of recordings and of JSON frames, and a clip of it for its other joints (bvh_bytes)."""
         self.session, self.clock, self.rig = session, clock, rig
+        self._live_rig = None if rig[0] is None else LiveRig(rig[0])
         self.clients: dict[int, Client] = {}
         limits = session.limits
         self.recordings = Recordings(limits.recordings, limits.recording_bytes)
@@ -74,7 +76,8 @@ class Live:
         client = Client(self._last_client, as_json, self.session.limits, self.clock())
         character = self.session.join(client.number)
         self.clients[client.number] = client
-        client.tell(self.session.hello(client.number, character))
+        rig = {} if self._live_rig is None else {"rig": self._live_rig.told()}
+        client.tell(self.session.hello(client.number, character) | rig)
         if self.pacer.behind:
             client.tell(self.pace_event())
         self._changed = True
@@ -206,9 +209,18 @@ class Live:
             if client.as_json not in forms:
                 as_json = client.as_json
                 forms[as_json] = (
-                    frame_text(frame, self.session.model.type_names) if as_json else frame_bytes(frame)
+                    frame_text(frame, self.session.model.type_names, self._on_rig)
+                    if as_json
+                    else frame_bytes(frame)
                 )
             client.show(forms[client.as_json])
+
+    def _on_rig(self, one: Shown) -> dict[str, Any]:
+        """What JSON frames say of a character that has the body of the rig."""
+        character = self.session.characters.get(one.id)
+        if self._live_rig is None or character is None or character.body != self._live_rig.rig.name:
+            return {}
+        return {"rig": self._live_rig.pose(one)}
 
     def pace_event(self) -> dict[str, Any]:
         """The event for clients when the machine falls behind or catches up."""

@@ -64,7 +64,8 @@ class ServeError(MotionkitError):
 class ServerOptions:
     """Where to listen and send, and what recordings are on; port 0 picks a free one, None disables the output.
 
-    rig and clip are those of recordings: a user's rig, and motion of it for joints without a canonical joint.
+    rig and clip are those of recordings and of JSON frames: a user's rig, and motion of it for joints of recordings
+    without a canonical joint.
     """
 
     host: str = "127.0.0.1"
