@@ -12,7 +12,7 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 # cm above the floor of the canonical skeleton, where the standing ankle is near 10 and the toe near 2.
 CONTACT_HEIGHTS = (14.0, 6.0, 14.0, 6.0)
 CONTACT_SPEED = 40.0  # cm per second
-_FILTER = 5  # frames; removes single-frame flicker
+_FILTER = 2  # frames at 60 fps on either side that vote; removes single-frame flicker
 
 
 def foot_contacts(global_positions: Array, fps: float) -> Array:
@@ -28,11 +28,10 @@ def foot_contacts(global_positions: Array, fps: float) -> Array:
     steps = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
     speed = np.concatenate([steps[:1], steps]) * 0.5 + np.concatenate([steps, steps[-1:]]) * 0.5
     touching = (speed < CONTACT_SPEED) & (feet[..., 1] < np.array(CONTACT_HEIGHTS))
-    return _majority(touching.astype(feet.dtype))
+    return _majority(touching.astype(feet.dtype), max(1, round(_FILTER * fps / 60.0)))
 
 
-def _majority(labels: Array) -> Array:
-    """Majority vote over a short window for labels (T, 4)."""
-    half = _FILTER // 2
+def _majority(labels: Array, half: int) -> Array:
+    """Majority vote for labels (T, 4) over so many frames before and after each."""
     padded = np.pad(labels, ((half, half), (0, 0)), mode="edge")
-    return (sliding_window_view(padded, _FILTER, axis=0).mean(-1) > 0.5).astype(labels.dtype)
+    return (sliding_window_view(padded, 2 * half + 1, axis=0).mean(-1) > 0.5).astype(labels.dtype)

@@ -30,8 +30,10 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_normalize, quat_to_matrix
 from motionkit.motion.skeleton import FOOT_JOINTS
 
+# Frames at 60 fps, as those of LOCK; motions of other rates have as many frames in the same time.
 MIN_LOCK_FRAMES = 4
 LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
+RATE = 60.0
 
 
 def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
@@ -57,7 +59,8 @@ def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
         motion = replace(motion, root_positions=motion.root_positions + shift)
         positions = positions + shift[:, None]
     shifts = np.stack(
-        [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2]) for i in range(2)], axis=1
+        [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2], motion.fps) for i in range(2)],
+        axis=1,
     )
     moved = (length(shifts) > LOCK.least_change).any(axis=1)
     if not moved.any():
@@ -76,7 +79,12 @@ def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
     return replace(motion, local_rotations=rotations, root_positions=motion.root_positions + drop)
 
 
-def locked_spans(contacts: Array) -> list[tuple[int, int]]:
+def _frames(count: int, fps: float) -> int:
+    """The number of frames that last as long as count frames at 60 fps."""
+    return max(1, round(count * fps / RATE))
+
+
+def locked_spans(contacts: Array, fps: float = RATE) -> list[tuple[int, int]]:
     """Spans (start, end) of frames in contact, from probabilities (T, n) of parts of a foot."""
     level = contacts.max(axis=-1).tolist()
     spans, start = [], None
@@ -84,54 +92,56 @@ def locked_spans(contacts: Array) -> list[tuple[int, int]]:
         if start is None and value > LOCK.contact_on:
             start = t
         elif start is not None and value < LOCK.contact_off:
-            if t - start >= MIN_LOCK_FRAMES:
+            if t - start >= _frames(MIN_LOCK_FRAMES, fps):
                 spans.append((start, t))
             start = None
     return spans
 
 
-def _still_spans(place: Array, spans: list[tuple[int, int]]) -> list[tuple[int, int]]:
+def _still_spans(place: Array, spans: list[tuple[int, int]], ease: int) -> list[tuple[int, int]]:
     """Split spans where the foot, at places (T, 2), slides further than max_slide; a new lock begins there.
 
-    ease_frames before the split are left out, so that the foot does not jump.
+    `ease` frames before the split are left out, so that the foot does not jump.
     """
     out = []
     for start, end in spans:
         first = start
         while (far := length(place[first:end] - place[first]) > LOCK.max_slide).any():
             split = first + int(far.argmax())
-            out.append((first, split - LOCK.ease_frames))
+            out.append((first, split - ease))
             first = split
         out.append((first, end))
     return [(start, end) for start, end in out if end > start]
 
 
-def _toe_shifts(toe: Array, contacts: Array) -> Array:
+def _toe_shifts(toe: Array, contacts: Array, fps: float) -> Array:
     """How far a toe (T, 3) moves in each frame (T, 3): to where it is held, and up or down to its height."""
     place, height = toe[:, [0, 2]].astype(np.float64), toe[:, 1:2].astype(np.float64)
-    spans = _still_spans(place, locked_spans(contacts))
+    ease, lift = _frames(LOCK.ease_frames, fps), _frames(LIFT_FRAMES, fps)
+    spans = _still_spans(place, locked_spans(contacts, fps), ease)
     holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
-    over_ground = _faded(holds, spans, (len(toe), 2))
+    over_ground = _faded(holds, spans, (len(toe), 2), ease)
     # The ball of the foot stands at one height; a heel that touches first says nothing about it.
-    spans = locked_spans(contacts[:, 1:])
+    spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
-    upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1))
+    upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
     missing = np.maximum(TOE.lowest - height - upwards, 0.0)
-    upwards += _eased_most(missing[:, 0], missing, LIFT_FRAMES)
+    upwards += _eased_most(missing[:, 0], missing, lift)
     return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype)
 
 
-def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, int]) -> Array:
-    """Shifts (n, k) given for some spans as shifts of all frames, of shape (T, k); those at ends of spans fade out.
+def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, int], ease: int) -> Array:
+    """Shifts (n, k) given for some spans as shifts of all frames, of shape (T, k); they fade out in `ease` frames.
 
     Frames between two near spans blend both; within a span only that one has weight.
     """
     pulls, weights, strength = np.zeros(shape), np.zeros((shape[0], 1)), np.zeros((shape[0], 1))
     for shift, (start, end) in zip(shifts, spans, strict=True):
-        around = slice(max(0, start - LOCK.ease_frames), min(shape[0], end + LOCK.ease_frames))
+        around = slice(max(0, start - ease), min(shape[0], end + ease))
         before, after = start - around.start, around.stop - end
         whole = np.pad(shift, ((before, after), (0, 0)), mode="edge")
-        share = np.concatenate([_easing(before)[::-1], np.ones(end - start), _easing(after)])[:, None]
+        parts = [_easing(before, ease)[::-1], np.ones(end - start), _easing(after, ease)]
+        share = np.concatenate(parts)[:, None]
         weight = share / (1.0 - share + 1e-9)
         pulls[around] += weight * whole
         weights[around] += weight
@@ -139,9 +149,9 @@ def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, 
     return strength * pulls / np.maximum(weights, 1e-12)
 
 
-def _easing(frames: int) -> Array:
-    """The first frames of a share that falls to 0 in ease_frames."""
-    x = 1.0 - np.arange(1, frames + 1) / LOCK.ease_frames
+def _easing(frames: int, ease: int) -> Array:
+    """The first frames of a share that falls to 0 in `ease` frames."""
+    x = 1.0 - np.arange(1, frames + 1) / ease
     return x * x * (3.0 - 2.0 * x)
 
 
@@ -170,4 +180,4 @@ def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
         missing = np.maximum(distance - np.maximum(LOCK.max_reach * whole, length(ankle - hip)), 0.0)
         move = reach / np.maximum(distance, 1e-6)[:, None] * missing[:, None]
         need = np.where((missing > length(need))[:, None], move, need)
-    return _eased_most(length(need), need, LOCK.ease_frames)
+    return _eased_most(length(need), need, _frames(LOCK.ease_frames, motion.fps))
