@@ -1,9 +1,11 @@
-"""What setup.py and the sdist say of the C kernels: every function that Python calls is exported and defined."""
+"""What setup.py and the sdist say of the C kernels, and where the version stands."""
 
 from __future__ import annotations
 
 import re
 from pathlib import Path
+
+import motionkit
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "src" / "motionkit"
@@ -40,3 +42,17 @@ def test_sources_name_all_c_files() -> None:
     named = set(re.findall(r'"(\w+/\w+\.[ch])"', SETUP))
     there = {path.relative_to(SOURCE).as_posix() for end in "ch" for path in SOURCE.rglob(f"*.{end}")}
     assert named == there
+
+
+def test_every_version_is_the_packages() -> None:
+    """The version stands in motionkit/__init__.py; what cannot read it there says the same."""
+    version = motionkit.__version__
+    texts = {
+        name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "docs/install.md")
+    }
+    add_on = (ROOT / "integrations" / "blender" / "motionkit_blender.py").read_text("utf-8")
+    assert re.findall(r"^version: (\S+)$", texts["CITATION.cff"], re.MULTILINE) == [version]
+    assert re.search(r"^## (\S+)", texts["CHANGELOG.md"], re.MULTILINE)[1] == version  # type: ignore[index]
+    assert f"motionkit, version {version}\n" in texts["docs/install.md"]
+    assert f'"version": ({version.replace(".", ", ")})' in add_on
+    assert 'version = {attr = "motionkit.__version__"}' in (ROOT / "pyproject.toml").read_text("utf-8")

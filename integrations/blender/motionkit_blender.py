@@ -19,7 +19,7 @@ from mathutils import Matrix, Quaternion
 bl_info = {
     "name": "motionkit",
     "author": "the motionkit authors",
-    "version": (0, 1, 0),
+    "version": (0, 2, 0),
     "blender": (4, 2, 0),
     "location": "3D View > Sidebar > motionkit",
     "description": "Synthesized motion on the selected armature",

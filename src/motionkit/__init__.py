@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.view.notebook import show
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 # Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
 # Python binds motionkit.metrics to the room as soon as anything imports it.
