@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from motionkit.data.preprocess import PreprocessOptions, preprocess
@@ -15,7 +16,10 @@ from motionkit.experiments import runs
 from motionkit.experiments.datasets import SELECTIONS, Selection, select
 from motionkit.experiments.protocol import METRICS, sequences_of
 from motionkit.experiments.runs import Plan, read_results, result_file, run_one
+from motionkit.experiments.shipped import features_after, recorded_motion, run_shipped
+from motionkit.experiments.tables import tables
 from motionkit.experiments.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
+from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.training.presets import train_options
 
 # Fields that make networks small; what a variant changes stays.
@@ -121,7 +125,8 @@ def test_results_are_read_back_and_broken_ones_named(plan: Plan) -> None:
 
 
 def test_names_groups_and_all() -> None:
-    assert [v.name for v in chosen(("fusion", "tptn"))] == ["TPTN", "w/o-FFL", "CrossAttn", "w/o-CL"]
+    assert [v.name for v in chosen(("fusion", "TPTN"))] == ["TPTN", "w/o-FFL", "CrossAttn", "w/o-CL"]
+    assert [v.name for v in chosen(("tptn",)) if v.runs_at("cpu")] == ["TPTN"]
     assert len(chosen(("all",))) == len(VARIANTS) == len({v.name for v in VARIANTS})
     assert chosen(("W/O-ffl",))[0].name == "w/o-FFL"
     with pytest.raises(MotionkitError, match="unknown experiment 'nobody'"):
@@ -164,3 +169,32 @@ def test_types_without_a_test_clip_are_tested_on_a_mirror_image(paper_folder: Pa
         for k in set(dataset.clip_types(clip).tolist())
     }
     assert long <= shown and trained
+
+
+def test_recorded_motion_has_the_features_of_the_recording(paper_folder: Path) -> None:
+    dataset = select(paper_folder, "all")
+    sequence = sequences_of(dataset, 30)[0]
+    first, end = sequence.initial, sequence.initial + sequence.frames
+    motion = recorded_motion(dataset, sequence)
+    made = features_after(dataset, motion.cut(first - 1, first), motion.cut(first, end))
+    blocks = dataset.layout.blocks
+    # The heading is smoothed over time, so it differs by a few thousandths of a radian near the ends.
+    for block, near in (("joint_positions", 0.5), ("root_xz_velocity", 3.0), ("joint_velocities", 3.0)):
+        wanted = sequence.data.features[first:end, blocks[block]]
+        np.testing.assert_allclose(made[:, blocks[block]], wanted, atol=near, err_msg=block)
+
+
+def test_the_shipped_model_is_measured_beside_the_others(plan: Plan) -> None:
+    dataset = select(plan.data, plan.selection)
+    models = {"shipped": open_model(BUNDLED), "shipped without references": open_model(BUNDLED, "none")}
+    run_shipped(models, dataset, "all", 2, plan.longest, plan.results, lambda share: None)
+    run(plan, variant("last frame"))
+    results = read_results(plan.results)
+    assert not any("mirrored" in row["sequence"] for row in results[-1]["sequences"])
+    (table,) = [t for t in tables(results) if t.title.startswith("The shipped model as shipped")]
+    rows = {row[0]: row for row in table.rows}
+    assert list(rows) == ["recorded", "shipped", "shipped without references", "last frame"]
+    assert rows["shipped"][1] == "2" and rows["last frame"][3] == "0.0"
+    assert float(rows["shipped"][3].split()[0]) > 5.0  # it moves
+    # The folder of the shipped model gets no tables of its own.
+    assert not any("shipped" in t.title.partition(":")[2] for t in tables(results))

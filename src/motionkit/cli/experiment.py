@@ -220,6 +220,55 @@ def run_command(
             sys.exit(STOPPED)
 
 
+@command.command("shipped")
+@_data_option
+@click.option(
+    "--set",
+    "selection",
+    default="D_L",
+    show_default=True,
+    type=click.Choice(["D_L", "all", "no-dances", "locomotion"]),
+    help="Data set (motionkit/experiments/datasets.py).",
+)
+@click.option(
+    "--frames",
+    default=240,
+    show_default=True,
+    type=click.IntRange(30, 10_000),
+    help="Frames that are made of a test sequence at most; those of the runs to compare with.",
+)
+@click.option("--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Runs.")
+@_results_option
+def shipped_command(data: Path, selection: str, frames: int, seeds: int, results: Path) -> None:
+    """Measure the bundled model as shipped on the test sequences, for the second table.
+
+    Reference poses, sampling presets, corrections and foot locks are on; it is measured with --reference none too.
+    Test sequences that are mirror images of training clips are left out, since the model has seen them.
+    """
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.shipped import run_shipped
+    from motionkit.models.bundled import BUNDLED, open_model
+
+    dataset = select(data, selection)
+    models = {
+        name: open_model(BUNDLED, reference)
+        for name, reference in (("shipped", "auto"), ("shipped without references", "none"))
+    }
+    with progress_bar() as bar:
+        task = bar.add_task("measuring", total=100)
+        files = run_shipped(
+            models,
+            dataset,
+            selection,
+            seeds,
+            frames,
+            results,
+            lambda share: bar.update(task, completed=100 * share),
+        )
+    for file in files:
+        stdout_console().print(f"wrote {file}")
+
+
 @command.command("tables")
 @_results_option
 @click.option(

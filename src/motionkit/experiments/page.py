@@ -15,6 +15,7 @@ from motionkit.experiments.tables import (
     latex,
     markdown,
     missing,
+    protocol_folders,
     tables,
 )
 from motionkit.files import atomic_write
@@ -37,6 +38,8 @@ that is better by more than the spread over seeds; with one seed nothing is bold
 recorded one. Networks are drawn at full sigma, from 87 initial frames (30 where a sequence is short), with the types,
 trajectory and skeleton of the test sequence, without foot IK, reference poses, velocity blending or corrections.
 Metrics are those of [metrics.md](metrics.md): `bm-euler`, `afs`, `ssim-channel`, `mpjpe`, `path-mean`.
+The table of the shipped model has it with all that surrounds it: reference poses, sampling presets, corrections and
+foot locks; it leaves out test sequences that are mirror images of training clips.
 `fid-pose` and diversity work on windows of a second, described by mean and deviation of the pose embedding.
 """
 
@@ -87,7 +90,7 @@ def scene_cell(scene: dict[str, Any]) -> str:
 def page(results: Results, scenes: Sequence[dict[str, Any]] = (), beside: Path = Path("docs")) -> str:
     """Return docs/experiments.md, with the pictures of scenes that lie beside it in a folder."""
     parts = [HEAD, "## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
-    for folder in sorted({result["folder"] for result in results}):
+    for folder in protocol_folders(results):
         lacking = missing(results, folder)
         if lacking:
             parts.append(f"Not run yet in `{folder}`: {', '.join(lacking)}.\n")
@@ -99,7 +102,7 @@ def page(results: Results, scenes: Sequence[dict[str, Any]] = (), beside: Path =
 def findings(results: Results) -> list[str]:
     """Say of each of the paper's claims what these results say, with the spread; by rule, from the figures."""
     lines = []
-    for folder in sorted({result["folder"] for result in results}):
+    for folder in protocol_folders(results):
         here = [result for result in results if result["folder"] == folder]
         for rival, claim in (
             ("EBTN", "two parts against the whole body"),

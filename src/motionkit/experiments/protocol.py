@@ -13,6 +13,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import DANCE, LEAST_TEST
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
 from motionkit.features.decode import decode_motion, integrate_ground
@@ -20,6 +21,7 @@ from motionkit.inference.rollout import RolloutState, default_noise, run
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
 from motionkit.metrics.report import evaluate_motion
+from motionkit.metrics.value import MetricValue
 from motionkit.models.model import MotionModel
 from motionkit.models.parts import partition
 from motionkit.motion.motion import Motion
@@ -162,7 +164,7 @@ def measure(
         progress((number + 1) / len(sequences))
     together, truths = np.concatenate(made_windows), np.concatenate(true_windows)
     groups: dict[str, object] = {
-        name: _mean([r for r, s in zip(rows, sequences, strict=True) if of(s)])
+        name: means([r for r, s in zip(rows, sequences, strict=True) if of(s)])
         for name, of in (
             ("all", lambda s: True),
             ("dance", lambda s: s.dance),
@@ -170,12 +172,21 @@ def measure(
         )
         if any(of(s) for s in sequences)
     }
-    sets = [frechet_distance(together, truths), diversity(together), diversity(truths)]
-    distribution = dict(
-        zip(("fid-pose", "diversity", "diversity-gt"), (_rounded(v.value) for v in sets), strict=True)
-    )
+    distribution = {
+        "fid-pose": _of_sets(lambda: frechet_distance(together, truths)),
+        "diversity": _of_sets(lambda: diversity(together)),
+        "diversity-gt": _of_sets(lambda: diversity(truths)),
+    }
     frames = sum(sequence.frames for sequence in sequences)
     return {"groups": groups, "distribution": distribution, "sequences": rows}, seconds / frames
+
+
+def _of_sets(measured: Callable[[], MetricValue]) -> float | None:
+    """A metric of sets; None where they are too small."""
+    try:
+        return _rounded(measured().value)
+    except MotionkitError:
+        return None
 
 
 def _values(motion: Motion, truth: Motion) -> dict[str, list[float | None]]:
@@ -199,8 +210,8 @@ def _rounded(value: float | None) -> float | None:
     return None if value is None or not np.isfinite(value) else float(f"{value:.6g}")
 
 
-def _mean(rows: list[dict]) -> dict[str, list[float | None]]:
-    """Means over frames of [made, recorded]."""
+def means(rows: list[dict]) -> dict[str, list[float | None]]:
+    """Return means over frames of [made, recorded] of each metric, from rows of sequences."""
     out: dict[str, list[float | None]] = {}
     for metric in rows[0]["values"]:
         pair: list[float | None] = []

@@ -10,6 +10,8 @@ from typing import Any
 
 from motionkit.experiments.datasets import SELECTIONS
 from motionkit.experiments.paper import BODY_MOVEMENT, paper_row
+from motionkit.experiments.protocol import means
+from motionkit.experiments.shipped import GROUP
 from motionkit.experiments.variants import VARIANTS, Variant
 from motionkit.training.presets import BUDGETS
 
@@ -119,10 +121,43 @@ def clear_best(figures: dict[str, Figure], column: Column, truth: Figure | None)
 def tables(results: Results) -> list[TextTable]:
     """Return all tables: for each data set and budget the groups of variants, beside TPTN."""
     out = []
-    for folder in sorted({result["folder"] for result in results}):
+    for folder in protocol_folders(results):
         here = [result for result in results if result["folder"] == folder]
         out += _folder_tables(folder, here)
+    return out + _shipped_tables(results)
+
+
+def protocol_folders(results: Results) -> list[str]:
+    """Return the folders of results that follow the protocol: all but those of the shipped model."""
+    return sorted({result["folder"] for result in results if result["group"] != GROUP})
+
+
+def _shipped_tables(results: Results) -> list[TextTable]:
+    """The shipped model beside each folder's networks, all on the sequences it has not seen."""
+    out = []
+    for folder in protocol_folders(results):
+        here = [r for r in results if r["folder"] == folder]
+        selection, longest = here[0]["data"], here[0]["longest"]
+        shipped = [r for r in results if (r["group"], r["data"], r["longest"]) == (GROUP, selection, longest)]
+        if not shipped:
+            continue
+        names = {row["sequence"] for row in shipped[0]["sequences"]}
+        by_name: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        for each in (*shipped, *here):
+            kept = _of_names(each, names)
+            if kept and each["group"] in (GROUP, "tptn", "baselines", "floors"):
+                by_name[each["name"]].append(each | {"groups": {"all": means(kept)}})
+        own = [Variant(name, GROUP, "") for name in dict.fromkeys(r["name"] for r in shipped)]
+        members = [*own, *(v for v in VARIANTS if v.name in by_name)]
+        title = f"The shipped model as shipped, on {len(names)} recordings it has not seen: {_named(folder)}"
+        out.append(_table(title, "", members, by_name, MAIN))
     return out
+
+
+def _of_names(result: dict[str, Any], names: set[str]) -> list[dict]:
+    """The rows of the sequences of these names, nothing if some are missing."""
+    rows = [row for row in result["sequences"] if row["sequence"] in names]
+    return rows if len(rows) == len(names) else []
 
 
 def _folder_tables(folder: str, results: Results) -> list[TextTable]:
@@ -135,7 +170,9 @@ def _folder_tables(folder: str, results: Results) -> list[TextTable]:
         members = [
             v
             for v in VARIANTS
-            if v.group in (group, "tptn") or (group == "baselines" and v.group == "floors")
+            if v.name == "TPTN"
+            or v.group == group
+            or (group == "baselines" and v.group in ("tptn", "floors"))
         ]
         present = [v for v in members if v.name in by_name]
         if not any(v.group != "tptn" for v in present):
@@ -220,10 +257,12 @@ def _distribution(
     rows = []
     for v in variants:
         values = {
-            k: figure([r["distribution"][k] for r in by_name[v.name]]) for k in ("fid-pose", "diversity")
+            k: figure([r["distribution"][k] for r in by_name[v.name] if r["distribution"][k] is not None])
+            for k in ("fid-pose", "diversity")
         }
         rows.append((v.name, _cell(values["fid-pose"], 2), _cell(values["diversity"], 2)))
-    recorded = figure([by_name[variants[0].name][0]["distribution"]["diversity-gt"]])
+    spread = by_name[variants[0].name][0]["distribution"]["diversity-gt"]
+    recorded = figure([] if spread is None else [spread])
     rows.insert(0, ("recorded", "0.00", _cell(recorded, 2)))
     return TextTable(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
 
@@ -241,7 +280,7 @@ def _derivatives(title: str, by_name: dict[str, list[dict[str, Any]]]) -> TextTa
 def budget_lines(results: Results) -> list[str]:
     """Say in a line per folder what its runs were given, and how many there are."""
     lines = []
-    for folder in sorted({result["folder"] for result in results}):
+    for folder in protocol_folders(results):
         here = [r for r in results if r["folder"] == folder]
         trained = [r for r in here if "budget" in r]
         selection = SELECTIONS[here[0]["data"]]
