@@ -55,7 +55,9 @@ def workplace(
         shutil.copytree(clips_folder, tmp_path / name)
     shutil.copytree(dataset_folder, tmp_path / "datasets" / "free")
     mk.preprocess([clips_folder], tmp_path / "datasets" / "mine", mk.PreprocessOptions(jobs=1))
-    shutil.copy(tiny_model_file, tmp_path / "mine.safetensors")
+    (tmp_path / "my-motion-model").mkdir()
+    for name in ("mine.safetensors", "my-motion-model/model.safetensors"):
+        shutil.copy(tiny_model_file, tmp_path / name)
     for name in ("walk", "truth", "made", "ground_truth", "generated"):
         shutil.copy(SAMPLE / "16_45.bvh", tmp_path / f"{name}.bvh")
     write_bvh(tmp_path / "my.bvh", renamed(walk(8), FAMILIES["unreal"]).scaled(0.01))

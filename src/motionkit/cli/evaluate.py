@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     default="test",
     show_default=True,
     type=click.Choice(["validation", "test"]),
-    help="The held-out clips and the seeds: choose settings on validation (seeds below 1000), report the test (from "
-    "1000 on).",
+    help="Held-out clips and seeds to use: validation (seeds below 1000) to choose settings, test (from 1000 on) to "
+    "report.",
 )
 @click.option(
     "--seeds",
@@ -55,7 +55,7 @@ if TYPE_CHECKING:
     help="Write the report to a .md or .json file; repeat it for both.",
 )
 @click.option(
-    "--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Processes that roll out."
+    "--jobs", default=1, show_default=True, type=click.IntRange(1, 256), help="Number of processes."
 )
 @noise_options
 @reference_option

@@ -63,7 +63,7 @@ def _plan_options(function: Callable) -> Callable:
             default=240,
             show_default=True,
             type=click.IntRange(30, 10_000),
-            help="Frames that are made of a test sequence at most.",
+            help="Largest number of frames to make of a test sequence.",
         ),
         _results_option,
     ]
@@ -111,7 +111,7 @@ def list_command(
     results: Path,
     as_json: bool,
 ) -> None:
-    """List what can be run: its group, parameters in millions beside the paper's, and what is done of it."""
+    """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
     _needs_torch()
     from motionkit.experiments.runs import Plan, result_file
     from motionkit.experiments.variants import VARIANTS, parameters
@@ -165,7 +165,7 @@ def _usual_minutes(plan: Plan) -> dict[str, float]:
     default=1,
     show_default=True,
     type=click.IntRange(1, 100),
-    help="Runs of each, at most as many as the table wants of it.",
+    help="Seeds of each network, up to the number that its table needs.",
 )
 @click.option("--every-seed", is_flag=True, help="Give every variant all of --seeds.")
 @click.option(
@@ -191,7 +191,7 @@ def run_command(
     jobs: int,
     device: str,
 ) -> None:
-    """Run NAMES: experiments, groups or all. What is done is skipped, what was stopped continues.
+    """Run NAMES: experiments, groups or all. Finished runs are skipped, stopped runs continue.
 
     Each run trains on the data set, rolls out its test sequences, and writes one JSON file to the folder of results.
     The first seed of everything comes first.

@@ -17,7 +17,7 @@ from motionkit.cli.showing import view_option, write_and_open
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 3600),
-    help="Wished length in seconds; the nearest good cycle is taken, by default the shortest one.",
+    help="Length in seconds, met by the nearest good cycle; by default the shortest cycle.",
 )
 @root_options
 @view_option
@@ -27,8 +27,8 @@ def command(
 ) -> None:
     """Cut the best cycle out of CLIP, a motion of any rig, and close it: its last frame meets its first.
 
-    Ends of a cycle are frames with like poses, velocities and contacts; what differs between them is spread over the
-    cycle. The command prints what the seam shows, beside two frames that follow each other within the cycle.
+    A cycle begins and ends at frames with similar poses, velocities and contacts; the rest of the difference is spread
+    over it. The command prints what the seam shows, beside two frames that follow each other within the cycle.
     """
     from motionkit.editing.loop import make_loop
     from motionkit.errors import MotionkitError

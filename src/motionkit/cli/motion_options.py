@@ -50,10 +50,10 @@ def root_options(function: Callable) -> Callable:
         type=click.Choice(["hips", "ground"]),
         default="hips",
         show_default=True,
-        help="Joint that carries the way: the hips, or a new root joint on the ground below them, as engines expect.",
+        help="Joint with the root motion: the hips, or a new root joint on the ground below them, as engines expect.",
     )
     place = click.option(
-        "--in-place", is_flag=True, help="Remove the way over the ground; sway and turns stay."
+        "--in-place", is_flag=True, help="Remove root motion over the ground; sway and turns stay."
     )
     return place(root(wrapped))
 

@@ -92,7 +92,7 @@ def command(
     choice: RigChoice,
     as_json: bool,
 ) -> None:
-    """Steer characters live: start a server on this machine and open its page.
+    """Start a server on this machine and open its page, to steer characters live.
 
     Keys or a gamepad move the character; programs connect by WebSocket, TCP or VMC (docs/live.md). With --rig,
     characters have the body of that file, and recordings and TCP frames are on its joints. Ctrl-C stops the server.

@@ -35,11 +35,11 @@ MODEL = "model.safetensors"
     "-o",
     "--output",
     type=click.Path(file_okay=False, path_type=Path),
-    help="Folder for everything that is made; DATA with -model behind its name by default.",
+    help="Output folder; by default DATA with -model added to its name.",
 )
 @click.option("--minutes", type=click.FloatRange(min=0.01), help="Training time in minutes; 5 by default.")
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps instead.")
-@click.option("--add", is_flag=True, help="Keep the types of the bundled model, too.")
+@click.option("--add", is_flag=True, help="Also keep the types of the bundled model.")
 @click.option("--force", is_flag=True, help="Overwrite the model of an earlier quickstart.")
 @click.option("--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda ...")
 @seed_option()

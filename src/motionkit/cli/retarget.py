@@ -48,7 +48,9 @@ _SHOWN_OTHERS = 12  # joints without a canonical joint that are named
     help="Bone map of SOURCE; found by names and shape by default.",
 )
 @click.option(
-    "--scale", type=click.FloatRange(0, min_open=True), help="cm per unit of SOURCE; detected by default."
+    "--scale",
+    type=click.FloatRange(0, min_open=True),
+    help="Centimetres per unit of SOURCE; detected by default.",
 )
 @click.option("--fps", type=click.FloatRange(1, 480), help="Frame rate to write; that of SOURCE by default.")
 @click.option(

@@ -60,7 +60,7 @@ LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
     "--loop",
     "loops",
     is_flag=True,
-    help="Write the best cycle, closed, of one type; --seconds is a wish then. For gaits and dances.",
+    help="Write one closed cycle of a gait or dance, of about --seconds.",
 )
 @click.option(
     "--keys",

@@ -71,10 +71,10 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option(
     "--init",
     type=click.Path(),
-    help="Model file to begin from; the bundled model by default, for the preset that it has.",
+    help="Model file to begin from; by default the bundled model, if it has the same preset.",
 )
 @click.option("--from-scratch", is_flag=True, help="Begin from random weights.")
-@click.option("--add", is_flag=True, help="Keep the types of the model that training begins from, too.")
+@click.option("--add", is_flag=True, help="Also keep the types of the model that training begins from.")
 @click.option(
     "--batch",
     type=click.IntRange(1, 4096),
@@ -131,7 +131,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option(
     "--preview",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Page (.html) or sheet (.png) of the motions after each evaluation, which grows while the run goes on.",
+    help="Page (.html) or sheet (.png) that shows the motions after each evaluation so far.",
 )
 @click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
 @seed_option()
@@ -237,7 +237,7 @@ def command(
 def _beginning(init: str | None, from_scratch: bool, add: bool, preset: str) -> str | None:
     """The model to begin from, None for random weights. Raises UsageError for options that contradict each other."""
     if from_scratch and (init or add):
-        raise click.UsageError(f"--from-scratch does not go with {'--init' if init else '--add'}")
+        raise click.UsageError(f"--from-scratch cannot be combined with {'--init' if init else '--add'}")
     if init is None and not from_scratch and preset == BUNDLED_PRESET:
         init = BUNDLED
     if add and init is None:

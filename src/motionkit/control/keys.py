@@ -160,7 +160,7 @@ def _key(path: Path, number: int, entry: Any, model: MotionModel) -> Key:
     if unknown:
         raise ControlError(f"{where}: unknown field {unknown[0]!r}, expected {', '.join(_FIELDS)}")
     if len(entry) < 2:
-        raise ControlError(f"{where}: says nothing of what to meet: give pose, position, facing or joints")
+        raise ControlError(f"{where}: nothing to meet; give pose, position, facing or joints")
     seconds = _numbers(where, "time", [entry.get("time")], 1, EARLIEST, 3600.0)[0]
     position, facing = entry.get("position"), entry.get("facing")
     joints = entry.get("joints", {})

@@ -114,7 +114,7 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     pairs = _allowed(upright, every, least)
     if not bool(pairs.any()):
         raise MotionkitError(
-            "the clip never repeats: no two frames face alike with the clip's movement between them"
+            "the clip never repeats: no two frames have the same facing and enough movement between them"
         )
     limit = min(max(MOST_SHARE * usual, LEAST_LIMIT), MOST_LIMIT)
     a, b = _chosen(np.where(pairs, apart, np.inf), every, fps, seconds, limit)

@@ -381,7 +381,7 @@ class RolloutState:
             np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER
         ):  # NaN is neither
             raise ModelError(
-                "the model does not move from here: it predicts numbers that are not finite or far too large "
+                "the roll-out failed: the network predicts numbers that are not finite or far too large "
                 "(damaged weights, or a start unlike any motion)"
             )
         return features.copy(), contacts.copy(), ground.copy()

@@ -47,6 +47,4 @@ def reference_rotations(references: str | Path, layout: str) -> Array | None:
         return model.reference_rotations
     if str(references) == BUNDLED:
         return None
-    raise ModelError(
-        f"{references}: a model of layout {model.config.layout}, but the dataset is to have {layout}"
-    )
+    raise ModelError(f"{references}: expected a model of layout {layout}, found {model.config.layout}")
