@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from motionkit.errors import MotionkitError
-from motionkit.experiments.page import page
+from motionkit.experiments.page import Extras, page
 from motionkit.experiments.scenes import SCENES, read_scenes
 from motionkit.experiments.study import ASPECTS, write_study
 from motionkit.experiments.tables import Column, Figure, clear_best, latex, markdown, tables
@@ -204,7 +204,7 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
         (tmp_path / f"{name}.json").write_text(json.dumps(scenes(name, shift)))
     (tmp_path / "figure-6-curves.png").write_bytes(b"")
     found = read_scenes(tmp_path)
-    text = page(RESULTS, found, tmp_path)
+    text = page(RESULTS, Extras(tuple(found)), tmp_path)
     assert "| figure | what it shows | shipped (cm/frame) | tptn-0 (cm/frame) | paper |" in text
     assert "| 6 | walking a path with large curvatures | 1.500 ± 0.707 | 3.500 ± 0.707 | 0.513 |" in text
     assert "1.500 ± 0.707; 1 of 2 did not reach the end" in text

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +18,21 @@ from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import ModelError
-from motionkit.features.control import TRAJECTORY_OFFSETS, ControlLayout, Controls, types_ahead
+from motionkit.features.control import (
+    TRAJECTORY_OFFSETS,
+    ControlLayout,
+    Controls,
+    skeleton_signal,
+    types_ahead,
+)
 from motionkit.features.encode import identity_reference_rotations
 from motionkit.inference.rollout import Noise, RolloutState, default_noise
 from motionkit.inference.start import on_body, type_start
+from motionkit.inference.stepping import TorchStep
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import SamplingPreset
-from motionkit.motion.skeleton import canonical_skeleton, leg_length
+from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton, leg_length
 from motionkit.training.presets import train_options
 from motionkit.training.sampler import LEAST_CUT, SamplerOptions, WindowSampler
 from motionkit.training.trainer import train
@@ -225,6 +233,43 @@ def test_a_character_changes_what_the_network_is_shown(paper_model: MotionModel)
     }
     assert np.allclose(made["tall"].skeleton.offsets, tall)
     assert np.abs(made["tall"].local_rotations - made["default"].local_rotations).max() > 1e-4
+
+
+def test_five_performers_give_the_network_five_inputs(
+    paper_model: MotionModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bones = canonical_skeleton().offsets
+    arms, legs = (
+        [j for j, name in enumerate(JOINT_NAMES) if any(word in name for word in words)]
+        for words in (("Arm", "Hand"), ("Leg", "Foot"))
+    )
+    bodies = {"default": bones, "tall": 1.15 * bones, "small": 0.85 * bones}
+    for name, joints in (("long arms", arms), ("long legs", legs)):
+        bodies[name] = bones * np.where(np.isin(np.arange(len(bones)), joints), 1.2, 1.0)[:, None]
+    model = replace(paper_model, characters={k: v.astype(np.float32) for k, v in bodies.items()})
+    seen: list[np.ndarray] = []
+    step = TorchStep.step
+
+    def watched(self: TorchStep, x: np.ndarray, contacts: np.ndarray, controls: np.ndarray) -> None:
+        seen.append(controls.copy())
+        step(self, x, contacts, controls)
+
+    monkeypatch.setattr(TorchStep, "step", watched)
+    kind = parse_types(f"{model.type_names[0]}:0.2")
+    shown, made = [], []
+    for name in bodies:
+        seen.clear()
+        options = SynthesisOptions(character=name, noise=Noise("mean"), ik=False)
+        made.append(synthesize(model, kind, options).motion.local_rotations)
+        skeletons = np.stack(seen)[:, 0, model.controls.skeleton]
+        np.testing.assert_array_equal(skeletons, np.broadcast_to(skeletons[0], skeletons.shape))
+        np.testing.assert_allclose(
+            skeletons[0], skeleton_signal(model.character(name)), rtol=1e-6, err_msg=name
+        )
+        shown.append(skeletons[0])
+    for one, two in combinations(range(len(bodies)), 2):
+        assert np.abs(shown[one] - shown[two]).max() > 0.01
+        assert np.abs(made[one] - made[two]).max() > 1e-4
 
 
 def test_start_frames_take_the_bones_of_the_character(paper_model: MotionModel) -> None:

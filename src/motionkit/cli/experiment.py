@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 RESULTS = Path("experiments/results")
 SCENES = Path("experiments/scenes")
+LONG = Path("experiments/long")
 
 
 def _data_option(function: Callable) -> Callable:
@@ -285,10 +286,12 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
 def tables_command(results: Path, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     _needs_torch()
-    from motionkit.experiments.page import write_page
+    from motionkit.experiments.long_rollouts import read_long
+    from motionkit.experiments.page import Extras, write_page
     from motionkit.experiments.scenes import read_scenes
 
-    write_page(_read(results), output, latex, read_scenes(results.parent / SCENES.name))
+    scenes, long = read_scenes(results.parent / SCENES.name), read_long(results.parent / LONG.name)
+    write_page(_read(results), output, latex, Extras(tuple(scenes), tuple(long)))
     stdout_console().print(f"wrote {output}" + (f" and {latex}" if latex else ""))
 
 
@@ -378,6 +381,68 @@ def scenes_command(
         )
     stdout_console().print(table)
     stdout_console().print(f"wrote {len(facts)} scenes to {folder}")
+
+
+@command.command("long")
+@click.argument("model_path", metavar="MODEL", type=click.Path(exists=True, path_type=Path, dir_okay=False))
+@_data_option
+@click.option(
+    "--seconds", default=20.0, show_default=True, type=click.FloatRange(1, 600), help="Length of a roll-out."
+)
+@click.option(
+    "--seeds", default=1, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each type."
+)
+@click.option(
+    "-o",
+    "--output",
+    default=str(LONG),
+    show_default=True,
+    type=click.Path(path_type=Path, file_okay=False),
+    help="Folder to write to.",
+)
+def long_command(model_path: Path, data: Path, seconds: float, seeds: int, output: Path) -> None:
+    """Roll out walking, running and a dance for a long time from 30 initial frames, with a MODEL of tptn-paper.
+
+    The first frames are those of test clips; the types are given and the trajectory is the network's own. Each part of
+    a roll-out is compared with the recordings. Writes BVH files, a contact sheet, and a results file for `experiment
+    tables`.
+    """
+    _needs_torch()
+    from motionkit.data.dataset import Dataset
+    from motionkit.experiments.long_rollouts import LONG_HEADER, long_rollout, long_row, long_types
+    from motionkit.files import atomic_write
+    from motionkit.models.checkpoint import load_model
+    from motionkit.motion.bvh import write_bvh
+    from motionkit.view.contact_sheet import write_contact_sheet
+
+    model, dataset = load_model(model_path), Dataset(data)
+    kinds, name = long_types(dataset), model_path.stem
+    tasks = [(kind, seed) for seed in range(seeds) for kind in kinds]
+    made = []
+    with progress_bar() as bar:
+        task = bar.add_task("rolling out", total=len(tasks))
+        for number, (kind, seed) in enumerate(tasks):
+
+            def progress(share: float, done: int = number) -> None:
+                bar.update(task, completed=done + share)
+
+            made.append(long_rollout(model, dataset, kind, seconds, seed, progress))
+    for each in made[: len(kinds)]:
+        write_bvh(output / name / f"{each.type}.bvh", each.motion)
+    sheet = output / name / "sheet.png"
+    write_contact_sheet(sheet, [(each.type, each.motion) for each in made[: len(kinds)]], 20)
+    facts = {"model": name, "steps": model.card.get("steps"), "rollouts": [each.facts for each in made]}
+    with atomic_write(output / f"{name}.json", "w") as out:
+        out.write(json.dumps(facts, indent=1) + "\n")
+    from rich.table import Table
+
+    table = Table()
+    for heading in LONG_HEADER:
+        table.add_column(heading)
+    for each in made:
+        table.add_row(*long_row(each.facts))
+    stdout_console().print(table)
+    stdout_console().print(f"wrote {sheet}")
 
 
 @command.command("study")

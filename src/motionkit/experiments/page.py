@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from motionkit.experiments.long_rollouts import APART, LONG_HEADER, long_row
 from motionkit.experiments.tables import (
     Results,
     TextTable,
@@ -87,8 +89,44 @@ def scene_cell(scene: dict[str, Any]) -> str:
     )
 
 
-def page(results: Results, scenes: Sequence[dict[str, Any]] = (), beside: Path = Path("docs")) -> str:
+LONG = """## Long roll-outs
+
+Twenty seconds from 30 initial frames of test clips (the paper's section 5.2): types are given, the trajectory is the
+network's own prediction, fed back, and frames are drawn at full sigma. Each roll-out is measured in four parts: the
+distance of its poses to the nearest pose in the training clips of the type (root mean square over joints, in the
+heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
+those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
+recording is, and its feet swing between half and {apart:g} times as far. `motionkit experiment long MODEL` makes them.
+"""
+
+
+def long_section(models: Sequence[dict[str, Any]], beside: Path) -> list[str]:
+    """Return the section of long roll-outs: a table for each model, and the contact sheet beside the page."""
+    parts = [LONG.format(apart=APART)] if models else []
+    for each in models:
+        rows = tuple(long_row(facts) for facts in each["rollouts"])
+        parts.append(
+            markdown(TextTable(f"{each['model']}, {each['steps']} training steps", LONG_HEADER, rows))
+        )
+        held = sum(facts["holds"] for facts in each["rollouts"])
+        parts.append(f"{held} of {len(rows)} roll-outs of {each['model']} hold.\n")
+        sheet = f"long-{each['model']}.png"
+        if (beside / sheet).exists():
+            parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
+    return parts
+
+
+@dataclass(frozen=True)
+class Extras:
+    """What stands on the page beside the tables: the results of scenes and of long roll-outs, by model."""
+
+    scenes: tuple[dict[str, Any], ...] = ()
+    long: tuple[dict[str, Any], ...] = ()
+
+
+def page(results: Results, extras: Extras | None = None, beside: Path = Path("docs")) -> str:
     """Return docs/experiments.md, with the pictures of scenes that lie beside it in a folder."""
+    extras = extras or Extras()
     parts = [HEAD, "## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
     for folder in protocol_folders(results):
         lacking = missing(results, folder)
@@ -96,7 +134,7 @@ def page(results: Results, scenes: Sequence[dict[str, Any]] = (), beside: Path =
             parts.append(f"Not run yet in `{folder}`: {', '.join(lacking)}.\n")
     parts += ["## What can be said\n", *(f"- {line}" for line in findings(results)), "", "## Tables\n"]
     parts += [markdown(table) for table in tables(results)]
-    return "\n".join([*parts, *scenes_section(scenes, beside)])
+    return "\n".join([*parts, *scenes_section(extras.scenes, beside), *long_section(extras.long, beside)])
 
 
 def findings(results: Results) -> list[str]:
@@ -160,11 +198,11 @@ def _compared(results: Results, rival: str) -> str:
 
 
 def write_page(
-    results: Results, path: Path, latex_path: Path | None = None, scenes: Sequence[dict[str, Any]] = ()
+    results: Results, path: Path, latex_path: Path | None = None, extras: Extras | None = None
 ) -> None:
     """Write the page, and all tables in LaTeX if a path is given, each whole or not at all."""
     with atomic_write(path, "w") as out:
-        out.write(page(results, scenes, path.parent))
+        out.write(page(results, extras, path.parent))
     if latex_path is not None:
         with atomic_write(latex_path, "w") as out:
             out.write("\n".join(latex(table) for table in tables(results)))
