@@ -24,6 +24,13 @@ def test_unusable_files_are_named_and_the_rest_is_told(motionkit, clips_folder: 
     assert "walk" in said.out and "Traceback" not in said.err + said.out
 
 
+def test_a_folder_without_a_usable_file_is_not_called_well(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "torn.bvh").write_text("HIERARCHY\n")
+    said = motionkit("doctor", tmp_path)
+    assert said.code == 1 and "cannot be used: " in said.out
+    assert "nothing looks wrong" not in said.out and "minutes" not in said.out
+
+
 def test_an_empty_folder(motionkit, tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
     assert motionkit("doctor", "none").failed_with("no .bvh files found")

@@ -93,3 +93,13 @@ def test_two_groups(shift: float) -> None:
     places = np.random.default_rng(0).normal(size=(9, 5))
     places[6:] += shift
     assert two_groups(places) == ([6, 7, 8] if shift else None)
+
+
+def test_a_type_that_is_only_held_out_is_told(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "Gehen", tmp_path / "clips")
+    rows = "".join(
+        f"{n}.bvh,0,-1,{'Rad' if n == 3 else 'Gehen'},{'test' if n == 3 else ''}\n" for n in range(4)
+    )
+    (tmp_path / "clips" / "labels.csv").write_text("file,start_frame,end_frame,type,split\n" + rows)
+    found = diagnose([tmp_path / "clips"])
+    assert "held out" in warnings_of(found, "Rad") and "held out" not in warnings_of(found, "Gehen")

@@ -23,6 +23,15 @@ def test_a_model_that_hardly_moves_is_told_so(tiny_model: MotionModel, dataset: 
     assert all(v.rollouts == 1 and v.clips >= 1 and v.seconds > 0.0 for v in verdicts)
 
 
+def test_a_type_without_training_clips_is_not_passed_over(tiny_model: MotionModel, dataset: Dataset) -> None:
+    real = RealMotion(dataset)
+    real.stretches = [stretch for stretch in real.stretches if stretch.type != "cartwheel"]
+    settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
+    found = {v.type: v for v in quick_verdicts(tiny_model, Judge(real), settings)}
+    assert list(found) == [name for name in tiny_model.types if name in real.types]
+    assert found["cartwheel"].sentence() == "cartwheel: there are no clips to learn from"
+
+
 def test_types_are_judged_only_on_request(tiny_model: MotionModel, dataset: Dataset) -> None:
     settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
     board = evaluate_model(tiny_model, dataset, settings, ["types"])

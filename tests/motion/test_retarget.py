@@ -328,3 +328,14 @@ def test_the_same_word_means_what_its_neighbours_leave_over() -> None:
 def test_results_are_finite_for_one_frame() -> None:
     result, _ = retarget(motion_to_bvh(walk(1)))
     assert np.isfinite(result.local_rotations).all() and len(result) == 1
+
+
+@pytest.mark.parametrize("signs", [(-1.0, -1.0, -1.0), (-1.0, 1.0, 1.0), (1.0, 1.0, -1.0)])
+def test_a_mirrored_rig_is_refused_in_one_line(signs: tuple[float, float, float]) -> None:
+    """A negative scale turns the body inside out: names and feet contradict each other."""
+    motion = walk(20)
+    offsets = motion.skeleton.offsets * np.array(signs, np.float32)
+    mirrored = replace(motion, skeleton=replace(motion.skeleton, offsets=offsets))
+    with pytest.raises(SkeletonError, match="LeftFoot and RightFoot point backwards") as caught:
+        retarget(motion_to_bvh(mirrored))
+    assert "\n" not in str(caught.value)

@@ -58,7 +58,8 @@ def _print(found: Diagnosis) -> None:
     for clip in found.clips[:SHOWN_CLIPS]:
         if not clip.fault:
             table.add_row(*_cells(clip))
-    out.print(table)
+    if found.types:
+        out.print(table)
     if len(found.clips) > SHOWN_CLIPS:
         out.print(f"... and {len(found.clips) - SHOWN_CLIPS} more files; --json lists all")
     types = Table(box=None, header_style="bold", pad_edge=False)
@@ -67,9 +68,10 @@ def _print(found: Diagnosis) -> None:
     for kind in found.types:
         row = (kind.clips, f"{kind.seconds / 60:.2f}", f"{kind.speed / 100:.2f}", f"{kind.flights:.0%}")
         types.add_row(kind.name, *map(str, row))
-    out.print()
-    out.print(types)
-    out.print()
+    if found.types:
+        out.print()
+        out.print(types)
+        out.print()
     out.print(f"types from {found.labels}" if found.labels else "types from folder and file names")
     notes: dict[str, int] = {}
     for clip in found.clips:
@@ -85,7 +87,7 @@ def _print(found: Diagnosis) -> None:
     warnings = [*found.warnings, *(f"{kind.name}: {line}" for kind in found.types for line in kind.warnings)]
     for line in warnings:
         out.print(f"warning: {line}")
-    if not warnings:
+    if not warnings and not any(clip.fault for clip in found.clips):
         out.print("nothing looks wrong")
 
 

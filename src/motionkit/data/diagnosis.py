@@ -93,13 +93,14 @@ class Diagnosis:
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """One stretch of a type: its clip, seconds, speed, whether it leaves the ground, and where its poses are (D,)."""
+    """One stretch of a type: clip, seconds, speed, whether it leaves the ground, where its poses are (D,), split."""
 
     clip: str
     seconds: float
     speed: float
     flies: bool
     place: Array
+    split: str
 
 
 def diagnose(
@@ -148,7 +149,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]]]:
     for segment in source.segments:
         part = _cut(whole, segment, cleaning.lead_in, motion.fps)
         if len(part) >= MIN_FRAMES:
-            stretches.append((segment.type, _describe(source.name, part)))
+            stretches.append((segment.type, _describe(source.name, part, segment.split)))
     seconds = sum(stretch.seconds for _, stretch in stretches)
     fault = "" if stretches else f"{source.path}: no labelled stretch of at least {MIN_FRAMES} frames"
     facts = ClipFacts(
@@ -179,7 +180,7 @@ def _cut(motion: Motion, segment: Segment, lead_in: int, fps: float) -> Motion:
     return motion.cut(min(first, len(motion)), max(first, min(last, len(motion))))
 
 
-def _describe(name: str, motion: Motion) -> _Shown:
+def _describe(name: str, motion: Motion, split: str) -> _Shown:
     layout = feature_layout(DEFAULT_LAYOUT)
     features = encode_motion(motion, quat_identity((JOINT_COUNT,)), DEFAULT_LAYOUT).features
     poses = features[:, layout.blocks["joint_positions"]]
@@ -193,6 +194,7 @@ def _describe(name: str, motion: Motion) -> _Shown:
         float(np.linalg.norm(np.diff(motion.root_positions[:, [0, 2]], axis=0), axis=1).mean()) * FPS,
         bool(jumps_of(features, layout)),
         place,
+        split,
     )
 
 
@@ -201,7 +203,9 @@ def _type_facts(kind: str, shown: dict[str, list[_Shown]]) -> TypeFacts:
     seconds = sum(stretch.seconds for stretch in mine)
     flights = sum(stretch.flies for stretch in mine) / len(mine)
     warnings = []
-    if len(mine) == 1:
+    if all(stretch.split in ("test", "validation") for stretch in mine):
+        warnings.append("all its clips are held out, so that there is none to learn from")
+    elif len(mine) == 1:
         warnings.append("one clip only, which will be memorized; give it several")
     if seconds < 1.0:
         warnings.append(f"{seconds:.1f} s in all, too short to learn from")

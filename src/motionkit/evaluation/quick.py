@@ -108,10 +108,18 @@ def quick_verdicts(
     takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.7 * share))
     paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
     size = settings.seeds
-    return [
-        _verdict(model, judge, kind, takes[i * size : (i + 1) * size], paths.get(kind))
+    verdicts = {
+        kind: _verdict(model, judge, kind, takes[i * size : (i + 1) * size], paths.get(kind))
         for i, kind in enumerate(kinds)
-    ]
+    }
+    return [verdicts.get(kind) or _unlearnt(kind) for kind in model.types if kind in judge.real.types]
+
+
+def _unlearnt(kind: str) -> TypeVerdict:
+    """The verdict on a type that has no training clips."""
+    return TypeVerdict(
+        kind, 0, 0.0, 0, 0, 0.0, None, WALKS_WITHIN, 0.0, ("there are no clips to learn from",)
+    )
 
 
 def types_section(trial: Trial, progress: Callable[[float], None]) -> Section:

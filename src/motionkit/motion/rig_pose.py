@@ -24,9 +24,10 @@ from motionkit.motion.rest_pose import (
     tiny_length,
 )
 from motionkit.motion.rig_names import RigMap, map_rig
-from motionkit.motion.rotations import quat_angle, quat_between, quat_multiply, quat_rotate
+from motionkit.motion.rotations import quat_angle, quat_between, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 
+_BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
 _SAMPLES = 32  # recorded poses that show the shape of a rig
 
 
@@ -93,6 +94,7 @@ def study_rig(
     if known:
         differences = known[1]
     elif standing:
+        _check_feet(source, frame)
         differences = rest_differences(source, frame)
     else:
         differences = posed_differences(source, rotations, positions)
@@ -123,6 +125,22 @@ def median_offsets(bvh: BvhFile) -> BvhFile:
             if joint and name.endswith("position"):
                 offsets[joint, "XYZ".index(name[0])] = float(np.median(bvh.values[:, column]))
     return replace(bvh, skeleton=replace(bvh.skeleton, offsets=offsets))
+
+
+def _check_feet(source: SourceRig, frame: Array) -> None:
+    """Raise SkeletonError if both feet of a standing rest pose point backwards, as seen by its left and right."""
+    ahead = []
+    for side in SIDES:
+        bone = source.bone(f"{side}Foot")
+        if bone is not None:
+            toe = quat_rotate(quat_inverse(frame), bone[1])
+            ahead.append(float(toe[2]) > -_BACKWARDS * float(np.linalg.norm(toe)))
+    if len(ahead) == len(SIDES) and not any(ahead):
+        names = [source.skeleton.names[source.rig.places[f"{side}Foot"]] for side in SIDES]
+        raise SkeletonError(
+            f"the feet {names[0]} and {names[1]} point backwards: left and right are exchanged, or the rig is "
+            "mirrored by a negative scale"
+        )
 
 
 def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
