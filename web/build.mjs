@@ -8,7 +8,7 @@ import { build } from "esbuild";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "..", "src", "motionkit", "assets", "web");
-const PAGES = ["play", "view"];
+const PAGES = { play: ["play"], view: ["view"], demo: ["play", "demo"] }; // and the folders of their styles
 
 /** The hash of everything a bundle is made of; tests/view/test_web_assets.py computes the same. */
 function sourceHash() {
@@ -37,7 +37,8 @@ async function page(name) {
     return result.outputFiles[0].text.trim();
   };
   const script = (await bundle("main.js")).replaceAll("</script", "<\\/script");
-  const style = readFileSync(join(here, "src/lib/theme.css"), "utf8") + readFileSync(join(here, "src", name, "style.css"), "utf8");
+  const sheets = ["lib/theme.css", ...PAGES[name].map((folder) => `${folder}/style.css`)];
+  const style = sheets.map((sheet) => readFileSync(join(here, "src", sheet), "utf8")).join("");
   const parts = { __SOURCE__: sourceHash(), __STYLE__: style, __SCRIPT__: script };
   const notice = "<!-- Contains three.js, MIT licence, copyright 2010-2026 three.js authors -->\n";
   const html = readFileSync(join(here, "src", name, "index.html"), "utf8").replace("<head>\n", `<head>\n${notice}`);
@@ -46,7 +47,7 @@ async function page(name) {
 
 if (!existsSync(join(here, "node_modules"))) throw new Error("run `npm ci` first");
 mkdirSync(out, { recursive: true });
-for (const name of PAGES) {
+for (const name of Object.keys(PAGES)) {
   const file = join(out, `${name}.html`);
   const html = await page(name);
   if (process.argv.includes("--check")) {
@@ -55,3 +56,4 @@ for (const name of PAGES) {
   console.log(`${name}.html ${(html.length / 1024).toFixed(0)} KiB`);
 }
 copyFileSync(join(here, "node_modules/three/LICENSE"), join(out, "three-LICENSE.txt"));
+copyFileSync(join(here, "src/demo/sw.js"), join(out, "demo-sw.js"));

@@ -39,6 +39,7 @@ COMMANDS = {
     "fix": "fix",
     "view": "view",
     "play": "play",
+    "demo": "demo",
     "export": "export",
     "experiment": "experiment",
 }

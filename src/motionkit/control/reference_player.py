@@ -253,13 +253,17 @@ class ReferencePlayer:
         self, clips: Sequence[ReferenceClip], count: int, near: Array | None
     ) -> tuple[ReferenceClip, int]:
         """Of some random entry frames that have not been played the one most like the present pose."""
-        found = self._fresh(self._before_events(clips) or self._anywhere(clips))
+        found = self._fresh(self.entry_frames(clips))
         clip, frames = self.random.choices(found, [len(frames) for _, frames in found])[0]
         frames = self.random.sample(frames, min(count, len(frames)))
         if near is None:
             return clip, frames[0]
         states = np.stack([pose_state(clip, at) for at in frames])
         return clip, frames[int(np.square(states - near).sum(axis=(1, 2)).argmin())]
+
+    def entry_frames(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
+        """The frames at which clips that are no performances are entered, for each clip that has some."""
+        return self._before_events(clips) or self._anywhere(clips)
 
     def _fresh(self, found: list[tuple[ReferenceClip, list[int]]]) -> list[tuple[ReferenceClip, list[int]]]:
         """The entry frames of clips that have not been played; all of them again after the last."""

@@ -147,14 +147,18 @@ class DrawArrays:
     frame: FrameArrays
 
 
-def bind_draw(
-    library: ctypes.CDLL,
+def bind_draw(library: ctypes.CDLL, words: Structure, arrays: DrawArrays) -> Callable[[], None]:
+    """What draws the next frame of all characters, by the words of draw_words for the same arrays."""
+    return _call(library.draw_frames, words, len(arrays.frame.x), arrays)
+
+
+def draw_words(
     arrays: DrawArrays,
     columns: tuple[int, int, NDArray[np.intp]],
     noise: tuple[float, float, float, float, float],
     fps: float,
-) -> Callable[[], None]:
-    """What draws the next frame of all characters.
+) -> Structure:
+    """How draw_frames is told of the arrays, which it keeps no hold of.
 
     Args:
         columns: of the root's yaw velocity, of the first of its ground velocities, and of the foot joints (4, 3).
@@ -168,7 +172,7 @@ def bind_draw(
     assert made.log_sigma.strides == made.mean.strides
     yaw, xz, feet = columns
     four = c_double * 4
-    draw = _Draw(
+    return _Draw(
         FEATURE_COUNT, CONTACT_COUNT, yaw, xz, *strides,
         (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
         four(*slip_correction.REACHES), four(*slip_correction.SHARES),
@@ -177,7 +181,6 @@ def bind_draw(
         *noise, fps,
         *(_address(v) for v in frame),
     )  # fmt: skip
-    return _call(library.draw_frames, draw, len(arrays.frame.x), arrays)
 
 
 class PoseKernel:
@@ -218,16 +221,32 @@ class PoseKernel:
         return rotations.copy(), root.copy(), positions.copy()
 
     def _bind(self, frame: tuple[Floats, ...]) -> Callable[[], None]:
-        decoder = self._decoder
-        arrays = (decoder.reference_rotations, *self._bodies, *frame, *self._posed)
-        assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in arrays)
-        pose = _Pose(
-            FEATURE_COUNT, decoder.root.start, decoder.joints.start, decoder.height, decoder.continuous,
-            (c_int64 * JOINT_COUNT)(*PARENTS), _height_correction(self._rises),
-            *(_address(array) for array in arrays),
-            None if self._feet is None else pointer(_feet(self._feet)),
-        )  # fmt: skip
-        return _call(self._library.pose_frames, pose, len(self._posed[0]), (arrays, self._rises, self._feet))
+        arrays = (*self._bodies, *frame, *self._posed)
+        words = pose_words(self._decoder, arrays, self._rises, self._feet)
+        kept = (self._decoder, arrays, self._rises, self._feet)
+        return _call(self._library.pose_frames, words, len(self._posed[0]), kept)
+
+
+def pose_words(
+    decoder: PoseDecoder,
+    arrays: tuple[Floats, ...],
+    rises: height_correction.HeightCorrection,
+    feet: foot_lock.FootLock | None,
+) -> Structure:
+    """How pose_frames is told of a decoder, of its arrays and of the state of the feet, which it keeps no hold of.
+
+    Args:
+        arrays: offsets, scale; features, contacts, ground; rotations, root positions and positions to write, as in
+            PoseKernel.
+    """
+    arrays = (decoder.reference_rotations, *arrays)
+    assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in arrays)
+    return _Pose(
+        FEATURE_COUNT, decoder.root.start, decoder.joints.start, decoder.height, decoder.continuous,
+        (c_int64 * JOINT_COUNT)(*PARENTS), _height_correction(rises),
+        *(_address(array) for array in arrays),
+        None if feet is None else pointer(_feet(feet)),
+    )  # fmt: skip
 
 
 def _height_correction(rises: height_correction.HeightCorrection) -> _HeightCorrection:

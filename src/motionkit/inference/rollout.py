@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from ctypes import Structure
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,6 +27,7 @@ from motionkit.inference.frame_kernel import (
     NoiseArrays,
     PredictionArrays,
     bind_draw,
+    draw_words,
     frame_library,
 )
 from motionkit.inference.height_correction import raised
@@ -314,6 +316,20 @@ class RolloutState:
             self._draw = self._draw_in_numpy
             return
         fresh = None if self.noise.kind == "mean" else np.zeros_like(self._x)
+        words, arrays = self.draw_words(network, fresh)
+        call = bind_draw(library, words, arrays)
+
+        def draw() -> None:
+            if fresh is not None:
+                self._draw_normals(fresh)
+            call()
+
+        self._draw = draw
+
+    def draw_words(
+        self, network: NetworkStep | TorchStep, fresh: Floats | None
+    ) -> tuple[Structure, DrawArrays]:
+        """What draw_frames is told to draw the next frame of a network by fresh normal numbers, and its arrays."""
         arrays = DrawArrays(
             PredictionArrays(network.mean, network.log_sigma, network.contact_logits),
             (self._mean, self._std),
@@ -323,14 +339,7 @@ class RolloutState:
         )
         noise = (*self.noise.filters, self.noise.temperature)
         columns = (self._yaw, self._xz.start, self._feet)
-        call = bind_draw(library, arrays, columns, noise, self.model.fps)
-
-        def draw() -> None:
-            if fresh is not None:
-                self._draw_normals(fresh)
-            call()
-
-        self._draw = draw
+        return draw_words(arrays, columns, noise, self.model.fps), arrays
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # step() looks at what comes out
     def _draw_in_numpy(self) -> None:

@@ -74,18 +74,22 @@ def kernel_library() -> ctypes.CDLL | None:
     return library
 
 
-class StepKernel:
-    """A network's weights laid out for the kernel, to be shared by any number of NetworkSteps.
+class StepProgram:
+    """A network's weights laid out for the kernel, here or elsewhere (kernel_image.py).
 
     small stores them in 16 bits, as whole numbers times a scale per output: half the memory to read for
     an error of at most 1 / 65534 of the largest weight of the output.
+
+    Attributes:
+        words: what the kernel is told of them.
+        maps: the maps that words point to.
+        position: (W, 2, P, L, W, H) for every slot the bias of the places in the rings.
+        kept: the arrays that words and maps point into.
     """
 
     def __init__(self, weights: StepWeights, small: bool = False) -> None:
-        library = kernel_library()
-        assert library is not None
-        self._library, self._small = library, small
-        self._kept: list[NDArray] = []  # what the kernel points into
+        self._small = small
+        self.kept: list[NDArray] = []
         config = weights.config
         P, N = weights.columns.shape
         maps = [
@@ -95,60 +99,33 @@ class StepKernel:
             self._map(weights.contact_shallow, None),
             self._map(weights.contact, weights.contact_bias),
         ]
-        self._maps = (_Map * len(maps))(*(words for _, words in maps))
+        self.maps = (_Map * len(maps))(*(words for _, words in maps))
         self._line_up([tiles for tiles, _ in maps])
         distance = (np.arange(config.window)[:, None] - np.arange(config.window)) % config.window
         position = np.stack([m.position.swapaxes(0, 1) for m in (weights.shallow, weights.deep)])
-        # For every slot the bias (2, P, L, W, H) of the places in the rings.
-        self._position = np.ascontiguousarray(np.moveaxis(position[..., distance], (3, 4, 5), (5, 0, 4)))
+        self.position = np.ascontiguousarray(np.moveaxis(position[..., distance], (3, 4, 5), (5, 0, 4)))
         sizes = (
             P, config.layers, config.width, config.ffn, config.heads, config.window, config.kernel, N,
             weights.shallow.controls.shape[1], config.embedding.control_embedding,
             weights.shallow.layer_controls.shape[-1] // config.width, config.head.contact_hidden,
             FEATURE_COUNT, CONTACT_COUNT,
         )  # fmt: skip
-        self._program = _Program(
+        self.words = _Program(
             *sizes,
             config.head.head_leak,
             config.head.log_sigma_min,
             config.head.log_sigma_max,
             NORM_EPS,
-            self._maps,
+            self.maps,
             self._keep(weights.columns),
         )
-        if library.scratch_size(byref(self._program), 1) < 0:
-            raise ModelError(f"the compiled step cannot run a network of these sizes: {config}")
 
-    def bind(self, state: NetworkStep, controls: Floats) -> Callable[[int], None]:
-        """What does a step of NetworkStep at a slot: rings, mean, log_sigma and contact_logits of all characters.
-
-        The arrays of the state, and controls, are to stay where they are.
-        """
+    def frame_words(self, state: NetworkStep, controls: Floats) -> _Frame:
+        """What the kernel is told of a state and its controls, for slot 0; it keeps no hold of them."""
         arrays: list[NDArray] = [state.recent, state.keys, state.values, state.filled, controls]
-        arrays += [self._position, state.out, state.contacts_out]
+        arrays += [self.position, state.out, state.contacts_out]
         assert all(array.flags.c_contiguous for array in arrays)
-        frame = _Frame(*(array.ctypes.data for array in arrays), 0)
-        places = [self._position[slot].ctypes.data for slot in range(len(self._position))]
-        program, call = byref(self._program), self._library.step
-        together = max(ROWS, min(MOST_ROWS, -(-state.batch // cores())))
-        size = self._library.scratch_size(program, min(together, state.batch))
-        shares = [
-            (first, min(together, state.batch - first), np.empty(size, np.float32))
-            for first in range(0, state.batch, together)
-        ]
-        calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
-
-        def step(slot: int) -> None:
-            frame.position, frame.slot = places[slot], slot
-            if len(calls) == 1:
-                refused = call(*calls[0])
-            else:  # the library does not hold Python's lock
-                refused = any(list(workers(cores()).map(lambda words: call(*words), calls)))
-            if refused:
-                raise ModelError("the compiled step does not fit this network")
-
-        step.keeps = (shares, controls)  # type: ignore[attr-defined]
-        return step
+        return _Frame(*(array.ctypes.data for array in arrays), 0)
 
     def _module_maps(self, weights: ModuleWeights, layers: int) -> list[tuple[NDArray, _Map]]:
         """Maps in the order of the kernel: part by part, layer by layer."""
@@ -188,11 +165,11 @@ class StepKernel:
         """Give the maps their tiles: one after another as the kernel reads them, each row in a line of the cache."""
         sizes = [array.nbytes for array in tiles]
         memory = np.empty(sum(sizes) + LINE, np.uint8)
-        self._kept.append(memory)
+        self.kept.append(memory)
         place = -memory.ctypes.data % LINE
         for index, array in enumerate(tiles):
             memory[place : place + array.nbytes] = array.reshape(-1).view(np.uint8)
-            self._maps[index].tiles = memory.ctypes.data + place
+            self.maps[index].tiles = memory.ctypes.data + place
             place += array.nbytes
 
     def _keep(self, array: NDArray | None) -> int | None:
@@ -200,8 +177,48 @@ class StepKernel:
         if array is None:
             return None
         array = np.ascontiguousarray(array)
-        self._kept.append(array)
+        self.kept.append(array)
         return array.ctypes.data
+
+
+class StepKernel(StepProgram):
+    """The same with the library that runs it, to be shared by any number of NetworkSteps."""
+
+    def __init__(self, weights: StepWeights, small: bool = False) -> None:
+        library = kernel_library()
+        assert library is not None
+        self._library = library
+        super().__init__(weights, small)
+        if library.scratch_size(byref(self.words), 1) < 0:
+            raise ModelError(f"the compiled step cannot run a network of these sizes: {weights.config}")
+
+    def bind(self, state: NetworkStep, controls: Floats) -> Callable[[int], None]:
+        """What does a step of NetworkStep at a slot: rings, mean, log_sigma and contact_logits of all characters.
+
+        The arrays of the state, and controls, are to stay where they are.
+        """
+        frame = self.frame_words(state, controls)
+        places = [self.position[slot].ctypes.data for slot in range(len(self.position))]
+        program, call = byref(self.words), self._library.step
+        together = max(ROWS, min(MOST_ROWS, -(-state.batch // cores())))
+        size = self._library.scratch_size(program, min(together, state.batch))
+        shares = [
+            (first, min(together, state.batch - first), np.empty(size, np.float32))
+            for first in range(0, state.batch, together)
+        ]
+        calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
+
+        def step(slot: int) -> None:
+            frame.position, frame.slot = places[slot], slot
+            if len(calls) == 1:
+                refused = call(*calls[0])
+            else:  # the library does not hold Python's lock
+                refused = any(list(workers(cores()).map(lambda words: call(*words), calls)))
+            if refused:
+                raise ModelError("the compiled step does not fit this network")
+
+        step.keeps = (shares, controls)  # type: ignore[attr-defined]
+        return step
 
 
 def _in_pairs(tiles: Floats) -> NDArray[np.int32]:

@@ -6,6 +6,7 @@ import ipaddress
 import re
 import socket
 from collections.abc import Collection, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -23,14 +24,14 @@ _RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64})\.bvh")
 
 def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
     """The page with the figures of all bodies, as served."""
-    rigs = {name: rig_data(_standing(skeleton)) for name, skeleton in bodies.items()}
+    rigs = {name: standing_rig(skeleton) for name, skeleton in bodies.items()}
     return fill_page("play.html", {"bodies": rigs}).encode()
 
 
-def _standing(skeleton: Skeleton) -> Motion:
-    """A one-frame motion of a body at rest, in metres (skeleton in cm)."""
+def standing_rig(skeleton: Skeleton) -> dict[str, Any]:
+    """The figure of a body (in cm), made from it at rest, for a page."""
     turns = quat_identity((1, len(skeleton)))
-    return Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0).scaled(CM)
+    return rig_data(Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0).scaled(CM))
 
 
 def policy(host: str) -> str:

@@ -1,0 +1,17 @@
+// Keeps the files of this version, so that the page works without a network after the first visit.
+
+const NAME = "motionkit-__VERSION__";
+const FILES = ["./", "index.html", "model.bin", "motionkit.wasm"];
+
+self.addEventListener("install", (event) => {
+  event.waitUntil(caches.open(NAME).then((cache) => cache.addAll(FILES)).then(() => self.skipWaiting()));
+});
+
+self.addEventListener("activate", (event) => {
+  const others = (names) => names.filter((name) => name.startsWith("motionkit-") && name !== NAME);
+  event.waitUntil(caches.keys().then((names) => Promise.all(others(names).map((name) => caches.delete(name)))));
+});
+
+self.addEventListener("fetch", (event) => {
+  event.respondWith(caches.match(event.request, { cacheName: NAME, ignoreSearch: true }).then((kept) => kept ?? fetch(event.request)));
+});

@@ -1,0 +1,44 @@
+"""`motionkit demo`: a folder with a page that runs a model in the browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionkit.cli.common import json_option, print_json, remark, say
+from motionkit.cli.synthesis_options import reference_option
+
+
+@click.command("demo")
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("site"),
+    show_default=True,
+    help="Folder to write; made if it is not there, other files in it stay.",
+)
+@click.option(
+    "--model",
+    "model_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Model file; the bundled model by default.",
+)
+@reference_option
+@json_option
+def command(output: Path, model_path: Path | None, reference: str, as_json: bool) -> None:
+    """Write a web page that runs the model in the browser, without a server of its own.
+
+    Any file server can serve the folder; nothing is fetched from elsewhere, and after the first visit the page works
+    without a network. docs/demo.md says what it does and how fast.
+    """
+    from motionkit.models.bundled import open_model
+    from motionkit.play.demo import write_demo
+
+    sizes = write_demo(output, open_model(model_path, reference))
+    if as_json:
+        print_json({"folder": str(output), "bytes": sizes})
+        return
+    say(f"{output}: {sum(sizes.values()) / 1e6:.1f} MB")
+    remark(f"to look at it: python -m http.server --directory {output}")

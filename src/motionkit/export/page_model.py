@@ -1,0 +1,184 @@
+"""A model as the one file that a page in a browser runs (web/src/demo): the memory of the C kernels, and what is
+around them.
+
+The file is a header in JSON, its length as 4 bytes before it, and arrays, deflated one by one. Before that their bytes
+are sorted: the low ones of all 16-bit numbers, then the high ones. Reference poses are columns, and differences from
+frame to frame, as half floats whose bits are taken for whole numbers. Both make them smaller.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+import zlib
+from typing import Any
+
+import numpy as np
+
+from motionkit.arrays import Array, spans
+from motionkit.control.reference_player import ReferencePlayer
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.inference.character import model_first_type
+from motionkit.inference.kernel_image import BASE, KernelImage, kernel_image
+from motionkit.inference.rollout import Noise
+from motionkit.inference.start import type_start
+from motionkit.inference.step_weights import pack
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionType, ReferenceClip
+from motionkit.motion.skeleton import Skeleton
+
+FORMAT = "motionkit-page-1"
+
+
+def page_model(model: MotionModel) -> bytes:
+    """The file of a model, for characters with its default body.
+
+    Raises:
+        ModelError: for a network that the C kernels cannot run.
+    """
+    image = kernel_image(model, Noise())
+    arrays: dict[str, dict[str, Any]] = {}
+    body = bytearray()
+    clips = _shown_clips(model)
+    floats = {
+        **_frame_arrays(model),
+        "ground": _joined([clip.ground for clip in clips if clip.performed], 3),
+        "phases": _joined([clip.phases for clip in clips if _phased(clip)], 1),
+    }
+    stored: dict[str, tuple[str, bytes]] = {
+        "shared": ("u1", _sorted_bytes(image.shared)),
+        "own": ("u1", _sorted_bytes(image.own)),
+        "poses": ("f2", _sorted_bytes(_differences(_joined([clip.poses for clip in clips], 24)))),
+        **{name: ("f4", _sorted_bytes(array.astype("<f4").tobytes())) for name, array in floats.items()},
+    }
+    for name, (kind, data) in stored.items():
+        packed = zlib.compress(data, 9)
+        arrays[name] = {"type": kind, "bytes": len(data), "from": len(body), "to": len(body) + len(packed)}
+        body += packed
+    header = json.dumps({**_header(model, image), "arrays": arrays}, separators=(",", ":")).encode()
+    return struct.pack("<I", len(header)) + header + bytes(body)
+
+
+def _frame_arrays(model: MotionModel) -> dict[str, Array]:
+    """What a page needs around the kernels of a frame."""
+    start = type_start(model, model_first_type(model))
+    references = model.reference_map
+    momentum = pack(model.network).momentum
+    presets = [model.presets(name) for name in ("noise_scale", "velocity_blend", "slip_correction")]
+    scaling = model.trajectory_scaling
+    return {
+        "presets": np.stack(presets, axis=1),
+        "momentum": np.zeros(FEATURE_COUNT, np.float32) if momentum is None else momentum,
+        "trajectory": np.stack([scaling.mean, scaling.std]),
+        "reference_gains": references.gains,
+        "reference_matrix": references.matrix,
+        "reference_constant": references.constant,
+        "start": model.scaling.normalize(start.features[0]),
+        "start_contacts": start.contacts[0],
+    }
+
+
+def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
+    layout, kind = model.controls, model_first_type(model)
+    return {
+        "format": FORMAT,
+        "fps": model.fps,
+        "features": FEATURE_COUNT,
+        "contacts": CONTACT_COUNT,
+        "window": model.config.window,  # type: ignore[union-attr]  # of networks that the kernels run
+        "kernel": model.config.kernel,  # type: ignore[union-attr]
+        "base": BASE,
+        "moved": image.moved,
+        "addresses": image.addresses,
+        "fields": image.fields,
+        "controls": {
+            "size": layout.size,
+            "types": layout.type.start,
+            "trajectory": layout.trajectory.start,
+            "mask": layout.flag,
+            "phase": layout.phase.start,
+            "reference": layout.reference.start,
+            "gain": layout.reference_gain,
+        },
+        "start": {"type": kind, "phase_frames": model.phase_seconds(kind) * model.fps},
+        "types": _types(model),
+        "skeleton": _skeleton(model.character("default")),
+    }
+
+
+def _skeleton(skeleton: Skeleton) -> dict[str, Any]:
+    return {
+        "joints": list(skeleton.names),
+        "parents": list(skeleton.parents),
+        "offsets": skeleton.offsets.tolist(),
+        "ends": {str(joint): list(end) for joint, end in skeleton.end_sites.items()},
+    }
+
+
+def _types(model: MotionModel) -> list[dict[str, Any]]:
+    """Every type with its reference clips, which count on through the arrays in the same order."""
+    player = ReferencePlayer(model)
+    poses = phases = ground = 0
+    out = []
+    for name, kind in model.types.items():
+        clips = []
+        entries = (
+            {id(clip): frames for clip, frames in player.entry_frames(_clips(kind))} if _clips(kind) else {}
+        )
+        for clip in _clips(kind):
+            flags = np.zeros(len(clip), bool)
+            flags[entries.get(id(clip), [])] = True
+            clips.append(
+                {
+                    "frames": len(clip),
+                    "rows": len(clip.poses),
+                    "poses": poses,
+                    "phases": phases if _phased(clip) else None,
+                    "ground": ground if clip.performed else None,
+                    "entries": spans(flags),
+                }
+            )
+            poses += len(clip.poses)
+            phases += len(clip) if _phased(clip) else 0
+            ground += len(clip) if clip.performed else 0
+        gait = kind.gait
+        out.append(
+            {
+                "name": name,
+                "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
+                "seconds": model.phase_seconds(name),
+                "steered": kind.steered,
+                "performed": kind.performed,
+                "gain": kind.preset.reference_gain if model.uses_references else 0.0,
+                "clips": clips,
+            }
+        )
+    return out
+
+
+def _clips(kind: MotionType) -> tuple[ReferenceClip, ...]:
+    """The reference clips of a type that a page shows: gaits are steered without."""
+    return () if kind.steered else kind.reference_clips
+
+
+def _shown_clips(model: MotionModel) -> list[ReferenceClip]:
+    return [clip for kind in model.types.values() for clip in _clips(kind)]
+
+
+def _phased(clip: ReferenceClip) -> bool:
+    return bool((clip.phases >= 0.0).any())
+
+
+def _joined(arrays: list[Array], columns: int) -> Array:
+    return np.concatenate(arrays) if arrays else np.zeros((0, columns), np.float32)
+
+
+def _differences(values: Array) -> bytes:
+    """Rows as half floats, column by column, each the difference of its bits from those before it."""
+    bits = np.ascontiguousarray(values.astype("<f2").T).view("<u2").astype(np.int64)
+    return (np.diff(bits, axis=1, prepend=0) & 0xFFFF).astype("<u2").tobytes()
+
+
+def _sorted_bytes(data: bytes) -> bytes:
+    pairs = np.frombuffer(data + bytes(len(data) % 2), np.uint8).reshape(-1, 2)
+    return pairs.T.tobytes()

@@ -1,0 +1,134 @@
+// A user's wishes as the controls of every frame: Python's Driver (control/drive.py).
+//
+// Types that are shown rather than steered go their own way here; a velocity is for gaits.
+
+import { free, typeNumber } from "./kernel.js";
+import { Follower, Path } from "./path.js";
+import { Player } from "./player.js";
+import { STANDS_BELOW, Springs, steeredType } from "./springs.js";
+
+const [BLEND, AFTER_EVENT, DEFAULT_SECONDS, JOINS_WITHIN] = [12, 10, 2, 30];
+const NOTHING = { velocity: [0, 0], facing: null, type: null };
+
+export class Driver {
+  /** @param {object} model of readModel @param {number} choice picks among recordings */
+  constructor(model, choice = 0) {
+    const type = typeNumber(model, model.start.type);
+    Object.assign(this, { model, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
+    Object.assign(this, { follower: null, performance: null, waiting: null });
+    this.weights = free(model, type).weights;
+    Object.assign(this, { from: this.weights, target: type, blended: BLEND });
+  }
+
+  /** Obeys another wish: {velocity: [x, z] cm/s or null, facing: radians or null, type: name or null}. */
+  set(wish) {
+    this.#known(wish.type);
+    this.wish = wish;
+    this.follower = null;
+  }
+
+  /** Follows points [x, z] in cm from where the body is, in a gait or one that suits the speed (cm/s, null for any). */
+  follow(points, ground, type = null, speed = null) {
+    this.#known(type);
+    const [x, z] = ground;
+    const far = Math.hypot(points[0][0] - x, points[0][1] - z) > JOINS_WITHIN;
+    const gait = type === null ? steeredType(this.model, [0, speed ?? 100], null) : typeNumber(this.model, type);
+    const path = new Path(far ? [[x, z], ...points] : points);
+    this.wish = NOTHING;
+    this.follower = new Follower(this.model, path, gait, speed);
+  }
+
+  /** Shows a type once, then goes back to the wish. One waits until the present one is over. */
+  perform(type, choice = 0, seconds = DEFAULT_SECONDS) {
+    this.#known(type);
+    this.waiting = [typeNumber(this.model, type), seconds, choice];
+  }
+
+  /** The share of the path that lies behind, null where none is followed. */
+  get following() {
+    return this.follower && Math.min(1, this.follower.arc / Math.max(this.follower.path.length - 2, 2));
+  }
+
+  /** Controls of a frame, which counts up by one at each call, for a body at [x, z, heading]. */
+  controls(frame, ground) {
+    this.#takeTurns(frame);
+    const shown = this.performance;
+    this.springs.observe(...ground, this.wish.velocity === null || this.follower !== null || shown !== null);
+    let [kind, asked] = this.follower ? this.#follow(ground) : this.#steer();
+    if (shown) [kind, asked] = this.#show(shown, frame, kind, asked);
+    return { ...asked, weights: this.#blend(kind, asked.weights) };
+  }
+
+  // Ends a performance that is over, begins the one that waits, and repeats one the wish holds on to.
+  #takeTurns(frame) {
+    const over = this.performance;
+    if (over && frame < over.begins + over.controls.length) return;
+    this.performance = null;
+    const { model } = this;
+    const held = this.wish.type === null ? -1 : typeNumber(model, this.wish.type);
+    if (!this.waiting && !this.follower && held >= 0 && model.types[held].seconds) this.waiting = [held, DEFAULT_SECONDS, 0];
+    if (!this.waiting) return;
+    const [type, seconds, choice] = this.waiting;
+    this.waiting = null;
+    const player = new Player(model, choice);
+    player.begin(type);
+    let length = Math.round(model.types[type].seconds * model.fps);
+    if (!model.types[type].performed) {
+      const event = player.eventFrames();
+      length = event ? event + AFTER_EVENT : 0;
+    }
+    // Weights cross the middle of their blend as the first frame is due, as they do in training.
+    const begins = over && over.type === type ? frame : frame + BLEND / 2;
+    this.performance = { type, begins, controls: player.play(Math.max(1, length || Math.round(seconds * model.fps))) };
+  }
+
+  #steer() {
+    const { model, wish } = this;
+    const { velocity } = wish;
+    const kind = wish.type === null ? steeredType(model, velocity ?? [0, 0], wish.facing) : typeNumber(model, wish.type);
+    if (velocity === null || !model.types[kind].steered) {
+      if (kind !== this.played) this.player.begin(kind);
+      this.played = kind;
+      return [kind, { ...this.player.play(1)[0], trajectory: null }];
+    }
+    let { facing } = wish;
+    if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
+    this.played = -1;
+    return [kind, { ...free(model, kind), trajectory: this.springs.trajectory(velocity, facing) }];
+  }
+
+  // A path has a target of its own, so that leaving it blends.
+  #follow(ground) {
+    const asked = this.follower.controls(ground);
+    if (this.follower.arrived) Object.assign(this, { follower: null, wish: NOTHING });
+    return [null, asked];
+  }
+
+  // The controls of a performance; before its first frame is due and in its last ones, only some of them.
+  #show(shown, frame, kind, otherwise) {
+    const at = frame - shown.begins;
+    const { trajectory, slip } = otherwise;
+    if (at < 0) return [shown.type, { ...free(this.model, shown.type), trajectory, slip }];
+    let asked = { ...shown.controls[at], slip };
+    if (at < shown.controls.length - BLEND / 2) kind = shown.type;
+    else asked.weights = otherwise.weights;
+    // A standing character that kicks is not held in place; a moving one keeps its trajectory.
+    const moves = this.follower !== null || Math.hypot(...(this.wish.velocity ?? [0, 0])) >= STANDS_BELOW;
+    if (!asked.trajectory && moves) asked = { ...asked, trajectory };
+    return [kind, asked];
+  }
+
+  // Type weights on their way to a goal, which they reach within BLEND frames of a change of kind.
+  #blend(kind, goal) {
+    if (kind !== this.target) Object.assign(this, { from: this.weights, target: kind, blended: 0 });
+    this.blended += 1;
+    const share = Math.min(1, this.blended / BLEND);
+    this.weights = this.from.map((weight, n) => weight + share * (goal[n] - weight));
+    this.type = kind ?? goal.indexOf(Math.max(...goal));
+    return this.weights;
+  }
+
+  #known(name) {
+    if (name !== null && typeNumber(this.model, name) < 0) throw new Error(`unknown motion type ${name}`);
+  }
+}

@@ -1,0 +1,174 @@
+// The C kernels as WebAssembly, and characters that they move on frame by frame.
+//
+// What Python's RolloutState and CharacterStream do around the kernels is here; the memory they work on comes ready from
+// the model file (kernel_image.py): addresses of arrays are those in model.addresses.
+
+const PAGE = 65536;
+const NEITHER = () => 0;
+
+export class Kernel {
+  /** @param {WebAssembly.Module} module @param {object} model of readModel @param {number} most characters */
+  static async from(module, model, most) {
+    // The C library would ask for random numbers, which no kernel uses.
+    const { exports } = await WebAssembly.instantiate(module, { wasi_snapshot_preview1: { random_get: NEITHER } });
+    const kernel = Object.assign(new Kernel(), { run: exports, model, most });
+    if (exports.__heap_base.value > model.base) throw new Error("the model file does not fit the kernels");
+    const { shared, own } = model.arrays;
+    kernel.size = roundUp(own.length, 64);
+    kernel.first = roundUp(model.base + shared.length, 64);
+    kernel.scratch = kernel.first + most * kernel.size;
+    const bytes = kernel.scratch + 4 * PAGE; // scratch_size can only be asked for in memory that is there
+    exports.memory.grow(Math.max(0, Math.ceil((bytes - exports.memory.buffer.byteLength) / PAGE)));
+    kernel.bytes().set(shared, model.base);
+    const scratch = 4 * Number(exports.scratch_size(model.addresses.program, 1n));
+    if (scratch < 0 || scratch > 4 * PAGE) throw new Error("the kernels cannot run this network");
+    return kernel;
+  }
+
+  bytes(at = 0, length = undefined) {
+    return new Uint8Array(this.run.memory.buffer, at, length);
+  }
+}
+
+/** One character in the kernels' memory. */
+export class Character {
+  /** @param {Kernel} kernel @param {number} slot its place among the characters @param {(out: Float32Array) => void} normals fills with standard normal numbers */
+  constructor(kernel, slot, normals) {
+    const { model } = kernel;
+    Object.assign(this, { kernel, model, normals, at: kernel.first + slot * kernel.size });
+    const { features, contacts, controls } = model;
+    const floats = (name, count, type = Float32Array) => new type(kernel.run.memory.buffer, this.at + model.addresses[name], count);
+    this.row = features + contacts + 1;
+    this.recent = floats("recent", model.kernel * this.row);
+    this.filled = floats("filled", 1, BigInt64Array);
+    this.controls = floats("controls", controls.size);
+    this.mean = floats("out", 2 * features);
+    for (const name of ["x", "before", "fresh", "noise", "smooth"]) this[name] = floats(name, features);
+    for (const name of ["velocity_blend", "slip_correction", "feet_hold"]) this[name] = floats(name, 1);
+    this.contacts = floats("contacts", contacts);
+    this.place = floats("ground", 3);
+    this.carry = floats("feet_carry", 2);
+    this.rotations = floats("rotations", 92);
+    this.root = floats("root", 3);
+    this.positions = floats("positions", 69);
+    this.words = new DataView(kernel.run.memory.buffer, this.at);
+    this.last = new Float32Array(features); // what the network saw before
+    this.noiseSize = null;
+  }
+
+  /** Stands anew at a place [x, z, heading] in cm and radians, after the frames of the model's start pose. */
+  start(place) {
+    const { kernel, model } = this;
+    kernel.bytes(this.at, kernel.size).fill(0);
+    kernel.bytes(this.at).set(model.arrays.own);
+    for (const offset of model.moved) this.words.setUint32(offset, this.words.getUint32(offset, true) + this.at, true);
+    if (this.noiseSize !== null) this.temperature = this.noiseSize;
+    const { start, start_contacts } = model.arrays;
+    const { features, contacts } = model;
+    const frames = start.length / features;
+    const { type, phase_frames } = model.start;
+    this.slot = (model.window - (frames % model.window)) % model.window;
+    for (let t = 0; t < frames; t++) {
+      this.before.set(this.x);
+      this.x.set(start.subarray(t * features, (t + 1) * features));
+      this.contacts.set(start_contacts.subarray(t * contacts, (t + 1) * contacts));
+      if (t === 0) this.before.set(this.x);
+      if (t === frames - 1) break;
+      const asked = free(model, typeNumber(model, type));
+      this.#ask(phase_frames > 0 ? { ...asked, phase: (t / phase_frames) % 1 } : asked);
+      this.#step();
+    }
+    this.place.set(place);
+    this.normals(this.noise);
+    this.smooth.set(this.noise);
+  }
+
+  /** How large the noise is, in standard deviations. */
+  set temperature(size) {
+    this.noiseSize = size;
+    this.words.setFloat32(this.model.addresses.draw + this.model.fields.temperature, size, true);
+  }
+
+  /** Root x, z (cm) and heading (radians) in the world. */
+  get ground() {
+    const { place, carry } = this;
+    return [Math.fround(place[0] + carry[0]), Math.fround(place[1] + carry[1]), place[2]];
+  }
+
+  /** One frame on, by controls as Driver makes them; then rotations, root, positions and contacts are those of it. */
+  step(asked) {
+    const { kernel, model, mean } = this;
+    this.feet_hold[0] = asked.slip;
+    const share = this.#ask(asked);
+    this.#step();
+    for (let n = 0; n < model.features; n++) mean[model.features + n] += share;
+    this.normals(this.fresh);
+    kernel.run.draw_frames(this.at + model.addresses.draw, 1n);
+    kernel.run.pose_frames(this.at + model.addresses.pose, 1n);
+  }
+
+  // Takes in controls: the control vector, and how the types' frames are drawn; the logarithm of the noise's share.
+  #ask({ weights, trajectory, phase, reference, gain, slip }) {
+    const { controls: out, model, x } = this;
+    const { controls: columns, arrays } = model;
+    const presets = [0, 0, 0];
+    out.fill(0);
+    for (let type = 0; type < weights.length; type++) {
+      out[columns.types + type] = weights[type];
+      for (let k = 0; k < 3; k++) presets[k] += weights[type] * arrays.presets[3 * type + k];
+    }
+    if (trajectory) {
+      for (let n = 0; n < 24; n++) out[columns.trajectory + n] = (trajectory[n] - arrays.trajectory[n]) / arrays.trajectory[24 + n];
+      out[columns.mask] = 1;
+    }
+    if (phase >= 0) {
+      out[columns.phase] = Math.sin(2 * Math.PI * phase);
+      out[columns.phase + 1] = Math.cos(2 * Math.PI * phase);
+    }
+    if (gain > 0) {
+      const { reference_gains: gains, reference_matrix: matrix, reference_constant: constant } = arrays;
+      const shown = Float64Array.from(constant);
+      for (let n = 0; n < x.length; n++) for (let k = 0; k < 72; k++) shown[k] += x[n] * matrix[n * 72 + k];
+      for (let k = 0; k < 72; k++) out[columns.reference + k] = gain * (gains[k] * reference[k] - shown[k]);
+      out[columns.gain] = 1;
+    }
+    this.velocity_blend[0] = presets[1];
+    this.slip_correction[0] = presets[2] * slip;
+    return Math.log(Math.max(presets[0], 1e-6));
+  }
+
+  // The network's step: from the frame in x and contacts to the Gaussian of the next.
+  #step() {
+    const { kernel, model, recent, row, x, mean, last, words } = this;
+    const { addresses, fields } = model;
+    const newest = (model.kernel - 1) * row;
+    recent.copyWithin(0, row);
+    recent.set(x, newest);
+    recent.set(this.contacts, newest + model.features);
+    this.filled[0] += 1n;
+    this.slot = (this.slot + 1) % model.window;
+    words.setBigInt64(addresses.frame + fields.slot, BigInt(this.slot), true);
+    words.setUint32(addresses.frame + fields.position, addresses.position + this.slot * fields.position_bytes, true);
+    kernel.run.step(addresses.program, this.at + addresses.frame, 0n, 1n, kernel.scratch);
+    if (this.filled[0] === 1n) last.set(x); // nothing has moved yet at the first frame
+    const { momentum } = model.arrays;
+    for (let n = 0; n < x.length; n++) mean[n] += momentum[n] * (x[n] - last[n]);
+    last.set(x);
+  }
+}
+
+/** Controls of a type alone: no trajectory, phase or reference. */
+export function free(model, type) {
+  const weights = new Float32Array(model.types.length);
+  weights[type] = 1;
+  return { weights, trajectory: null, phase: -1, reference: null, gain: 0, slip: 1 };
+}
+
+/** The number of a type by its name. */
+export function typeNumber(model, name) {
+  return model.types.findIndex((type) => type.name === name);
+}
+
+function roundUp(value, step) {
+  return Math.ceil(value / step) * step;
+}

@@ -1,0 +1,141 @@
+// What the page of `motionkit play` asks of a server, done in the page itself: the listeners and methods of play/link.js.
+
+import { bvhText } from "./bvh.js";
+import { World } from "./world.js";
+
+const CLIENT = 1;
+const [CATCH_UP, BUDGET] = [15, 30]; // frames and ms at most between two pictures
+const MOST_RECORDED = 5 * 60; // seconds
+const LIMITS = { messages_per_second: 120, path_points: 500 };
+const KEPT = ["wish", "perform", "path", "stroll", "noise", "reset", "remove", "add"]; // what a link replays
+
+export class LocalLink {
+  /** @param {{hello: Function, event: Function, frame: Function}} listeners */
+  constructor(listeners) {
+    Object.assign(this, { listeners, seq: 0, replayed: [], stepMs: 0, behind: false });
+  }
+
+  /** Begins: what is to be replayed are [frame, request] of a link. */
+  begin(kernel, seed, replayed = []) {
+    const { model } = kernel;
+    this.model = model;
+    this.world = new World(kernel, seed);
+    this.replayed = [...replayed];
+    this.period = 1 / model.fps;
+    this.hello = {
+      client: CLIENT, character: 1, fps: model.fps, limits: LIMITS, characters: this.#told(), bodies: [{ name: "default" }],
+      types: model.types.map(({ name, gait, seconds }) => ({ name, speed: gait?.speed ?? 0, facing: gait?.facing ?? 0, seconds })),
+      steered: model.types.filter(({ steered }) => steered).map(({ name }) => name),
+    };
+    this.#replay();
+    this.before = this.after = this.#step();
+    this.listeners.hello(this.hello);
+  }
+
+  /** Whether requests of a link are still to come. */
+  get replays() {
+    return this.replayed.length > 0;
+  }
+
+  /** Does what is asked from the next frame on; returns its number. */
+  ask(what, fields = {}, counted = false) {
+    if (!this.hello || what === "ping") return null;
+    if (what === "record") this.#record(fields);
+    else if (KEPT.includes(what)) {
+      this.replayed = []; // whoever touches the controls takes over
+      this.#obey({ do: what, ...rounded(fields) });
+    }
+    if (!counted) return this.seq;
+    this.seq += 1;
+    const one = this.world.characters.get(fields.character);
+    if (one) one.seq = this.seq;
+    return this.seq;
+  }
+
+  /** The two frames to show between at a moment (seconds), and how far between; makes those that are due. */
+  around(now) {
+    if (!this.hello) return null;
+    this.began ??= now - this.period * (this.after.number - 1);
+    const due = (now - this.began) / this.period;
+    const begun = performance.now();
+    for (let made = 0; this.after.number < due + 1; made++) {
+      if (made === CATCH_UP || performance.now() - begun > BUDGET) {
+        this.began = now - this.period * (this.after.number - 1); // time goes slower than motion can be made
+        break;
+      }
+      this.before = this.after;
+      this.#replay();
+      this.after = this.#step();
+      this.listeners.frame(this.after);
+    }
+    this.#pace(now);
+    return { before: this.before, after: this.after, share: Math.max(0, Math.min(1, (now - this.began) / this.period - this.before.number)) };
+  }
+
+  #step() {
+    const began = performance.now();
+    const { shown, arrived } = this.world.step();
+    this.stepMs += 0.1 * (performance.now() - began - this.stepMs);
+    for (const character of arrived) this.listeners.event({ event: "arrived", character });
+    for (const one of this.world.characters.values()) {
+      if (one.recorded?.length >= MOST_RECORDED * this.model.fps) this.#record({ character: one.number, on: false });
+    }
+    return { number: this.world.frame, stepMs: this.stepMs, fps: this.fps ?? this.model.fps, characters: shown };
+  }
+
+  #replay() {
+    while (this.replayed.length && this.replayed[0][0] <= this.world.frame) this.#obey(this.replayed.shift()[1]);
+  }
+
+  #obey(asked) {
+    try {
+      this.world.obey(asked);
+    } catch (error) {
+      this.listeners.event({ event: "error", message: error.message });
+    }
+    if (["add", "remove", "noise"].includes(asked.do)) this.#changed();
+  }
+
+  #changed() {
+    this.listeners.event({ event: "characters", characters: this.#told() });
+  }
+
+  #told() {
+    return [...this.world.characters.values()].map(({ number, recorded, temperature }) => ({
+      id: number, body: "default", owner: CLIENT, recording: Boolean(recorded), noise: "correlated", temperature,
+    }));
+  }
+
+  #record({ character, on }) {
+    const one = this.world.characters.get(character);
+    if (!one) return;
+    const { recorded } = one;
+    one.recorded = on ? [] : null;
+    this.#changed();
+    if (on || !recorded?.length) return;
+    const text = bvhText(this.model.skeleton, recorded, this.model.fps);
+    const url = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
+    this.listeners.event({ event: "recorded", character, url, seconds: recorded.length / this.model.fps });
+  }
+
+  // Says so once the machine makes fewer frames than are due, and once it keeps up again.
+  #pace(now) {
+    const { number } = this.after;
+    this.paced ??= { now, number };
+    const passed = now - this.paced.now;
+    if (passed < 1) return;
+    this.fps = (number - this.paced.number) / passed;
+    this.paced = { now, number };
+    const behind = this.fps < 0.9 * this.model.fps;
+    if (behind !== this.behind) this.listeners.event({ event: "pace", behind, fps: this.fps, step_ms: this.stepMs });
+    this.behind = behind;
+  }
+}
+
+// Numbers as a link keeps them, so that it replays what was done.
+function rounded(value) {
+  if (typeof value === "number") return Math.round(value * 1e3) / 1e3;
+  if (Array.isArray(value)) return value.map(rounded);
+  if (value === null || typeof value !== "object") return value;
+  return Object.fromEntries(Object.entries(value).map(([name, each]) => [name, rounded(each)]));
+}

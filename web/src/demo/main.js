@@ -1,0 +1,55 @@
+// The page of `motionkit demo`: the live page with the model in it, without a server.
+
+import { button, element } from "../lib/dom.js";
+import { Play, open } from "../play/play.js";
+import { Kernel } from "./kernel.js";
+import { LocalLink } from "./link.js";
+import { readModel } from "./model.js";
+import { addressOf, readAddress } from "./share.js";
+import { MOST } from "./world.js";
+
+const notice = document.getElementById("notice");
+const still = matchMedia("(prefers-reduced-motion: reduce)");
+
+// Begun before anything else: they take longest.
+const loaded = Promise.all([fetched("motionkit.wasm").then((bytes) => WebAssembly.compile(bytes)), fetched("model.bin").then(readModel)]);
+const replayed = readAddress(location.href).catch(() => null);
+
+async function fetched(name) {
+  const answer = await fetch(name);
+  if (!answer.ok) throw new Error(`${name} is missing (${answer.status})`);
+  return answer.arrayBuffer();
+}
+
+function tools(play) {
+  const share = button("Copy link", "A link that does all of this again", async () => {
+    const { seed, done } = play.link.world;
+    const address = await addressOf(seed, done);
+    if (!address) play.say("So much was asked for that it does not fit into a link. Load the page anew and begin again.");
+    else {
+      history.replaceState(null, "", address);
+      const link = element("a", { href: address }, "Link");
+      await navigator.clipboard.writeText(address).then(() => play.say(link, " copied: it does all of this again."), () => play.say(link, ": it does all of this again. It is in the address bar too."));
+    }
+  });
+  return [share];
+}
+
+async function begin(play) {
+  const [module, model] = await loaded;
+  const kernel = await Kernel.from(module, model, MOST);
+  const old = await replayed;
+  const first = old?.done ?? (still.matches ? [] : [[0, { do: "stroll", character: 1 }]]);
+  play.link.begin(kernel, old?.seed ?? 1 + Math.floor(Math.random() * 9999), first);
+  if (first.length) play.watch();
+  document.documentElement.dataset.ready = "true";
+  if ("serviceWorker" in navigator) await navigator.serviceWorker.register("sw.js");
+}
+
+const data = JSON.parse(document.getElementById("data").textContent);
+if (open(() => new Play(data, (listeners) => new LocalLink(listeners), tools))) {
+  begin(window.motionkit).catch((error) => {
+    notice.hidden = false;
+    notice.textContent = location.protocol === "file:" ? "Browsers load models from servers only: run `python -m http.server` in this folder, and open the address it says." : `The model cannot be loaded: ${error.message}.`;
+  });
+}

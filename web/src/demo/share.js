@@ -1,0 +1,27 @@
+// A link that does the same again: the seed and all requests, deflated, behind the # of the address.
+
+const MARK = "#do=";
+const LONGEST = 32_000; // letters; longer addresses are cut by some programs
+
+/** The address of this page with a seed and its [frame, request]; null if it would be too long. */
+export async function addressOf(seed, done) {
+  const packed = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify([seed, done])));
+  let letters = "";
+  for (const byte of packed) letters += String.fromCharCode(byte);
+  const text = btoa(letters).replaceAll("+", "-").replaceAll("/", "_").replaceAll("=", "");
+  return text.length > LONGEST ? null : location.href.split("#")[0] + MARK + text;
+}
+
+/** The seed and the [frame, request] of an address; null for one that has none. */
+export async function readAddress(address) {
+  const [, text] = address.split(MARK);
+  if (!text) return null;
+  const bytes = Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (letter) => letter.charCodeAt(0));
+  const [seed, done] = JSON.parse(new TextDecoder().decode(await through(new DecompressionStream("deflate-raw"), bytes)));
+  if (!Number.isInteger(seed) || !Array.isArray(done)) throw new Error("the address holds no motion");
+  return { seed, done };
+}
+
+async function through(stream, bytes) {
+  return new Uint8Array(await new Response(new Blob([bytes]).stream().pipeThrough(stream)).arrayBuffer());
+}

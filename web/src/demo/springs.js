@@ -1,0 +1,123 @@
+// The coming second of a character that is steered, as Python's Steering (control/steering.py) makes it.
+
+export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
+export const STANDS_BELOW = 15; // cm/s; who is asked for less stands
+const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR] = [3, 0.2, 0.2, 60];
+const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
+
+/** The same angle between -pi and pi. */
+export function nearestTurn(angle) {
+  return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
+}
+
+// The rate (1/s) of a critically damped spring that makes half its way in so many seconds.
+const rate = (halflife) => 1.678347 / Math.max(halflife, 1e-3);
+
+// Distance from the goal, and velocity, after t seconds.
+function spring(away, velocity, y, t) {
+  const push = velocity + away * y;
+  const fade = Math.exp(-y * t);
+  return [fade * (away + push * t), fade * (velocity - y * push * t)];
+}
+
+// The integral over t seconds of the distance from the goal.
+function travel(away, velocity, y, t) {
+  const push = velocity + away * y;
+  const fade = Math.exp(-y * t);
+  return (away * (1 - fade) + push * ((1 - fade) / y - t * fade)) / y;
+}
+
+/** The number of the steered type for a wanted velocity [x, z] in cm/s and a facing in radians, null for any. */
+export function steeredType(model, velocity, facing) {
+  const all = model.types.map((type, number) => ({ ...type, number }));
+  const steered = all.filter((type) => type.steered);
+  const phaseless = all.filter((type) => !type.seconds);
+  const known = steered.length ? steered : phaseless.length ? phaseless : all;
+  const speed = Math.hypot(...velocity);
+  const wanted = facing === null ? 0 : Math.atan2(...velocity) - facing;
+  const cost = ({ gait }) => {
+    if (!gait) return Infinity;
+    const off = Math.abs(Math.sqrt(speed) - Math.sqrt(gait.speed));
+    if (speed < STANDS_BELOW) return off;
+    return off + TURN_COST * (Math.abs(nearestTurn(wanted - gait.facing)) + BACKWARDS_SHARE * Math.abs(gait.facing));
+  };
+  return known.reduce((best, type) => (cost(type) < cost(best) ? type : best)).number;
+}
+
+export class Springs {
+  constructor(fps) {
+    Object.assign(this, { fps, velocity: [0, 0], acceleration: [0, 0], measured: [0, 0], facing: null, before: null, anchor: null });
+  }
+
+  /** Takes in where the body is, once a frame; free: nobody steers, and the spring does what the body does. */
+  observe(x, z, heading, free) {
+    const before = this.before ?? [x, z, heading];
+    this.before = [x, z, heading];
+    const share = free ? 1 : OWN_SHARE;
+    for (const axis of [0, 1]) {
+      const step = (this.before[axis] - before[axis]) * this.fps;
+      this.measured[axis] += SMOOTHING * (step - this.measured[axis]);
+      this.velocity[axis] += share * (this.measured[axis] - this.velocity[axis]);
+      this.acceleration[axis] *= 1 - share;
+    }
+    const [facing, turning] = this.facing ?? [heading, 0];
+    this.facing = [heading + nearestTurn(facing - heading) * (1 - share), turning * (1 - share)];
+    if (free) this.anchor = null;
+  }
+
+  /** The 24 trajectory numbers for a wanted velocity [x, z] and facing (null keeps it), after observe. */
+  trajectory(velocity, facing) {
+    const [x, z, heading] = this.before;
+    const stands = Math.hypot(...velocity) < STANDS_BELOW;
+    const goal = stands ? [0, 0] : velocity;
+    const anchor = stands ? this.#hold(x, z) : null;
+    if (!stands) this.anchor = null;
+    const wanted = facing ?? (anchor ? anchor[2] : heading);
+    const [xs, zs] = [0, 1].map((axis) => this.#places(axis, goal[axis], anchor));
+    const turns = this.#turns(wanted, heading);
+    this.#advance(goal, wanted);
+    const [sine, cosine] = [Math.sin(heading), Math.cos(heading)];
+    const places = xs.flatMap((ahead, n) => [cosine * ahead - sine * zs[n], sine * ahead + cosine * zs[n]]);
+    return Float32Array.from([...places, ...turns.flatMap((turn) => [Math.sin(turn), Math.cos(turn)])]);
+  }
+
+  // Place and heading to keep, once the spring has nearly stopped; null before.
+  #hold(x, z) {
+    const far = this.anchor && Math.hypot(this.anchor[0] - x, this.anchor[1] - z) > LEAVE_ANCHOR;
+    if (!this.anchor || far) {
+      if (Math.hypot(...this.velocity) > STANDS_BELOW) return null;
+      this.anchor = [x, z, this.facing[0]];
+    }
+    return this.anchor;
+  }
+
+  // The way from here along an axis at each of the six times.
+  #places(axis, goal, anchor) {
+    const times = TRAJECTORY.map((offset) => offset / this.fps);
+    if (anchor) {
+      const away = this.before[axis] - anchor[axis];
+      return times.map((t) => spring(away, this.velocity[axis], rate(ANCHOR_HALFLIFE), t)[0] - away);
+    }
+    const away = this.velocity[axis] - goal;
+    return times.map((t) => goal * t + travel(away, this.acceleration[axis], rate(HALFLIFE), t));
+  }
+
+  // The turn from the present heading at each of the six times.
+  #turns(wanted, heading) {
+    const away = nearestTurn(this.facing[0] - wanted);
+    const begin = nearestTurn(this.facing[0] - heading) - away;
+    return TRAJECTORY.map((offset) => begin + spring(away, this.facing[1], rate(TURN_HALFLIFE), offset / this.fps)[0]);
+  }
+
+  #advance(goal, wanted) {
+    const t = 1 / this.fps;
+    for (const axis of [0, 1]) {
+      const [away, speed] = spring(this.velocity[axis] - goal[axis], this.acceleration[axis], rate(HALFLIFE), t);
+      this.acceleration[axis] = speed;
+      this.velocity[axis] = goal[axis] + away;
+    }
+    const away = nearestTurn(this.facing[0] - wanted);
+    const [off, turning] = spring(away, this.facing[1], rate(TURN_HALFLIFE), t);
+    this.facing = [this.facing[0] - away + off, turning];
+  }
+}

@@ -1,0 +1,96 @@
+// The characters of the page and what is asked of them, one frame after another: Python's Session (play/session.py).
+//
+// Everything that is asked goes through obey, at a frame: the same seed and the same requests make the same world again.
+
+import { Character } from "./kernel.js";
+import { Driver } from "./driver.js";
+import { normals } from "./random.js";
+
+const BETWEEN = 120; // cm between the places of characters
+const TEMPERATURE = 0.05;
+const LIKELY = 0.5;
+export const MOST = 20; // characters
+
+export class World {
+  /** @param {import("./kernel.js").Kernel} kernel @param {number} seed a whole number */
+  constructor(kernel, seed) {
+    Object.assign(this, { kernel, model: kernel.model, seed, frame: 0, last: 0, characters: new Map(), done: [] });
+    this.#add();
+  }
+
+  /** Does what is asked, now: {do, character, ...} as docs/live.md has it; throws for what cannot be done. */
+  obey(asked) {
+    const number = asked.character ?? this.characters.keys().next().value;
+    const one = this.characters.get(number);
+    if (!one && asked.do !== "add") throw new Error(`there is no character ${number}`);
+    if (asked.do === "add") this.#add();
+    else if (asked.do === "wish") one.driver.set(asked);
+    else if (asked.do === "perform") one.driver.perform(asked.type, this.frame);
+    else if (asked.do === "path") one.driver.follow(asked.points, one.body.ground);
+    else if (asked.do === "stroll") one.driver.follow(figureEight(250, 12), one.body.ground);
+    else if (asked.do === "noise") one.body.temperature = one.temperature = asked.temperature;
+    else if (asked.do === "reset") this.#start(one);
+    else if (asked.do === "remove") this.characters.delete(number);
+    else throw new Error(`cannot do ${asked.do}`);
+    this.done.push([this.frame, asked]);
+  }
+
+  /** One frame on; the characters by number, as the pages draw them. */
+  step() {
+    this.frame += 1;
+    const shown = new Map();
+    const arrived = [];
+    for (const [number, one] of this.characters) {
+      const { body, driver } = one;
+      const followed = driver.following !== null;
+      body.step(driver.controls(this.frame, body.ground));
+      if (!Number.isFinite(body.positions[0])) this.#start(one);
+      if (followed && driver.following === null) arrived.push(number);
+      const [root, rotations] = [body.root.slice(), body.rotations.slice()];
+      one.recorded?.push({ root, rotations });
+      shown.set(number, {
+        seq: one.seq,
+        type: driver.type,
+        performing: driver.performance !== null,
+        following: driver.follower !== null,
+        recording: Boolean(one.recorded),
+        contacts: body.contacts.reduce((bits, chance, n) => bits | (chance > LIKELY ? 1 << n : 0), 0),
+        heading: body.ground[2],
+        root,
+        rotations,
+      });
+    }
+    return { shown, arrived };
+  }
+
+  #add() {
+    const { characters, kernel } = this;
+    if (characters.size >= MOST) throw new Error(`there is room for ${MOST} characters`);
+    const taken = new Set([...characters.values()].map(({ slot }) => slot));
+    const slot = Array.from({ length: MOST }, (_, n) => n).find((n) => !taken.has(n));
+    this.last += 1;
+    const one = { number: this.last, slot, seq: 0, recorded: null, temperature: TEMPERATURE };
+    one.body = new Character(kernel, slot, normals(this.seed + this.last));
+    this.#start(one);
+    characters.set(this.last, one);
+  }
+
+  // In rows of seven, each alternating to the left and right of its first.
+  #start(one) {
+    const [row, place] = [Math.floor(one.slot / 7), one.slot % 7];
+    one.body.start([BETWEEN * Math.ceil(place / 2) * (-1) ** place, -BETWEEN * row, 0]);
+    one.body.temperature = one.temperature;
+    one.driver = new Driver(this.model, this.seed + one.number);
+  }
+}
+
+/** Points [x, z] of a figure eight from the origin towards +Z, so many times around. */
+function figureEight(radius, laps) {
+  const steps = 72;
+  return Array.from({ length: laps * 2 * steps + 1 }, (_, n) => {
+    const side = Math.floor(n / steps) % 2 ? -1 : 1;
+    const angle = (2 * Math.PI * (n % steps)) / steps;
+    return [side * radius * (1 - Math.cos(angle)), radius * Math.sin(angle)];
+  });
+}
+

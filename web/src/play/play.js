@@ -1,0 +1,653 @@
+// The page of `motionkit play`, and of `motionkit demo`: shows a session's characters and steers one's own.
+
+import { Color, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
+import { button, element, fillHelp, initialTheme, toggle } from "../lib/dom.js";
+import { Chase, Figure, Labels, Pose, Ribbon, Rig, Sheets, Stage, Steering, ThumbStick } from "../lib/scene.js";
+
+const CM = 0.01;
+const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227"];
+const OTHERS = "#8d97a8";
+// Letters for types people look for first; the others have numbers only.
+const LETTERS = {
+  cartwheel: "c", kicking: "k", punching: "u", "jumping-b": "j", backflip: "b", "dance-salsa": "x", handspring: "h",
+  "dive-roll": "r", duck: "z", "martial-arts": "m", "jumping-l": "j",
+};
+const WALK = 130;
+const RUN = 330; // cm/s, where the model has no such type
+const FASTEST_WALK = 200; // cm/s
+const SLOWEST = 40; // cm/s a stick gives at least
+const TURNED = 0.03; // radians the way must change before the server is told
+const PATH_STEP = 0.08; // metres between the points of a drawn path
+const SPARE = 1.25; // of the server's limit of messages, left to other requests
+const EYE = 0.8;
+const $ = (id) => document.getElementById(id);
+
+export class Play {
+  /**
+   * @param {{bodies: object}} data figures by body
+   * @param {(listeners: object) => object} connect makes the link to a session: that of link.js, or one like it
+   * @param {(play: Play) => Node[]} tools more buttons
+   */
+  constructor(data, connect, tools = () => []) {
+    Object.assign(this, { data, tools });
+    this.rigs = new Map();
+    this.stage = new Stage($("scene"));
+    this.labels = new Labels($("labels"), this.stage);
+    this.chase = new Chase(this.stage);
+    this.steering = new Steering();
+    this.steering.thumb = new ThumbStick($("stick"));
+    this.sheets = new Sheets($("dock"), [{ name: "Types", panel: $("types") }, { name: "More", panel: $("tools") }]);
+    this.characters = new Map(); // id to what is shown of it
+    this.told = new Map(); // id to what the server says of it
+    Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [], shownFrames: 0 });
+    this.theme = initialTheme();
+    this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
+    $("figures").hidden ||= matchMedia("(max-width: 700px), (max-height: 480px)").matches; // there it would hide the body
+    this.#marker();
+    this.#keys();
+    this.#mouse();
+    this.link = connect({
+      hello: (hello) => this.#hello(hello),
+      event: (event) => this.#event(event),
+      frame: (frame) => this.#frame(frame),
+      lost: (fault) => this.#lost(fault),
+    });
+    const loop = (now) => {
+      this.#tick(now);
+      requestAnimationFrame(loop);
+    };
+    requestAnimationFrame(loop);
+    setInterval(() => this.#measures(), 250);
+  }
+
+  set theme(name) {
+    document.documentElement.dataset.theme = name;
+    this.stage.theme = name;
+  }
+
+  get theme() {
+    return document.documentElement.dataset.theme;
+  }
+
+  /** The character that is steered, as it is shown; undefined while there is none. */
+  get own() {
+    return this.characters.get(this.chosen);
+  }
+
+  // ---- what the server says ----
+
+  #hello(hello) {
+    for (const id of [...this.characters.keys()]) this.#remove(id);
+    Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
+    this.behind = null;
+    this.#pace();
+    this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // screens may be faster than the server takes wishes
+    // Types may have any name: forward gaits are told by how they go.
+    const ahead = hello.types
+      .filter(({ name, speed, facing }) => hello.steered.includes(name) && speed > SLOWEST && Math.abs(facing) < 0.8)
+      .map(({ speed }) => speed);
+    const nearness = (speed) => Math.abs(speed - WALK);
+    this.speeds = {
+      walking: ahead.reduce((best, speed) => (nearness(speed) < nearness(best) ? speed : best), ahead[0]),
+      running: Math.max(0, ...ahead.filter((speed) => speed > FASTEST_WALK)),
+    };
+    this.#controls();
+    this.#characters(hello.characters);
+    $("notice").hidden = true;
+  }
+
+  #event(event) {
+    if (event.event === "characters") this.#characters(event.characters);
+    else if (event.event === "arrived" && event.character === this.pathOf) this.#forgetPath();
+    else if (event.event === "recorded") this.#save(event);
+    else if (event.event === "pace") {
+      this.behind = event.behind ? event : null;
+      this.#pace();
+    } else if (event.event === "error") this.say(event.message);
+  }
+
+  #lost(fault) {
+    const why = fault ? `: ${fault}` : "";
+    $("notice").textContent = this.hello ? `The connection is lost${why}. Trying again …` : "No answer from the server. Trying again …";
+    $("notice").hidden = false;
+  }
+
+  #characters(told) {
+    this.told = new Map(told.map((one) => [one.id, one]));
+    const mine = told.filter((one) => one.owner === this.hello.client).map((one) => one.id);
+    if (!mine.includes(this.chosen)) this.chosen = mine[0] ?? null;
+    for (const id of [...this.characters.keys()]) if (!this.told.has(id)) this.#remove(id);
+    for (const one of told) this.#show(one, mine.indexOf(one.id));
+    this.mine = mine;
+    this.#who();
+  }
+
+  async #show({ id, body, owner }, place) {
+    const known = this.characters.get(id);
+    const color = place < 0 ? OTHERS : COLORS[place % COLORS.length];
+    if (known?.body === body) {
+      if (known.color !== color) known.figure.color = new Color((known.color = color));
+      return;
+    }
+    const rig = await this.#rig(body);
+    if (this.told.get(id)?.body !== body || this.characters.get(id)?.body === body) return; // overtaken
+    this.#remove(id);
+    const figure = new Figure(rig, new Color(color), this.stage.plain);
+    figure.visible = false; // until its first frame
+    this.stage.scene.add(figure);
+    this.characters.set(id, { id, body, owner, color, figure, rig, pose: new Pose(rig.count) });
+  }
+
+  #remove(id) {
+    const one = this.characters.get(id);
+    if (!one) return;
+    one.figure.removeFromParent();
+    one.figure.dispose();
+    this.characters.delete(id);
+    this.stage.invalidate();
+  }
+
+  #rig(body) {
+    if (!this.rigs.has(body)) this.rigs.set(body, Rig.from(this.data.bodies[body] ?? this.data.bodies.default));
+    return this.rigs.get(body);
+  }
+
+  #frame(frame) {
+    this.newest = frame;
+    this.stage.invalidate();
+    const own = frame.characters.get(this.chosen);
+    if (own) while (this.waiting.length && own.seq >= this.waiting[0].seq) {
+      this.waiting[0].number ??= frame.number;
+      this.answered = this.waiting.shift();
+    }
+  }
+
+  // ---- every picture ----
+
+  #tick(now) {
+    const passed = Math.min(0.1, (now - (this.last ?? now)) / 1000);
+    this.last = now;
+    if (!this.hello) {
+      this.stage.draw();
+      return;
+    }
+    this.#gamepad(passed);
+    if (now - (this.wished ?? -Infinity) >= this.apart) {
+      this.wished = now;
+      this.#wish();
+    }
+    const around = this.link.around(performance.now() / 1000);
+    if (around) this.#pose(around);
+    if (this.own?.figure.visible) this.#camera(passed);
+    if (this.stage.draw()) {
+      this.shownFrames += 1;
+      this.#label();
+    }
+    // The first picture that obeys is on its way to the screen now.
+    if (this.answered && around && around.after.number >= this.answered.number) {
+      this.responses.push(performance.now() - this.answered.at);
+      if (this.responses.length > 50) this.responses.shift();
+      this.answered = null;
+    }
+  }
+
+  #pose({ before, after, share }) {
+    const turns = new Float32Array(92);
+    const root = [0, 0, 0];
+    const places = [];
+    for (const one of this.characters.values()) {
+      const b = after.characters.get(one.id);
+      const a = before.characters.get(one.id) ?? b;
+      one.figure.visible = Boolean(b);
+      if (!b) continue;
+      for (let i = 0; i < 92; i += 4) {
+        // The shorter way round; what comes out is made a unit quaternion by the pose.
+        let dot = 0;
+        for (let k = i; k < i + 4; k++) dot += a.rotations[k] * b.rotations[k];
+        const sign = dot < 0 ? -1 : 1;
+        for (let k = i; k < i + 4; k++) turns[k] = a.rotations[k] + share * (sign * b.rotations[k] - a.rotations[k]);
+      }
+      for (let k = 0; k < 3; k++) root[k] = CM * (a.root[k] + share * (b.root[k] - a.root[k]));
+      one.pose.set(one.rig, turns, 0, root, 0);
+      one.figure.setPose(one.pose);
+      Object.assign(one, { root: [...root], heading: b.heading, now: b });
+      places.push(root[0], root[2]);
+    }
+    if (places.length) this.stage.shadowsAt(places);
+    this.#ring();
+  }
+
+  #camera(passed) {
+    const [x, , z] = this.own.root;
+    this.chase.to([x, EYE, z], passed);
+  }
+
+  // A ring under one's own character, with an arrow to where it is asked to go.
+  #marker() {
+    const material = new MeshBasicMaterial({ transparent: true, opacity: 0.8, depthWrite: false });
+    this.ring = new Group();
+    this.ring.add(new Mesh(new RingGeometry(0.36, 0.385, 48).rotateX(-Math.PI / 2), material));
+    const tip = new Shape([new Vector2(-0.07, 0.42), new Vector2(0.07, 0.42), new Vector2(0, 0.56)]);
+    this.arrow = new Mesh(new ShapeGeometry(tip).rotateX(Math.PI / 2), material);
+    material.side = 2;
+    this.ring.add(this.arrow);
+    this.ring.visible = false;
+    this.ring.position.y = 0.006;
+    this.stage.scene.add(this.ring);
+  }
+
+  #ring() {
+    this.ring.visible = Boolean(this.own?.figure.visible);
+    if (!this.ring.visible) return;
+    this.ring.position.x = this.own.root[0];
+    this.ring.position.z = this.own.root[2];
+    this.ring.children[0].material.color.set(this.own.color);
+    const velocity = this.sent?.velocity;
+    this.arrow.visible = Boolean(velocity && (velocity[0] || velocity[1]));
+    if (this.arrow.visible) this.ring.rotation.y = Math.atan2(velocity[0], velocity[1]);
+  }
+
+  #label() {
+    if (this.characters.size < 2) {
+      this.labels.show([]);
+      return;
+    }
+    const labels = [];
+    for (const { id, figure, pose, rig, color, owner } of this.characters.values()) {
+      if (!figure.visible) continue;
+      let top = 0;
+      for (let j = 1; j < rig.count; j++) top = Math.max(top, pose.places[j * 3 + 1]);
+      const text = owner === this.hello.client ? `${id}` : owner === null ? `${id}` : `${id} · client ${owner}`;
+      labels.push({ key: `${id}/${text}`, text, name: color, x: pose.places[0], y: top + 0.3, z: pose.places[2] });
+    }
+    this.labels.show(labels);
+  }
+
+  // ---- what the user wants ----
+
+  /** The wish of this moment, sent when it differs from the last one. */
+  #wish() {
+    const { right, ahead, fast } = this.steering.way();
+    const length = Math.hypot(right, ahead);
+    const wish = { velocity: [0, 0], facing: null, type: null };
+    const { camera, controls } = this.stage;
+    const look = Math.atan2(controls.target.x - camera.position.x, controls.target.z - camera.position.z);
+    if (length > 0) {
+      this.#setMode(null);
+      const speed = Math.max(SLOWEST, length * (fast ? this.speeds.running || RUN : this.speeds.walking || WALK));
+      const angle = look - Math.atan2(right, ahead); // what is right on the screen is -X for one who faces +Z
+      wish.velocity = [speed * Math.sin(angle), speed * Math.cos(angle)];
+      if (this.facing) wish.facing = look;
+    } else if (this.mode) Object.assign(wish, { velocity: null, type: this.mode });
+    else if (this.facing) wish.facing = look;
+    if (this.chosen === null || !changed(this.sent, wish, this.chosen)) return;
+    // On a path nothing is sent until the user wants something else.
+    if (this.pathOf === this.chosen && length === 0 && !this.mode) return;
+    if (this.pathOf === this.chosen) this.#forgetPath();
+    this.sent = { ...wish, character: this.chosen };
+    this.#ask("wish", { character: this.chosen, ...wish });
+  }
+
+  // Asks, and measures how long it takes until a picture obeys.
+  #ask(what, fields) {
+    const at = this.touched ?? performance.now();
+    const seq = this.link.ask(what, fields, true);
+    if (seq !== null && this.touched !== null) this.waiting.push({ seq, at });
+    this.touched = null;
+  }
+
+  /** Shows a type: once if it is a performance, else until it is asked for again or the user walks on. */
+  perform(name) {
+    const type = this.hello.types.find((one) => one.name === name);
+    if (!type || this.chosen === null) return;
+    this.touched ??= performance.now();
+    this.#forgetPath();
+    if (type.seconds > 0) {
+      this.#setMode(null);
+      this.#ask("perform", { character: this.chosen, type: name });
+    } else this.#setMode(this.mode === name ? null : name);
+  }
+
+  #setMode(name) {
+    if (this.mode === name) return;
+    this.mode = name;
+    this.typeButtons?.forEach((node, type) => node.setAttribute("aria-pressed", String(type === name)));
+  }
+
+  choose(id) {
+    if (!this.mine.includes(id)) return;
+    Object.assign(this, { chosen: id, sent: null });
+    this.#setMode(null);
+    this.#who();
+  }
+
+  /** Sends points [x, z] in metres as a path. */
+  followPath(points) {
+    if (points.length < 2 || this.chosen === null) return;
+    const most = this.hello.limits.path_points;
+    const kept = points.length <= most ? points : Array.from({ length: most }, (_, n) => points[Math.round((n * (points.length - 1)) / (most - 1))]);
+    this.touched ??= performance.now();
+    this.watch();
+    this.#ask("path", { character: this.chosen, points: kept.map(([x, z]) => [x / CM, z / CM]) });
+  }
+
+  /** Asks for nothing until the user wants something: the character is on its way already. */
+  watch() {
+    this.#setMode(null);
+    this.pathOf = this.chosen;
+    this.sent = { velocity: [0, 0], facing: null, type: null, character: this.chosen };
+  }
+
+  #forgetPath() {
+    this.pathOf = null;
+    this.ribbon?.removeFromParent();
+    this.ribbon?.geometry.dispose();
+    this.ribbon = null;
+    this.stage.invalidate();
+  }
+
+  #mouse() {
+    const canvas = $("scene");
+    const ray = new Raycaster();
+    const floor = new Plane(new Vector3(0, 1, 0), 0);
+    const spot = (event) => {
+      const box = canvas.getBoundingClientRect();
+      const at = new Vector2(((event.clientX - box.left) / box.width) * 2 - 1, 1 - ((event.clientY - box.top) / box.height) * 2);
+      ray.setFromCamera(at, this.stage.camera);
+      const hit = ray.ray.intersectPlane(floor, new Vector3());
+      return hit && hit.distanceTo(this.stage.controls.target) < 60 ? [hit.x, hit.z] : null;
+    };
+    let points = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      if (!this.drawing || event.button !== 0) return;
+      const first = spot(event);
+      if (!first) return;
+      event.stopImmediatePropagation();
+      canvas.setPointerCapture(event.pointerId);
+      this.#forgetPath();
+      points = [first];
+      this.ribbon = new Ribbon(new Float32Array(first), "#f5c542", { width: 0.06, opacity: 0.85 });
+      this.stage.scene.add(this.ribbon);
+    }, { capture: true });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!points) return;
+      const next = spot(event);
+      if (!next || Math.hypot(next[0] - points.at(-1)[0], next[1] - points.at(-1)[1]) < PATH_STEP) return;
+      points.push(next);
+      this.ribbon.points = points.flat();
+      this.stage.invalidate();
+    });
+    const end = (event) => {
+      if (!points) return;
+      const drawn = points;
+      points = null;
+      this.touched = event.timeStamp;
+      if (drawn.length < 3) {
+        this.#forgetPath();
+        this.say("Draw a longer path.");
+      } else this.followPath(drawn);
+    };
+    canvas.addEventListener("pointerup", end);
+    canvas.addEventListener("pointercancel", end);
+  }
+
+  #setDrawing(on) {
+    this.drawing = on;
+    if (on) this.sheets.show(null); // there must be ground to draw on
+    this.stage.controls.enabled = !on;
+    $("scene").classList.toggle("drawing", on);
+    this.#hint();
+  }
+
+  #keys() {
+    addEventListener("keydown", (event) => {
+      if (event.ctrlKey || event.metaKey || event.altKey || $("help").open || !this.hello) return;
+      if (event.target instanceof HTMLSelectElement) return;
+      if (!event.repeat) this.touched = event.timeStamp;
+      if (this.steering.key(event, true)) {
+        event.preventDefault();
+        return;
+      }
+      if (event.repeat) return;
+      const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code); // with Shift held too, and wherever digits need it
+      const key = digit ? digit[1] : event.key.length === 1 ? event.key.toLowerCase() : event.key;
+      const type = this.typeKeys.get(key);
+      const action = type ? () => this.perform(type) : this.commands[key];
+      if (!action || (key === "Tab" && this.mine.length < 2)) return; // Tab goes from button to button then, as anywhere
+      action();
+      event.preventDefault();
+    });
+    addEventListener("keyup", (event) => {
+      if (this.steering.key(event, false)) this.touched = event.timeStamp;
+    });
+    // No pictures are asked of a hidden page, so nothing would tell the server that keys and sticks are let go.
+    document.addEventListener("visibilitychange", () => {
+      this.steering.release();
+      if (this.hello) this.#wish();
+    });
+    addEventListener("gamepadconnected", ({ gamepad }) => {
+      const known = gamepad.mapping === "standard";
+      this.say(known ? `Gamepad: ${gamepad.id}` : `This browser does not know the buttons of the gamepad ${gamepad.id}.`);
+    });
+  }
+
+  #gamepad(passed) {
+    const [turn, lift] = this.steering.look();
+    if (turn || lift) {
+      const { camera, controls } = this.stage;
+      const arm = camera.position.clone().sub(controls.target);
+      const angle = Math.atan2(arm.x, arm.z) - 2.4 * turn * passed;
+      const height = Math.max(0.02, Math.min(1.4, Math.asin(arm.y / arm.length()) + 1.2 * lift * passed));
+      this.stage.look(controls.target.clone(), angle, height, arm.length());
+    }
+    for (const n of this.steering.newButtons()) {
+      const type = [...this.typeButtons.keys()][n];
+      if (n < 4 && type) this.perform(type);
+      if (n === 9) this.record();
+    }
+  }
+
+  // ---- controls ----
+
+  #controls() {
+    const { hello } = this;
+    const shown = hello.types.filter(({ name }) => !hello.steered.includes(name));
+    // Performances first: they are what one presses a key for.
+    shown.sort((a, b) => (b.seconds > 0) - (a.seconds > 0));
+    this.typeKeys = new Map();
+    this.typeButtons = new Map();
+    shown.forEach(({ name, seconds }, n) => {
+      const keys = [];
+      if (n < 10) keys.push(String((n + 1) % 10));
+      if (LETTERS[name] && !this.typeKeys.has(LETTERS[name])) keys.push(LETTERS[name]);
+      keys.forEach((key) => this.typeKeys.set(key, name));
+      const title = seconds > 0 ? `Once, ${seconds.toFixed(1)} s` : "Until it is pressed again";
+      const node = button(name, title, (event) => {
+        this.touched = event.timeStamp;
+        this.perform(name);
+      }, name, element("span", { className: "keys" }, ...keys.map((key) => element("kbd", {}, key.toUpperCase()))));
+      if (!(seconds > 0)) node.setAttribute("aria-pressed", "false");
+      this.typeButtons.set(name, node);
+    });
+    $("types").replaceChildren(...this.typeButtons.values());
+    this.#tools();
+    this.#hint();
+  }
+
+  #tools() {
+    const draw = toggle("Draw path", "Draw on the ground with mouse or finger, and it is followed (P)", this.drawing, (on) => this.#setDrawing(on));
+    const face = toggle("Face ahead", "Look where the camera looks, whichever way it goes (V)", this.facing, (on) => (this.facing = on));
+    const info = toggle("Figures", "Measurements (I)", !$("figures").hidden, (on) => ($("figures").hidden = !on));
+    this.recordButton = button("Record", "Record, and download as BVH when it ends (O)", () => this.record());
+    const noise = element("input", { type: "range", min: "0", max: "1", step: "0.05", value: "0.05", title: "How much chance there is in the motion" });
+    noise.setAttribute("aria-label", "Noise");
+    noise.oninput = () => this.link.ask("noise", { character: this.chosen, kind: "correlated", temperature: Number(noise.value) });
+    noise.onchange = () => noise.blur();
+    this.noise = noise;
+    this.bodies = element("select", { title: "Character" });
+    this.bodies.setAttribute("aria-label", "Body");
+    this.hello.bodies.forEach(({ name }) => this.bodies.append(new Option(name)));
+    this.bodies.hidden = this.hello.bodies.length < 2;
+    this.bodies.onchange = () => {
+      this.link.ask("body", { character: this.chosen, body: this.bodies.value });
+      this.bodies.blur();
+    };
+    const theme = () => (this.theme = this.theme === "dark" ? "light" : "dark");
+    this.commands = {
+      p: draw.flip, v: face.flip, i: info.flip, o: () => this.record(), t: theme, Tab: () => this.#next(), n: () => this.add(),
+      Escape: () => this.drawing && draw.flip(), "?": () => $("help").showModal(), Backspace: () => this.#restart(),
+    };
+    $("tools").replaceChildren(
+      this.bodies, element("label", {}, "Noise", noise), draw.node, face.node, this.recordButton, ...this.tools(this), info.node,
+      button("Start anew", "Back to where it first stood (Backspace)", () => this.#restart(), "⟲"),
+      button("Theme", "Dark or light (T)", theme, "◐"),
+      button("Help", "Keyboard (?)", () => $("help").showModal(), "?"),
+    );
+    fillHelp($("help"), "Steering", [
+      [["W", "A", "S", "D"], "go, as the camera sees it; arrows too"],
+      [["Shift"], "faster"],
+      [["1", "…", "0"], "the types below; some have letters too"],
+      [["P"], "draw a path with the mouse"],
+      [["V"], "face ahead: go sideways and backwards"],
+      [["O"], "record; again to end and download"],
+      [["N"], "another character"],
+      [["Tab"], "steer the next of one's characters"],
+      [["Backspace"], "start anew"],
+      [["T", "I"], "theme; measurements"],
+      [["Touch"], "the stick goes, past its rim fast; drag looks around, two fingers come nearer"],
+      [["Pad"], "left stick or cross goes, a right trigger faster, right stick looks, A B X Y show the first types, menu records"],
+    ]);
+  }
+
+  #who() {
+    if (!this.mine) return;
+    const nodes = this.mine.map((id, n) => {
+      const swatch = element("span", { className: "swatch" });
+      swatch.style.background = COLORS[n % COLORS.length];
+      const box = element("div", { className: "character" }, button(`Character ${id}`, "Steer this one (Tab)", () => this.choose(id), swatch, `${id}`));
+      box.classList.toggle("chosen", id === this.chosen);
+      if (this.mine.length > 1) {
+        const close = button(`Remove character ${id}`, "Remove", () => this.link.ask("remove", { character: id }), "×");
+        close.classList.add("close");
+        box.append(close);
+      }
+      return box;
+    });
+    const others = this.told.size - this.mine.length;
+    $("who").replaceChildren(...nodes, button("Add a character", "Another character (N)", () => this.add(), "+"));
+    if (others) $("who").append(element("label", {}, `${others} of others`));
+    const own = this.told.get(this.chosen);
+    if (own) {
+      this.bodies.value = own.body;
+      if (document.activeElement !== this.noise) this.noise.value = String(own.temperature);
+      this.#recordState(own.recording);
+    }
+  }
+
+  add() {
+    this.link.ask("add", { body: this.told.get(this.chosen)?.body ?? "default" });
+  }
+
+  #next() {
+    if (this.mine.length) this.choose(this.mine[(this.mine.indexOf(this.chosen) + 1) % this.mine.length]);
+  }
+
+  #restart() {
+    this.#forgetPath();
+    this.#setMode(null);
+    this.sent = null;
+    this.link.ask("reset", { character: this.chosen });
+  }
+
+  /** Begins to record, or ends it. */
+  record() {
+    if (this.chosen === null) return;
+    this.link.ask("record", { character: this.chosen, on: !this.told.get(this.chosen)?.recording });
+  }
+
+  #recordState(on) {
+    if (Boolean(this.recordedFrom) === on && this.recordButton.childNodes.length) {
+      if (this.recordButton.classList.contains("recording") === on) return;
+    }
+    this.recordedFrom = on ? performance.now() : null;
+    this.recordButton.classList.toggle("recording", on);
+    this.recordButton.replaceChildren(element("span", { className: "dot" }), on ? "0.0 s" : "Record");
+  }
+
+  #save({ url, seconds }) {
+    const link = element("a", { href: url, download: "motionkit-recording.bvh" }, "again");
+    link.click();
+    this.say(`Recorded ${seconds.toFixed(1)} s. `, link);
+  }
+
+  /** A line to the user, for a while. */
+  say(...parts) {
+    clearTimeout(this.forgetting);
+    $("hint").replaceChildren(...parts);
+    $("hint").style.pointerEvents = "auto";
+    this.forgetting = setTimeout(() => this.#hint(), 6000);
+  }
+
+  #hint() {
+    const text = this.drawing
+      ? "Draw on the ground with mouse or finger. Esc or Draw path ends drawing."
+      : matchMedia("(pointer: coarse)").matches
+        ? "Push the stick to go, past its rim to run; drag elsewhere to look around"
+        : "W A S D to go, Shift faster, drag to look around, ? for all keys";
+    $("hint").style.pointerEvents = "none";
+    $("hint").replaceChildren(text);
+  }
+
+  #pace() {
+    $("pace").hidden = !this.behind;
+    if (this.behind) {
+      $("pace").textContent = `This machine falls behind: ${this.behind.fps.toFixed(0)} of ${this.hello.fps} frames a second. Motion is slower than real time; nothing is left out.`;
+    }
+  }
+
+  #measures() {
+    if (!this.newest) return;
+    const now = performance.now();
+    const passed = (now - (this.measured?.at ?? now)) / 1000;
+    const drawn = passed > 0 ? (this.shownFrames - this.measured.frames) / passed : 0;
+    this.measured = { at: now, frames: this.shownFrames };
+    this.smoothed = this.smoothed ? 0.7 * this.smoothed + 0.3 * drawn : drawn;
+    const { newest, link, responses, hello } = this;
+    if (this.behind) {
+      this.behind.fps = newest.fps; // what it said when it fell behind is soon out of date
+      this.#pace();
+    }
+    const middle = [...responses].sort((a, b) => a - b)[Math.floor(responses.length / 2)];
+    const rows = [
+      ["step", `${newest.stepMs.toFixed(1)} ms`, newest.stepMs > 1000 / hello.fps],
+      ["frames made", `${newest.fps.toFixed(0)} /s`, newest.fps < 0.95 * hello.fps],
+      ["frames drawn", `${this.smoothed.toFixed(0)} /s`],
+      ...(link.delay === undefined ? [] : [["network", `${link.delay.toFixed(1)} ms`]]),
+      ["response", middle === undefined ? "–" : `${responses.at(-1).toFixed(0)} ms, median ${middle.toFixed(0)}`],
+    ];
+    $("figures").replaceChildren(...rows.flatMap(([name, text, bad]) => [element("span", {}, name), element("b", { className: bad ? "bad" : "" }, text)]));
+    if (this.recordedFrom) this.recordButton.lastChild.textContent = `${((now - this.recordedFrom) / 1000).toFixed(1)} s`;
+    const type = this.own?.now && hello.types[this.own.now.type]?.name;
+    this.typeButtons.forEach((node, name) => node.classList.toggle("shown", name === type && this.own.now.performing));
+  }
+}
+
+// Whether a wish says something else than the last one that was sent.
+function changed(sent, wish, character) {
+  if (!sent || sent.character !== character || sent.type !== wish.type) return true;
+  if ((sent.facing === null) !== (wish.facing === null) || (sent.velocity === null) !== (wish.velocity === null)) return true;
+  if (wish.facing !== null && Math.abs(Math.atan2(Math.sin(wish.facing - sent.facing), Math.cos(wish.facing - sent.facing))) > TURNED) return true;
+  if (wish.velocity === null) return false;
+  const size = Math.hypot(...wish.velocity);
+  return Math.hypot(wish.velocity[0] - sent.velocity[0], wish.velocity[1] - sent.velocity[1]) > (size > 0 ? TURNED * size : 0);
+}
+
+/** The page, made and put at hand for tests and the curious; null, and the reason on the screen, where it cannot be. */
+export function open(make) {
+  try {
+    return (window.motionkit = make());
+  } catch (error) {
+    $("notice").textContent = `This page cannot be shown here: ${error.message}. A browser of 2023 or later with WebGL is needed.`;
+    return null;
+  }
+}
