@@ -37,7 +37,9 @@ def source_hash() -> str:
         file = waiting.pop().resolve()
         if file not in files:
             files.add(file)
-            waiting += [file.parent / name for name in re.findall(r'#include "(.+?)"', file.read_text("utf-8"))]
+            waiting += [
+                file.parent / name for name in re.findall(r'#include "(.+?)"', file.read_text("utf-8"))
+            ]
     digest = hashlib.sha256()
     for file in sorted(files):
         digest.update(f"{file.name}\n".encode() + file.read_bytes().replace(b"\r\n", b"\n") + b"\n")

@@ -23,6 +23,7 @@ from motionkit.inference.kernel_image import BASE, KernelImage, kernel_image
 from motionkit.inference.rollout import Noise
 from motionkit.inference.start import type_start
 from motionkit.inference.step_weights import pack
+from motionkit.models.config import ModelConfig
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip
 from motionkit.motion.skeleton import Skeleton
@@ -79,14 +80,15 @@ def _frame_arrays(model: MotionModel) -> dict[str, Array]:
 
 
 def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
-    layout, kind = model.controls, model_first_type(model)
+    layout, kind, config = model.controls, model_first_type(model), model.config
+    assert isinstance(config, ModelConfig)  # the kernels run no other
     return {
         "format": FORMAT,
         "fps": model.fps,
         "features": FEATURE_COUNT,
         "contacts": CONTACT_COUNT,
-        "window": model.config.window,  # type: ignore[union-attr]  # of networks that the kernels run
-        "kernel": model.config.kernel,  # type: ignore[union-attr]
+        "window": config.window,
+        "kernel": config.kernel,
         "base": BASE,
         "moved": image.moved,
         "addresses": image.addresses,

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.frame_kernel import pose_words
 from motionkit.inference.rollout import Noise
+from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import LINE, StepProgram
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
@@ -30,7 +31,7 @@ BASE = 1 << 20
 
 
 @dataclass(frozen=True, eq=False)
-class Segment:
+class _Segment:
     """Memory from an address on, and where in it which arrays of this process are."""
 
     base: int
@@ -72,20 +73,16 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
     """
     program = StepProgram(pack(model.network), small=True)
     stream = CharacterStream(model, 1, noise, compiled=False)
-    state, feet, rises = stream.state, stream.feet, stream.height_correction
-    network = state.network
-    fresh = np.zeros_like(state.normalised)
-    draw, drawn = state.draw_words(network, fresh)
+    network, feet, rises = stream.state.network, stream.feet, stream.height_correction
+    assert isinstance(network, NetworkStep) and feet is not None
+    fresh = np.zeros_like(stream.state.normalised)
+    controls = np.zeros((1, model.controls.size), np.float32)
     posed = [np.zeros((1, *n), np.float32) for n in ((JOINT_COUNT, 4), (3,), (JOINT_COUNT, 3))]
+    draw, drawn = stream.state.draw_words(network, fresh)
     frame = (drawn.features, drawn.contacts, drawn.ground)
     pose = pose_words(stream.decoder, (stream.offsets, stream.scale, *frame, *posed), rises, feet)
-    controls = np.zeros((1, model.controls.size), np.float32)
-    # The frame's words go where the network of numpy would put its frame.
-    words = program.frame_words(network, controls)
-    writer = _Writer()
-    writer.share(*program.kept, program.position, drawn.scaling_mean, drawn.scaling_std, drawn.blended)
-    writer.share(stream.decoder.reference_rotations, stream.offsets, stream.scale)
-    own = {
+    step = program.frame_words(network, controls)
+    own: dict[str, NDArray[Any]] = {
         "recent": network.recent, "keys": network.keys, "values": network.values, "filled": network.filled,
         "controls": controls, "out": network.out, "logits": network.contacts_out, "x": drawn.x,
         "before": drawn.before, "contacts": drawn.contacts, "fresh": fresh, "noise": drawn.noise,
@@ -95,21 +92,24 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
     }  # fmt: skip
     for array in own.values():
         array[:] = 0  # the stream has been started
-    state_of_feet = {f"feet_{name}": array for name, array in vars(feet).items()}
-    own |= state_of_feet | {"rise": rises.rise}
+    own |= {f"feet_{name}": array for name, array in vars(feet).items()} | {"rise": rises.rise}
+    writer = _Writer()
+    writer.share(*program.kept, program.position, drawn.scaling_mean, drawn.scaling_std, drawn.blended)
+    writer.share(stream.decoder.reference_rotations, stream.offsets, stream.scale)
     addresses = {name: writer.keep(array) for name, array in own.items()}
+    addresses["position"] = writer.address_of(program.position.ctypes.data)[0]
+    writer.struct(program.maps, shared=True)
+    addresses["program"] = writer.struct(program.words, shared=True)
+    writer.struct(pose.feet.contents)  # type: ignore[attr-defined]
+    addresses |= {
+        name: writer.struct(words) for name, words in (("frame", step), ("draw", draw), ("pose", pose))
+    }
     fields = {
-        "slot": _narrow(type(words)).slot.offset,
-        "position": _narrow(type(words)).position.offset,
+        "slot": _narrow(type(step)).slot.offset,
+        "position": _narrow(type(step)).position.offset,
         "position_bytes": program.position[0].nbytes,
         "temperature": _narrow(type(draw)).temperature.offset,
     }
-    writer.struct(program.maps, shared=True)
-    addresses["program"] = writer.struct(program.words, shared=True)
-    writer.struct(pose.feet.contents)
-    for name, struct in (("frame", words), ("draw", draw), ("pose", pose)):
-        addresses[name] = writer.struct(struct)
-    addresses["position"] = writer.address_of(program.position.ctypes.data)[0]
     return KernelImage(
         bytes(writer.shared.data), bytes(writer.own.data), tuple(writer.moved), addresses, fields
     )
@@ -119,7 +119,7 @@ class _Writer:
     """Puts arrays and structs into both parts; structs come after all arrays they point into."""
 
     def __init__(self) -> None:
-        self.shared, self.own = Segment(BASE), Segment(0)
+        self.shared, self.own = _Segment(BASE), _Segment(0)
         self.moved: list[int] = []
 
     def share(self, *arrays: NDArray) -> None:
@@ -131,7 +131,7 @@ class _Writer:
         """Put an array of a character's state into its part."""
         return self._put(self.own, array)
 
-    def _put(self, segment: Segment, array: NDArray) -> int:
+    def _put(self, segment: _Segment, array: NDArray) -> int:
         assert array.flags.c_contiguous
         at = segment.put(array.astype(array.dtype.newbyteorder("<")).tobytes())
         segment.placed.append((array.ctypes.data, array.nbytes, at))
@@ -157,10 +157,10 @@ class _Writer:
 
     def _copy(self, value: Any, offset: int, pointers: list[int]) -> Any:
         """A value of ctypes with the addresses there; notes where pointers into a character's part are."""
-        kind = _narrow(type(value))
+        kind: Any = _narrow(value.__class__)
         if isinstance(value, Structure):
             out = kind()
-            for name, declared in value._fields_:
+            for name, declared in type(value)._fields_:  # type: ignore[misc]
                 found, at = getattr(value, name), offset + getattr(kind, name).offset
                 copied = (
                     self._pointer(found, at, pointers)

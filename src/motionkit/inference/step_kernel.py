@@ -164,9 +164,10 @@ class StepProgram:
     def _line_up(self, tiles: list[NDArray]) -> None:
         """Give the maps their tiles: one after another as the kernel reads them, each row in a line of the cache."""
         sizes = [array.nbytes for array in tiles]
-        memory = np.empty(sum(sizes) + LINE, np.uint8)
+        memory = np.zeros(sum(sizes) + LINE, np.uint8)
+        memory = memory[-memory.ctypes.data % LINE :]
         self.kept.append(memory)
-        place = -memory.ctypes.data % LINE
+        place = 0
         for index, array in enumerate(tiles):
             memory[place : place + array.nbytes] = array.reshape(-1).view(np.uint8)
             self.maps[index].tiles = memory.ctypes.data + place
