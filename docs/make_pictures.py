@@ -1,4 +1,6 @@
-"""Writes the pictures of the pages in docs: viewer.png, live.png and phone.png, from headless Chromium.
+"""Writes the pictures of the pages in docs: viewer.png, live.png, phone.png, demo.png and demo-phone.png.
+
+They are taken in headless Chromium.
 
     python docs/make_pictures.py      # needs chromium, playwright, Pillow and the extra "play"
 
@@ -7,12 +9,15 @@ The machine may be without a graphics card; then Chromium draws in software.
 
 from __future__ import annotations
 
+import functools
+import http.server
 import io
 import json
 import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +36,7 @@ def main() -> None:
         browser = playwright.chromium.launch(executable_path=path, args=FLAGS)
         _viewer(browser, Path(folder))
         _live(browser)
+        _demo(browser, Path(folder) / "site")
         browser.close()
 
 
@@ -62,6 +68,26 @@ def _live(browser: Browser) -> None:
             _save("live.png", [_shot(page)])
         finally:
             server.terminate()
+
+
+def _demo(browser: Browser, folder: Path) -> None:
+    subprocess.run([sys.executable, "-m", "motionkit", "demo", "-o", str(folder)], check=True, env=_quiet())
+    handler = functools.partial(http.server.SimpleHTTPRequestHandler, directory=str(folder))
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
+        address = f"http://127.0.0.1:{server.server_port}/"
+        pictures = []
+        for scheme in ("light", "dark"):
+            page = _page(browser, address, 1280, 760, scheme)
+            page.wait_for_function("motionkit.own?.root && motionkit.link.world.frame > 400")
+            if scheme == "dark":
+                page.keyboard.press("c")
+                page.wait_for_function("motionkit.own.now.performing")
+                page.wait_for_timeout(1300)
+            pictures.append(_shot(page))
+        _save("demo.png", pictures)
+        _save("demo-phone.png", [_phone(browser, address, scheme) for scheme in ("light", "dark")])
+        server.shutdown()
 
 
 def _phone(browser: Browser, address: str, scheme: str) -> Image.Image:

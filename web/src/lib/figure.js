@@ -2,7 +2,7 @@
 
 import {
   BufferAttribute, BufferGeometry, Bone, Color, Group, InstancedMesh, Matrix4, MeshBasicMaterial,
-  MeshLambertMaterial, MeshStandardMaterial, OctahedronGeometry, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, SphereGeometry, Vector3,
+  MeshLambertMaterial, MeshStandardMaterial, OctahedronGeometry, Quaternion, SRGBColorSpace, Skeleton, SkinnedMesh, Sphere, SphereGeometry, Vector3,
 } from "three";
 
 const POINT_STEP = 1e-4; // metres
@@ -107,6 +107,7 @@ export class Figure extends Group {
     mesh.bind(this.skeleton, new Matrix4());
     mesh.castShadow = true;
     mesh.frustumCulled = false;
+    mesh.boundingSphere = new Sphere(); // or it would be made of all points once, for a sorting that needs none
     return mesh;
   }
 

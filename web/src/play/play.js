@@ -53,7 +53,7 @@ export class Play {
       lost: (fault) => this.#lost(fault),
     });
     const loop = (now) => {
-      this.#tick(now);
+      this.tick(now, performance.now());
       requestAnimationFrame(loop);
     };
     requestAnimationFrame(loop);
@@ -164,7 +164,8 @@ export class Play {
 
   // ---- every picture ----
 
-  #tick(now) {
+  /** One picture: its time as the browser counts them, and the moment (ms) that it is to show. */
+  tick(now, moment) {
     const passed = Math.min(0.1, (now - (this.last ?? now)) / 1000);
     this.last = now;
     if (!this.hello) {
@@ -176,7 +177,7 @@ export class Play {
       this.wished = now;
       this.#wish();
     }
-    const around = this.link.around(performance.now() / 1000);
+    const around = this.link.around(moment / 1000);
     if (around) this.#pose(around);
     if (this.own?.figure.visible) this.#camera(passed);
     if (this.stage.draw()) {

@@ -3,8 +3,11 @@
 const NAME = "motionkit-__VERSION__";
 const FILES = ["./", "index.html", "model.bin", "motionkit.wasm"];
 
+// What the browser has kept may be of another version: it is to ask whether it is not.
+const anew = (file) => new Request(file, { cache: "no-cache" });
+
 self.addEventListener("install", (event) => {
-  event.waitUntil(caches.open(NAME).then((cache) => cache.addAll(FILES)).then(() => self.skipWaiting()));
+  event.waitUntil(caches.open(NAME).then((cache) => cache.addAll(FILES.map(anew))).then(() => self.skipWaiting()));
 });
 
 self.addEventListener("activate", (event) => {
