@@ -4,7 +4,7 @@
     python web/build_wasm.py            # writes src/motionkit/assets/web/motionkit.wasm
     python web/build_wasm.py --check    # fails if it is not what the sources give
 
-The module carries the hash of its sources, of this script and with it of the flags.
+The module carries the hash of its sources and of the flags.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ SECTION = b"source-sha256"
 
 def source_hash() -> str:
     """The hash of all that the module is made of."""
-    files, waiting = {Path(__file__).resolve()}, list(SOURCES)
+    files, waiting = set[Path](), list(SOURCES)
     while waiting:
         file = waiting.pop().resolve()
         if file not in files:
@@ -40,7 +40,7 @@ def source_hash() -> str:
             waiting += [
                 file.parent / name for name in re.findall(r'#include "(.+?)"', file.read_text("utf-8"))
             ]
-    digest = hashlib.sha256()
+    digest = hashlib.sha256(" ".join(FLAGS).encode())
     for file in sorted(files):
         digest.update(f"{file.name}\n".encode() + file.read_bytes().replace(b"\r\n", b"\n") + b"\n")
     return digest.hexdigest()
