@@ -27,6 +27,7 @@ from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import TILE, StepProgram
 from motionkit.inference.step_weights import ModuleWeights, StepWeights, pack
 from motionkit.models.bundled import load_bundled_model
+from motionkit.models.config import Variant
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.play.demo import write_demo
@@ -261,7 +262,8 @@ def test_a_file_in_the_way_is_said_and_kept(tmp_path: Path) -> None:
 
 def test_a_network_that_the_kernels_cannot_run_writes_nothing(tmp_path: Path) -> None:
     model = load_bundled_model()
-    network = replace(model.network, config=replace(model.config, position="sinusoidal"))
+    config = replace(model.config, variant=Variant(position="sinusoidal"))
+    network = replace(model.network, config=config)
     with pytest.raises(ModelError, match="cannot be packed"):
         write_demo(tmp_path / "site", replace(model, network=network))
     assert not (tmp_path / "site").exists()

@@ -79,22 +79,22 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
     controls = np.zeros((1, model.controls.size), np.float32)
     posed = [np.zeros((1, *n), np.float32) for n in ((JOINT_COUNT, 4), (3,), (JOINT_COUNT, 3))]
     draw, drawn = stream.state.draw_words(network, fresh)
-    frame = (drawn.features, drawn.contacts, drawn.ground)
+    made = drawn.frame
+    frame = (made.features, made.contacts, made.ground)
     pose = pose_words(stream.decoder, (stream.offsets, stream.scale, *frame, *posed), rises, feet)
     step = program.frame_words(network, controls)
     own: dict[str, NDArray[Any]] = {
         "recent": network.recent, "keys": network.keys, "values": network.values, "filled": network.filled,
-        "controls": controls, "out": network.out, "logits": network.contacts_out, "x": drawn.x,
-        "before": drawn.before, "contacts": drawn.contacts, "fresh": fresh, "noise": drawn.noise,
-        "smooth": drawn.smooth, "velocity_blend": drawn.velocity_blend, "slip_correction": drawn.slip_correction,
-        "features": drawn.features, "ground": drawn.ground,
-        **dict(zip(("rotations", "root", "positions"), posed, strict=True)),
+        "controls": controls, "out": network.out, "logits": network.contacts_out, "fresh": fresh,
+        "noise": drawn.noise.first, "smooth": drawn.noise.second, "velocity_blend": drawn.blend.velocity_blend,
+        "slip_correction": drawn.blend.slip_correction, "before": drawn.blend.before,
+        **vars(made), **dict(zip(("rotations", "root", "positions"), posed, strict=True)),
     }  # fmt: skip
     for array in own.values():
         array[:] = 0  # the stream has been started
     own |= {f"feet_{name}": array for name, array in vars(feet).items()} | {"rise": rises.rise}
     writer = _Writer()
-    writer.share(*program.kept, program.position, drawn.scaling_mean, drawn.scaling_std, drawn.blended)
+    writer.share(*program.kept, program.position, *drawn.scaling, drawn.blend.columns)
     writer.share(stream.decoder.reference_rotations, stream.offsets, stream.scale)
     addresses = {name: writer.keep(array) for name, array in own.items()}
     addresses["position"] = writer.address_of(program.position.ctypes.data)[0]
