@@ -303,6 +303,7 @@ def test_a_model_with_other_controls_is_no_start(paper_model: MotionModel, datas
     network = build(preset("tiny"), ControlLayout(dataset.types).size)
     with pytest.raises(ModelError, match="other control signals"):
         warm_start(network, dataset, paper_model)
+    assert dataset.scaling is not paper_model.scaling, "nothing has been changed"
 
 
 def test_eq_8_as_it_is_written(paper_dataset: Path, make_loss: Callable[..., float]) -> None:

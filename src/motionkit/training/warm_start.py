@@ -35,8 +35,10 @@ def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None
     The dataset takes over the model's scaling and pose embedding, because the weights depend on them.
 
     Raises:
-        ModelError: if the networks differ in size.
+        ModelError: if the networks differ in size; nothing has been changed then.
     """
+    layout = ControlLayout(dataset.types, network.config.controls)
+    _check_fit(network, model, layout)
     dataset.scaling, dataset.trajectory_scaling = model.scaling, model.trajectory_scaling
     dataset.pose_embedding = model.pose_embedding
     likes = similar_types(dataset, model)
@@ -47,19 +49,22 @@ def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None
             if name not in old:
                 continue
             if name in CONTROL_WEIGHTS:
-                layout = ControlLayout(dataset.types, network.config.controls)
-                if layout.kind != model.controls.kind:
-                    raise ModelError(
-                        "the model has other control signals than the preset: expected the same preset"
-                    )
                 _copy_controls(value, old[name], layout, model.controls, likes)
-            elif value.shape == old[name].shape:
-                value.copy_(old[name])
             else:
-                raise ModelError(
-                    f"the model's {name} is {tuple(old[name].shape)}, the preset's is {tuple(value.shape)}: "
-                    "expected the preset the model was trained with"
-                )
+                value.copy_(old[name])
+
+
+def _check_fit(network: Predictor, model: MotionModel, layout: ControlLayout) -> None:
+    """Raise ModelError unless the weights of a model fit a network whose controls have this layout."""
+    if layout.kind != model.controls.kind:
+        raise ModelError("the model has other control signals than the preset: expected the same preset")
+    old = model.network.arrays
+    for name, value in network.state_dict().items():
+        if name in old and name not in CONTROL_WEIGHTS and value.shape != old[name].shape:
+            raise ModelError(
+                f"the model's {name} is {tuple(old[name].shape)}, the preset's is {tuple(value.shape)}: "
+                "expected the preset the model was trained with"
+            )
 
 
 def _copy_controls(
