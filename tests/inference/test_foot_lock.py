@@ -97,9 +97,15 @@ def test_hips_come_down_for_a_leg_that_is_too_short() -> None:
 
 def test_toes_rise_to_where_standing_ones_are_and_out_of_the_floor() -> None:
     sizes = (1.0, 0.8)
-    for contact, lowest in ((0.9, TOE.standing - TOE.slack), (0.1, TOE.lowest)):
+    middle = 0.5 * (TOE.lowest + TOE.swing)
+    for contact, speed, lowest in (
+        (0.9, 0.2, TOE.standing - TOE.slack),
+        (0.1, 0.0, TOE.lowest),
+        (0.1, 0.5 * TOE.fast, middle),
+        (0.1, 2.0 * TOE.fast, TOE.swing),
+    ):
         glider = Glider(2, sizes, height=0.5)
-        toes = np.stack([glider.step(0.2, contact)[0][:, TOES, 1] for _ in range(30)])
+        toes = np.stack([glider.step(speed, contact)[0][:, TOES, 1] for _ in range(30)])
         for number, size in enumerate(sizes):
             assert abs(toes[-1, number].min() - lowest * size) < 0.05
         assert np.diff(toes, axis=0).max() < 0.6 * lowest, "not at once"

@@ -41,10 +41,23 @@ def test_ankles_come_to_their_targets_and_knees_bend_forwards(
     assert float((knee - HIP) @ forwards) > 0.0
 
 
-@pytest.mark.parametrize("flexion", [-0.04, -0.005, 0.0, 0.005, 0.05, 1.0])
+@pytest.mark.parametrize("flexion", [0.0, 0.005, 0.05, 1.0])
 def test_a_leg_that_stays_is_not_turned(flexion: float) -> None:
     knee, ankle = reached(flexion, np.zeros(3))
     assert np.abs(knee - leg(flexion)[1]).max() < 1e-5 and np.abs(ankle - leg(flexion)[2]).max() < 1e-5
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.35, -0.35])
+def test_a_knee_bent_backwards_is_stretched_whatever_its_hinge(turn: float) -> None:
+    side = quat_rotate(quat_from_yaw(np.array(turn)), SIDE)
+    straight = leg(0.0)[1]
+    knees = np.stack([reached(flexion, np.zeros(3), side)[0] for flexion in np.linspace(0.3, -0.6, 46)])
+    assert np.linalg.norm(np.diff(knees, axis=0), axis=1).max() < 1.5, "without a leap"
+    bent = [leg(flexion)[2] - HIP for flexion in np.linspace(0.3, -0.6, 46)]
+    assert np.linalg.norm(knees[0] - straight) > 3.0
+    for knee, reach in zip(knees[16:], bent[16:], strict=True):
+        beside = np.cross(knee - HIP, reach / np.linalg.norm(reach))
+        assert np.linalg.norm(beside) < 0.5, "on the line from the hip to where the ankle was"
 
 
 def test_a_leg_that_trembles_around_straight_keeps_its_knee_on_one_side() -> None:

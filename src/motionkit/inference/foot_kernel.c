@@ -11,20 +11,21 @@ typedef struct {
 static float larger(float a, float b) { return a > b ? a : b; }
 static float smaller(float a, float b) { return a < b ? a : b; }
 
-/* Moves a toe up or down towards the height of a standing one in contact, else only out of the floor. */
-static float lifted(const Feet *f, int64_t foot, float height, float contact, float scale) {
+/* Moves a toe towards the height of a standing one in contact, else up to where free ones go that step so far. */
+static float lifted(const Feet *f, int64_t foot, float height, float step, float contact, float scale) {
     uint8_t *stands = f->stands + foot;
     float *lift = f->lift + foot;
     *stands = contact > f->contact_on || (*stands && contact >= f->contact_off);
     const float low = f->standing * scale - f->slack * scale, high = f->standing * scale + f->slack * scale;
-    const float missing = *stands ? clip(height, low, high) - height : larger(f->lowest * scale - height, 0.0f);
+    const float least = (f->lowest + (f->swing - f->lowest) * smaller(step / (f->fast * scale), 1.0f)) * scale;
+    const float missing = *stands ? clip(height, low, high) - height : larger(least - height, 0.0f);
     *lift += (missing > *lift ? f->rise : f->fall) * (missing - *lift);
     if (fabsf(*lift) <= f->least_change) *lift = 0.0f;
     return *lift;
 }
 
 /* How far a toe has to move, and what its foot remembers. */
-static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contacts, float scale) {
+static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contacts, float scale, int known) {
     float *anchor = f->anchor + 2 * foot, *shift = f->shift + 2 * foot, *released = f->released + 2 * foot;
     float *before = f->before + 2 * foot, *age = f->age + foot;
     const float place[2] = {toe.x, toe.z}, level = larger(contacts[0], contacts[1]);
@@ -39,13 +40,14 @@ static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contac
     /* A caught toe goes on with what is left of its speed while it is braked. */
     const float speed = clip(1.0f - *age / f->brake_frames, 0.0f, 1.0f);
     const float rest = clip(1.0f - (*age + 1.0f) / f->ease_frames, 0.0f, 1.0f);
+    const float x = place[0] - before[0], z = place[1] - before[1], step = known ? sqrtf(x * x + z * z) : 0.0f;
     for (int i = 0; i < 2; i++) {
         anchor[i] = caught ? place[i] + shift[i] : anchor[i] + speed * (place[i] - before[i]);
         if (let_go) released[i] = shift[i];
         shift[i] = f->locked[foot] ? anchor[i] - place[i] : released[i] * (rest * rest * (3.0f - 2.0f * rest));
         before[i] = place[i];
     }
-    return (Vec3){shift[0], lifted(f, foot, toe.y, contacts[1], scale), shift[1]};
+    return (Vec3){shift[0], lifted(f, foot, toe.y, step, contacts[1], scale), shift[1]};
 }
 
 /* Moves the root over the ground, so that feet in contact stay where they are: root_slip in motion/leg_ik.py. */
@@ -110,7 +112,7 @@ static Quat pitched(const Feet *f, Vec3 foot, float rise) {
 /* The axis about which a knee stretches: of the plane it is bent in; of a straight leg the thigh's own side. */
 static Vec3 knee_axis(const Feet *f, Vec3 thigh, Vec3 shin, Vec3 side) {
     Vec3 axis = cross(times(1.0f / length(shin), shin), times(1.0f / length(thigh), thigh));
-    axis = minus(axis, times(smaller(dot(axis, side), 0.0f), side));
+    axis = times(clip(dot(axis, side) / larger(length(axis), 1e-9f) / f->alike, -1.0f, 1.0f), axis);
     axis = plus(axis, times(f->thigh_share * clip(1.0f - length(axis) / f->bent, 0.0f, 1.0f), side));
     return times(1.0f / larger(length(axis), 1e-12f), axis);
 }
@@ -125,9 +127,17 @@ static Quat opened_knee(const Feet *f, Vec3 thigh, Vec3 shin, Vec3 side, float w
     const float b = dot(thigh, shin) - on_axis, c = dot(thigh, cross(axis, shin));
     const float along = thigh_length * thigh_length + shin_length * shin_length + 2.0f * on_axis;
     const float flexed = atan2f(c, b), size = larger(sqrtf(b * b + c * c), 1e-9f);
-    const float wanted = acosf(clip((reach * reach - along) / (2.0f * size), -1.0f, 1.0f)), more = wanted + flexed;
-    const float backwards = more > 0.0f ? smaller(wanted, flexed + f->straightening * more) : -wanted;
-    return about(axis, flexed - (flexed < 0.0f ? backwards : wanted));
+    const float wanted = acosf(clip((reach * reach - along) / (2.0f * size), -1.0f, 1.0f));
+    const float eased = clip(flexed + f->straightening * (wanted + flexed), 0.0f, wanted);
+    return about(axis, flexed - (flexed < 0.0f ? eased : wanted));
+}
+
+/* The thigh's own side in the world: _SIDE in motion/leg_ik.py. */
+static Vec3 side_of(const Mat3 *thigh) { return matrix_vector(thigh, (Vec3){-1.0f, 0.0f, 0.0f}); }
+
+static int bent_backwards(const Feet *f, const Leg *leg, const Mat3 *thigh_frame) {
+    const Vec3 thigh = minus(leg->knee, leg->hip), shin = minus(leg->ankle, leg->knee);
+    return dot(cross(shin, thigh), side_of(thigh_frame)) < -f->backwards * length(thigh) * length(shin);
 }
 
 /* Turn thigh, shin and foot so that the ankle moves by its shift. */
@@ -136,9 +146,9 @@ static void move_foot(const Feet *f, int side, const Leg *leg, const Mat3 *world
     const Vec3 foot = minus(leg->toe, leg->ankle), thigh = minus(leg->knee, leg->hip), shin = minus(leg->ankle, leg->knee);
     const Vec3 target = plus(leg->ankle, leg->shift);
     Quat swing = {1, 0, 0, 0}, opened = {1, 0, 0, 0};
-    if (length(minus(target, leg->ankle)) >= 1e-3f) {
+    if (length(minus(target, leg->ankle)) >= 1e-3f || bent_backwards(f, leg, &world[hip])) {
         const Vec3 to_target = minus(target, leg->hip);
-        opened = opened_knee(f, thigh, shin, matrix_vector(&world[hip], (Vec3){-1.0f, 0.0f, 0.0f}), length(to_target));
+        opened = opened_knee(f, thigh, shin, side_of(&world[hip]), length(to_target));
         swing = between(plus(thigh, turned(opened, shin)), to_target);
     }
     rotations[hip] = quat_product(inside(&world[0], swing), rotations[hip]);
@@ -152,6 +162,7 @@ static void move_foot(const Feet *f, int side, const Leg *leg, const Mat3 *world
 
 void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, const Mat3 *world, Quat *rotations,
                Vec3 *positions) {
+    const int known = f->moving[row];
     carry(f, row, contacts, scale, positions);
     Leg legs[2];
     float *drop = f->drop + row, need = 0.0f;
@@ -160,8 +171,8 @@ void lock_feet(const Feet *f, int64_t row, const float *contacts, float scale, c
         Leg *leg = legs + side;
         *leg = (Leg){positions[f->hip[side]], positions[f->knee[side]], positions[f->ankle[side]], positions[f->toe[side]],
                      {0, 0, 0}, {1, 0, 0, 0}};
-        const Vec3 shift = toe_shift(f, 2 * row + side, leg->toe, contacts + 2 * side, scale);
-        if (shift.x != 0.0f || shift.y != 0.0f || shift.z != 0.0f) still = 0;
+        const Vec3 shift = toe_shift(f, 2 * row + side, leg->toe, contacts + 2 * side, scale, known);
+        if (shift.x != 0.0f || shift.y != 0.0f || shift.z != 0.0f || bent_backwards(f, leg, &world[f->hip[side]])) still = 0;
         const Vec3 foot = minus(leg->toe, leg->ankle);
         leg->pitch = pitched(f, foot, shift.y);
         leg->shift = minus(plus(shift, foot), turned(leg->pitch, foot));

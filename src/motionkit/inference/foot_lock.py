@@ -8,10 +8,23 @@ to let it, and the hips come down where the leg is too short. foot_kernel.c does
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from motionkit.arrays import Floats, length
 from motionkit.motion import skeleton
-from motionkit.motion.leg_ik import ANKLES, HIPS, KNEES, LOCK, TOE, TOES, move_feet, pitched_feet, root_slip
+from motionkit.motion.leg_ik import (
+    ANKLES,
+    HIPS,
+    KNEES,
+    LOCK,
+    TOE,
+    TOES,
+    knees_backwards,
+    lowest_free,
+    move_feet,
+    pitched_feet,
+    root_slip,
+)
 
 FOOT_JOINTS = np.array(skeleton.FOOT_JOINTS)
 
@@ -64,11 +77,13 @@ class FootLock:
             scale: (N,) size of each character against the canonical body.
         """
         positions = world[..., :3, 3].copy()
+        known = self.moving.copy()
         self._carry(positions[:, FOOT_JOINTS], contacts, scale)
         positions[..., ::2] += self.carry[:, None]
         root_positions[:, ::2] += self.carry
-        shifts = self._shifts(positions[:, TOES], contacts, scale)
-        still = ~shifts.any(axis=(1, 2)) & (self.drop <= LOCK.least_change)
+        shifts = self._shifts(positions[:, TOES], contacts, scale, known)
+        backwards = knees_backwards(positions, world[..., :3, :3]).any(axis=1)
+        still = ~shifts.any(axis=(1, 2)) & (self.drop <= LOCK.least_change) & ~backwards
         self.drop[still] = 0.0
         if still.all():
             return positions
@@ -86,8 +101,8 @@ class FootLock:
         self.carry -= np.where(self.moving, self.hold, np.float32(0.0))[:, None] * slip
         self.feet, self.moving[:] = feet, True
 
-    def _shifts(self, toes: Floats, contacts: Floats, scale: Floats) -> Floats:
-        """How far (N, 2, 3) each foot has to move."""
+    def _shifts(self, toes: Floats, contacts: Floats, scale: Floats, known: NDArray[np.bool_]) -> Floats:
+        """How far (N, 2, 3) each foot has to move; known (N,) says whose frame before is known."""
         place = toes[..., ::2]
         level = contacts.reshape(-1, 2, 2).max(axis=-1)
         slid = self.locked & (length(self.anchor - place) > LOCK.max_slide * scale[:, None])
@@ -105,19 +120,20 @@ class FootLock:
         rest = np.clip(1.0 - (self.age + 1.0) / LOCK.ease_frames, 0.0, 1.0)[..., None]
         share = rest * rest * (3.0 - 2.0 * rest)
         self.shift = np.where(self.locked[..., None], self.anchor - place, self.released * share)
-        self._lift(toes[..., 1], contacts[:, 1::2], scale[:, None])
+        steps = np.where(known[:, None], length(place - self.toes), np.float32(0.0))
+        self._lift(toes[..., 1], steps, contacts[:, 1::2], scale[:, None])
         self.toes = place
         out = np.empty_like(toes)
         out[..., ::2] = self.shift
         out[..., 1] = self.lift
         return out
 
-    def _lift(self, height: Floats, contacts: Floats, scale: Floats) -> None:
-        """Move toes (N, 2) up or down towards the height of standing ones in contact, else only out of the floor."""
+    def _lift(self, height: Floats, steps: Floats, contacts: Floats, scale: Floats) -> None:
+        """Move toes (N, 2) towards the height of standing ones in contact, else up to where free ones go at least."""
         self.stands = np.where(contacts > LOCK.contact_on, True, self.stands & (contacts >= LOCK.contact_off))
         stand, slack = TOE.standing * scale, TOE.slack * scale
         standing = np.clip(height, stand - slack, stand + slack) - height
-        missing = np.where(self.stands, standing, np.maximum(TOE.lowest * scale - height, 0.0))
+        missing = np.where(self.stands, standing, np.maximum(lowest_free(steps, scale) - height, 0.0))
         pace = np.where(missing > self.lift, np.float32(TOE.rise), np.float32(TOE.fall))
         self.lift = (self.lift + pace * (missing - self.lift)).astype(np.float32)
         self.lift[np.abs(self.lift) <= LOCK.least_change] = 0.0

@@ -27,7 +27,7 @@ from motionkit.native import load_library
 if TYPE_CHECKING:
     from motionkit.inference.pose import PoseDecoder
 
-VERSION = 9  # of frame_kernel.c
+VERSION = 10  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -52,7 +52,7 @@ class _Draw(Structure):
 _FEET_SETTINGS = (leg_ik.LOCK, leg_ik.TOE, leg_ik.HOLD)
 _FEET_NUMBERS = (
     *(f.name for settings in _FEET_SETTINGS for f in fields(settings)),
-    *("bent", "thigh_share", "straightening", "steep"),
+    *("bent", "thigh_share", "alike", "straightening", "backwards", "steep"),
 )
 
 
@@ -258,7 +258,8 @@ def _height_correction(rises: height_correction.HeightCorrection) -> _HeightCorr
 
 def _feet(feet: foot_lock.FootLock) -> _Feet:
     numbers = [value for settings in _FEET_SETTINGS for value in vars(settings).values()]
-    numbers += [leg_ik.BENT, leg_ik.THIGH_SHARE, leg_ik.STRAIGHTENING, leg_ik.STEEP]
+    numbers += [leg_ik.BENT, leg_ik.THIGH_SHARE, leg_ik.ALIKE]
+    numbers += [leg_ik.STRAIGHTENING, leg_ik.BACKWARDS, leg_ik.STEEP]
     state = [getattr(feet, name) for name in _FEET_STATE]
     joints = leg_ik.LEG_JOINTS.tolist()
     return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *(_address(array) for array in state))

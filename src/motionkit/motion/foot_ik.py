@@ -22,6 +22,8 @@ from motionkit.motion.leg_ik import (
     LOCK,
     TOE,
     TOES,
+    knees_backwards,
+    lowest_free,
     move_feet,
     pitched_feet,
     root_slip,
@@ -51,6 +53,7 @@ def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
     if len(motion) < 2:
         return motion
     turns, positions = motion_kinematics(motion)
+    world = quat_to_matrix(turns)
     if hold:
         feet = positions[:, list(FOOT_JOINTS)]
         slip = np.cumsum(root_slip(feet[:-1], feet[1:], contacts[1:]), axis=0, dtype=np.float64)
@@ -62,7 +65,7 @@ def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
         [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2], motion.fps) for i in range(2)],
         axis=1,
     )
-    moved = (length(shifts) > LOCK.least_change).any(axis=1)
+    moved = (length(shifts) > LOCK.least_change).any(axis=1) | knees_backwards(positions, world).any(axis=1)
     if not moved.any():
         return motion
     pitch, ankle_shifts = pitched_feet(positions, shifts)
@@ -70,9 +73,7 @@ def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
     rotations, positions = motion.local_rotations.copy(), positions + drop[:, None]
     moved |= (drop != 0.0).any(axis=1)
     turned, places = rotations[moved], positions[moved]
-    move_feet(
-        turned, places, quat_to_matrix(turns[moved]), pitch[moved], (ankle_shifts - drop[:, None])[moved]
-    )
+    move_feet(turned, places, world[moved], pitch[moved], (ankle_shifts - drop[:, None])[moved])
     legs = LEG_JOINTS[:3].ravel()
     turned[:, legs] = quat_normalize(turned[:, legs])
     rotations[moved] = turned
@@ -125,7 +126,8 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float) -> Array:
     spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
     upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
-    missing = np.maximum(TOE.lowest - height - upwards, 0.0)
+    steps = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
+    missing = np.maximum(lowest_free(steps * (fps / RATE)) - height - upwards, 0.0)
     upwards += _eased_most(missing[:, 0], missing, lift)
     return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype)
 

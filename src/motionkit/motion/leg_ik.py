@@ -47,7 +47,9 @@ class ToeSettings:
 
     Attributes:
         standing, slack: heights of a toe in contact lie within slack of standing.
-        lowest: height under which no toe goes.
+        lowest: height under which no toe goes that stands still, free of contact.
+        swing: height under which none goes that moves over the ground as fast as fast, in cm per frame, or faster;
+            lines between follow the 5 % of recorded toes that are lowest.
         rise, fall: shares of the way to its height that a toe goes up or down in a frame.
         max_pitch: radians that a foot is turned for its toe's height; the ankle does the rest.
     """
@@ -55,6 +57,8 @@ class ToeSettings:
     standing: float = STANDING_HEIGHTS[1]
     slack: float = 1.0
     lowest: float = 2.0
+    swing: float = 5.4
+    fast: float = 3.5
     rise: float = 0.5
     fall: float = 0.2
     max_pitch: float = 0.2
@@ -90,13 +94,30 @@ HIPS, KNEES, ANKLES, TOES = LEG_JOINTS
 
 # Knees bent less than this (sine of the angle) take their axis more and more from the thigh.
 BENT, THIGH_SHARE = 0.2, 0.1
-# A knee that is bent backwards goes over to bending forwards while its leg shortens; so many times as fast as a leg
-# would that is bent forwards already.
+# Cosine between the axis a knee is bent about and the thigh's side from which on it counts as that of its hinge.
+ALIKE = 0.3
+# A knee that is bent backwards is stretched, and goes over to bending forwards while its leg shortens; so many times as
+# fast as a leg would that is bent forwards already.
 STRAIGHTENING = 3.0
+# Sine of the angle from which on a knee counts as bent backwards.
+BACKWARDS = 0.002
 # Feet whose horizontal part is below this share of their length are turned less.
 STEEP = 0.5
 # The thigh's own side (-x in its frame), about which a knee bends.
 _SIDE = np.array([-1.0, 0.0, 0.0], np.float32)
+
+
+def lowest_free(steps: Array, scale: Array | float = 1.0) -> Array:
+    """Heights in cm under which free toes do not go, by how far they move over the ground in a frame.
+
+    Recorded toes that move are higher than standing ones: a foot that glides over the floor looks like one that slides.
+
+    Args:
+        steps: (...) in cm per frame.
+        scale: (...) size of each body against the canonical one.
+    """
+    share = np.minimum(steps / (TOE.fast * scale), 1.0)
+    return (TOE.lowest + (TOE.swing - TOE.lowest) * share) * scale
 
 
 def pitched_feet(positions: Array, shifts: Array) -> tuple[Array, Array]:
@@ -135,7 +156,7 @@ def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, sh
     targets = ankles + shifts
     side = np.matmul(world[:, HIPS], _SIDE)
     swing, opened = leg_turns(hips, knees, ankles, side, targets)
-    still = length(targets - ankles) < 1e-3
+    still = (length(targets - ankles) < 1e-3) & ~_backwards(hips, knees, ankles, side)
     swing[still] = opened[still] = (1.0, 0.0, 0.0, 0.0)
     shin = quat_multiply(swing, opened)
     bent = quat_rotate(opened, ankles - knees) + knees - hips
@@ -155,6 +176,17 @@ def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, sh
     positions[:, KNEES] = hips + quat_rotate(swing, knees - hips)
     positions[:, ANKLES] = moved
     positions[:, TOES] = moved + quat_rotate(pitch, toes - ankles)
+
+
+def knees_backwards(positions: Array, world: Array) -> Array:
+    """Whether each knee (N, 2) is bent backwards, as no knee bends: move_feet stretches such legs.
+
+    Args:
+        positions: (N, 23, 3) joint positions in cm.
+        world: (N, 23, 3, 3) world rotations of the joints.
+    """
+    hips, knees, ankles, _ = (positions[:, joints] for joints in LEG_JOINTS)
+    return _backwards(hips, knees, ankles, np.matmul(world[:, HIPS], _SIDE))
 
 
 def root_slip(before: Array, feet: Array, contacts: Array, scale: Array | float = 1.0) -> Array:
@@ -182,7 +214,8 @@ def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Ar
     """World rotations of a thigh and of its shin that bring the ankle to a target.
 
     The knee keeps the plane it is bent in; that of a nearly straight leg is the thigh's, so that knees always bend
-    forwards, and continuously in time. Targets out of reach are reached for.
+    forwards, and continuously in time. Targets out of reach are reached for. A leg whose knee is bent backwards is
+    stretched, past its target until that is much nearer.
 
     Args:
         hips, knees, ankles, targets: (..., 3) in cm.
@@ -206,18 +239,23 @@ def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Ar
     flexed = np.arctan2(c, b)  # negative for a knee bent backwards
     size = np.maximum(np.sqrt(b * b + c * c), 1e-9)
     wanted = np.arccos(np.clip((reach * reach - along) / (2.0 * size), -1.0, 1.0))
-    more = wanted + flexed
-    backwards = np.where(more > 0.0, np.minimum(wanted, flexed + STRAIGHTENING * more), -wanted)
-    opened = _about(axis, flexed - np.where(flexed < 0.0, backwards, wanted))
+    eased = np.clip(flexed + STRAIGHTENING * (wanted + flexed), 0.0, wanted)
+    opened = _about(axis, flexed - np.where(flexed < 0.0, eased, wanted))
     bent = thigh + quat_rotate(opened, shin)
     return quat_between(bent, targets - hips), opened
+
+
+def _backwards(hips: Array, knees: Array, ankles: Array, side: Array) -> Array:
+    """Whether knees (...) are bent backwards, from positions and sides (..., 3)."""
+    thigh, shin = knees - hips, ankles - knees
+    return (cross(shin, thigh) * side).sum(-1) < -BACKWARDS * length(thigh) * length(shin)
 
 
 def _knee_axis(thigh: Array, shin: Array, side: Array) -> Array:
     """Unit axes (..., 3) about which knees stretch, from unit vectors (..., 3)."""
     axis = cross(shin, thigh)
-    along = np.minimum((axis * side).sum(-1), 0.0)
-    axis = axis - along[..., None] * side  # nothing of it is backwards
+    alike = (axis * side).sum(-1) / np.maximum(length(axis), 1e-9)
+    axis = np.clip(alike / ALIKE, -1.0, 1.0)[..., None] * axis  # of a knee bent backwards the other way round
     share = THIGH_SHARE * np.clip(1.0 - length(axis) / BENT, 0.0, 1.0)
     return normalized(axis + share[..., None] * side)
 
