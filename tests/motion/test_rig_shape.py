@@ -9,10 +9,10 @@ import pytest
 
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import joint_sides
+from motionkit.motion.mirror import joint_sides, mirror_motion
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import map_rig
-from motionkit.motion.rig_shape import limbs_by_shape
+from motionkit.motion.rig_shape import limbs_by_shape, twins_by_shape
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 from synthetic_rigs import FAMILIES, renamed, walk
 
@@ -152,3 +152,48 @@ def test_a_helper_on_the_neck_is_no_face() -> None:
     found = map_rig(Skeleton(names, parents, offsets, ends))
     for name in ("Neck", "Head", "LeftHand", "RightHand"):
         assert JOINT_NAMES[found.places[name]] == name
+
+
+@pytest.mark.parametrize("key", FAMILIES)
+def test_a_rig_without_sides_in_its_names_is_mirrored(key: str) -> None:
+    """Twins found by shape are those of the names, and so is the mirror image."""
+    motion = renamed(walk(), FAMILIES[key])
+    plain = replace(motion, skeleton=nameless(motion))
+    one, other = mirror_motion(motion), mirror_motion(plain)
+    assert np.allclose(one.local_rotations, other.local_rotations, atol=1e-6)
+    assert np.allclose(one.root_positions, other.root_positions, atol=1e-4)
+
+
+def test_eyes_and_fingers_are_twins_too() -> None:
+    source = canonical_skeleton()
+    names, parents, offsets = list(source.names), list(source.parents), list(source.offsets)
+    for sign in (1.0, -1.0):
+        names.append(f"eye{sign}")
+        parents.append(JOINT_NAMES.index("Head"))
+        offsets.append(np.array([sign * 3.0, 5.0, 8.0], np.float32))
+    for side, sign in (("Right", -1.0), ("Left", 1.0)):
+        for length in (3.0, 4.0):
+            names.append(f"finger{side}{length}")
+            parents.append(JOINT_NAMES.index(f"{side}Hand"))
+            offsets.append(np.array([sign * length, 0.0, 0.0], np.float32))
+    plain = Skeleton(
+        tuple(f"n{j}" for j in range(len(names))), tuple(parents), np.stack(offsets), source.end_sites
+    )
+    twins = twins_by_shape(plain)
+    assert twins is not None
+    found = {names[a]: names[b] for a, b in enumerate(twins)}
+    assert (found["eye1.0"], found["fingerLeft3.0"]) == ("eye-1.0", "fingerRight3.0")
+    assert (found["fingerRight4.0"], found["LeftToeBase"]) == ("fingerLeft4.0", "RightToeBase")
+    assert twins[names.index("Spine")] == names.index("Spine")
+
+
+def test_a_dog_is_not_mirrored() -> None:
+    dog = quadruped()
+    still = Motion(
+        dog,
+        np.tile(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (4, len(dog), 1)),
+        np.zeros((4, 3), np.float32),
+        30.0,
+    )
+    with pytest.raises(SkeletonError, match="does not have the shape of a human"):
+        mirror_motion(still)

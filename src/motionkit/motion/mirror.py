@@ -23,6 +23,7 @@ from motionkit.files import check_outputs, files_below
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
+from motionkit.motion.rig_shape import twins_by_shape
 from motionkit.motion.rotations import mean_rotation, quat_angle, quat_multiply
 from motionkit.motion.sides import LEFT_WORDS, LONG_WORDS, other_side
 from motionkit.motion.skeleton import Skeleton
@@ -85,6 +86,7 @@ _ODD_SHARE = 0.15
 _SHORT_SHARE = 0.05
 # A joint whose place varies by less than this share of the mean bone is at the end of a rigid bone.
 _RIGID_SHARE = 0.01
+_SAMPLES = 32  # poses that show the shape of a rig without names
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ class MirrorPlan:
 
 
 def mirror_plan(motion: Motion) -> MirrorPlan:
-    """Find twins by name and reflections by rest pose and mean pose.
+    """Find twins by name, or by shape where no name has a side, and reflections by rest pose and mean pose.
 
     The plan of a motion and of its mirror image are equal.
 
@@ -109,7 +111,7 @@ def mirror_plan(motion: Motion) -> MirrorPlan:
         SkeletonError: the rig has no left and right, or its sides have different hierarchies.
     """
     skeleton = motion.skeleton
-    twins = _checked_twins(skeleton)
+    twins = _checked_twins(motion)
     places, rigid = _mean_places(motion)
     axis = _common_axis(twins, places, rigid)
     if axis is not None:
@@ -121,14 +123,18 @@ def mirror_plan(motion: Motion) -> MirrorPlan:
     return MirrorPlan(twins, world, _own_reflections(motion, twins, places, rigid, world))
 
 
-def _checked_twins(skeleton: Skeleton) -> tuple[int, ...]:
-    names, parents = skeleton.names, skeleton.parents
+def _checked_twins(motion: Motion) -> tuple[int, ...]:
+    names, parents = motion.skeleton.names, motion.skeleton.parents
     twins = left_right_twins(names)
     if all(twin == joint for joint, twin in enumerate(twins)):
-        some = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
-        raise SkeletonError(
-            f"no joint name has a left and a right, expected some such as LeftArm; found {some}"
-        )
+        found = twins_by_shape(motion.skeleton, motion_kinematics(_some_poses(motion))[1])
+        if found is None:
+            some = ", ".join(names[:6]) + (", ..." if len(names) > 6 else "")
+            raise SkeletonError(
+                "no joint name has a left and a right, expected some such as LeftArm, and the rig does not have "
+                f"the shape of a human; found {some}"
+            )
+        twins = found
     for joint, twin in enumerate(twins):
         if twin == joint:
             continue
@@ -140,6 +146,18 @@ def _checked_twins(skeleton: Skeleton) -> tuple[int, ...]:
                 "mirroring needs the same hierarchy on both sides"
             )
     return twins
+
+
+def _some_poses(motion: Motion) -> Motion:
+    """A few frames from all over a motion, which show the shape of its rig."""
+    some = slice(None, None, max(1, len(motion) // _SAMPLES))
+    places = None if motion.local_positions is None else motion.local_positions[some]
+    return replace(
+        motion,
+        local_rotations=motion.local_rotations[some],
+        root_positions=motion.root_positions[some],
+        local_positions=places,
+    )
 
 
 def is_z_up(positions: Array, names: Sequence[str]) -> bool:

@@ -135,6 +135,29 @@ def limbs_by_shape(
     return ShapeGuess(places, sure, sides_sure)
 
 
+def twins_by_shape(skeleton: Skeleton, poses: Array | None = None) -> tuple[int, ...] | None:
+    """The joint of the other side for each joint, by shape alone; central joints are their own. None if not human.
+
+    Args:
+        skeleton: any rig.
+        poses: as for limbs_by_shape.
+    """
+    tree = _Tree(skeleton)
+    poses = (tree.rest[None] if poses is None else poses).astype(np.float64)
+    bodies = _bodies(tree, poses)
+    if not bodies or bodies[0][0] > _NOT_HUMAN:
+        return None
+    _, leg, arm = bodies[0]
+    twins = list(range(len(skeleton)))
+    for limb in (leg, arm):
+        tree.pair_up(*limb.pair.joints[0], twins)
+    across = tree.rest[leg.pair.joints[0][0]] - tree.rest[leg.pair.joints[0][1]]
+    for joint, children in enumerate(tree.children):
+        if twins[joint] == joint:
+            tree.pair_children([c for c in children if twins[c] == c], normalized(across), twins)
+    return tuple(twins)
+
+
 def _bodies(tree: _Tree, poses: Array) -> list[tuple[float, _Limb, _Limb]]:
     """Costs, legs and arms of all likely assignments, the best first."""
     pairs = tree.pairs()
@@ -211,6 +234,29 @@ class _Tree:
             bone = 0.5 * float(self.bones[one] + self.bones[other])
             self._matched[key] = (bone + best[0], (key, *best[1]))
         return self._matched[key]
+
+    def pair_up(self, one: int, other: int, twins: list[int]) -> None:
+        """Make twins of two joints, and of those below them that are alike."""
+        twins[one], twins[other] = other, one
+        free = list(self.children[other])
+        for a in sorted(self.children[one], key=lambda j: -self.reach[j]):
+            alike = [b for b in free if self._equal(self.bones[a], self.bones[b])]
+            if alike:
+                nearest = min(alike, key=lambda b: abs(self.reach[a] - self.reach[b]))
+                free.remove(nearest)
+                self.pair_up(a, nearest, twins)
+
+    def pair_children(self, children: list[int], across: Array, twins: list[int]) -> None:
+        """Make twins of children of a central joint that lie on either side of the plane at right angles to across."""
+        offsets = self.skeleton.offsets.astype(np.float64)
+        for a, b in combinations(children, 2):
+            aside = float(offsets[a] @ across)
+            image = offsets[a] - 2.0 * aside * across
+            near = (
+                float(np.linalg.norm(image - offsets[b])) <= _EQUAL * self.bones[a] + _EQUAL_SIZE * self.size
+            )
+            if twins[a] == a and twins[b] == b and near and abs(aside) > _EQUAL_SIZE * self.size:
+                self.pair_up(a, b, twins)
 
     def end(self, joint: int) -> Array:
         """The End Site (3,) of a joint, zero without one."""
