@@ -5,7 +5,7 @@ import json
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -14,7 +14,9 @@ import pytest
 from websockets.sync.client import ClientConnection, connect
 
 from motionkit.models.model import MotionModel
+from motionkit.motion.skeleton import Skeleton
 from motionkit.play.limits import Limits
+from motionkit.play.page import load_page
 from motionkit.play.server import Addresses, PlayServer, ServerOptions
 from motionkit.play.session import Session
 from view.conftest import browser, open_page  # noqa: F401
@@ -75,6 +77,22 @@ def running(server: PlayServer) -> Iterator[Running]:
     found["loop"].call_soon_threadsafe(found["task"].cancel)
     thread.join(PATIENCE)
     assert not thread.is_alive() and not faults, f"the server did not end well: {faults}"
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_page_for_all() -> Iterator[None]:
+    """Make the page of the same bodies once: it takes a server half a second for each body."""
+    made: dict[tuple, bytes] = {}
+
+    def load(bodies: Mapping[str, Skeleton]) -> bytes:
+        key = tuple((name, body.offsets.tobytes()) for name, body in bodies.items())
+        if key not in made:
+            made[key] = load_page(bodies)
+        return made[key]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("motionkit.play.server.load_page", load)
+        yield
 
 
 @pytest.fixture
