@@ -106,3 +106,13 @@ def test_where_two_balls_touch_the_surface_stays_whole() -> None:
     edges = np.concatenate([triangles[:, [n, (n + 1) % 3]] for n in range(3)])
     ways = {tuple(edge) for edge in edges.tolist()}
     assert len(ways) == len(edges) and all((b, a) in ways for a, b in ways)
+
+
+def test_the_body_of_another_clip_is_made_once_and_of_another_rig_anew() -> None:
+    motion = in_metres(make_walk(2))[0]
+    first, pose = make_body(motion)
+    assert make_body(in_metres(make_walk(5))[0])[0] is first and not first.points.flags.writeable
+    taller = make_body(motion.scaled(1.1))[0]
+    assert taller is not first and taller.points[:, 1].max() > first.points[:, 1].max() + 0.05
+    assert make_body(motion, step=0.03)[0] is not first
+    assert np.array_equal(pose.places, make_body(motion)[1].places)

@@ -6,6 +6,7 @@ length of the rig; lengths and widths that the rig gives take precedence.
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -25,6 +26,7 @@ from motionkit.view.surface import TINTS, Array, Surface, SurfaceBuilder, cross_
 LEG = 0.834  # m, leg length of the profiles below
 ANKLE, BALL = 0.095, 0.022  # heights of a standing foot's joints, m
 SIDES = ("Left", "Right")
+MOST_KEPT = 16  # bodies
 Profile = tuple[tuple[float, ...], ...]
 
 # Share of the length, half width, half depth, shift to the front, m.
@@ -112,8 +114,13 @@ class BodyPose:
         return out
 
 
+_kept: OrderedDict[tuple, tuple[Surface, BodyPose]] = OrderedDict()
+
+
 def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) -> tuple[Surface, BodyPose]:
     """A skinned body mesh for the rig of a motion, and the pose in which it is made.
+
+    The last bodies are kept: clips shown together often have the same one.
 
     Args:
         motion: in metres with Y up (`figure_data.in_metres`); its rest pose, or else its best frame, shows the body
@@ -131,7 +138,22 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
     if _stoop(poses[0], rig) > 0.5:  # the rest pose is not a standing human
         poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
     pose = min(poses, key=lambda p: _stoop(p, rig))
-    return _Human(motion, rig, pose).surface(step)
+    return _human_body(motion.skeleton.names, rig, pose, step)
+
+
+def _human_body(names: tuple[str, ...], rig: RigMap, pose: BodyPose, step: float) -> tuple[Surface, BodyPose]:
+    """The body of a human rig, made or taken from those kept; its arrays are not to be written to."""
+    ends = tuple((joint, end.tobytes()) for joint, end in sorted(pose.ends.items()))
+    numbers = (pose.rotations.tobytes(), pose.places.tobytes(), ends)
+    key = (names, pose.parents, pose.bones, tuple(sorted(rig.places.items())), numbers, step)
+    if key not in _kept:
+        made = _Human(names, rig, pose).surface(step)
+        for array in (*vars(made[0]).values(), made[1].rotations, made[1].places):
+            array.flags.writeable = False
+        while len(_kept) >= MOST_KEPT:
+            _kept.popitem(last=False)
+        _kept[key] = made
+    return _kept[key]
 
 
 def _rest(motion: Motion, bones: frozenset[int]) -> BodyPose:
@@ -185,8 +207,8 @@ def _between(start: Array, end: Array) -> Array:
 class _Human:
     """Makes the parts of a human body from the places of the canonical joints in a rig."""
 
-    def __init__(self, motion: Motion, rig: RigMap, pose: BodyPose) -> None:
-        self.names, self.rig = motion.skeleton.names, rig.places
+    def __init__(self, names: tuple[str, ...], rig: RigMap, pose: BodyPose) -> None:
+        self.names, self.rig = names, rig.places
         self.pose = pose
         self.pieces: list[Piece] = []
         self.builder = SurfaceBuilder()  # of fingers and other thin parts, which the skin would swallow
