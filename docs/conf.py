@@ -56,7 +56,7 @@ MADE_BY = {"make_gallery.py": "gallery.md", "conf.py": "api.md"}
 LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
 # Pages that no section lists by hand: those of these names are tutorials, all others are how-to.
 TUTORIALS = ("my-*", "experiments*")
-UNKNOWN_LANGUAGES = {"mermaid": "text", "csv": "text"}
+UNKNOWN_LANGUAGES = {"csv": "text"}
 
 
 def title(page: Path) -> str:

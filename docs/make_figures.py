@@ -1,4 +1,4 @@
-"""Writes the figures of docs/how-it-works.md into docs/figures, from the bundled model and the clips of examples/data.
+"""Writes the figures of the docs into docs/figures, from the bundled model and the clips of examples/data.
 
 python docs/make_figures.py [NAME...]     # needs matplotlib, which is in the extra "notebook"
 """
@@ -379,6 +379,57 @@ def steering(model: MotionModel) -> Any:
     return figure
 
 
+def data_flow(model: MotionModel) -> Any:
+    """What flows between the rooms of the code, for docs/architecture.md."""
+    figure, axes = new_figure(3.3)
+    axes.set(xlim=(-0.2, 14.2), ylim=(-0.5, 6.4))
+    plain(axes)
+    things = {
+        "files": (1.2, 5.6, "BVH, GLB,\nVRM files", SOFT),
+        "motion": (4.6, 5.6, "Motion", LEFT),
+        "dataset": (8.0, 5.6, "dataset\nfolder", SOFT),
+        "model": (11.6, 5.6, "model file", GREEN),
+        "asked": (1.2, 3.4, "types, path\nor wishes", SOFT),
+        "controls": (4.6, 3.4, "Controls", LEFT),
+        "inference": (8.0, 3.4, "inference", VIOLET),
+        "engine": (11.6, 3.4, "ONNX graph,\npage with the model", SOFT),
+        "clients": (1.2, 1.0, "browser,\nengine", SOFT),
+        "made": (4.6, 1.0, "Motion", LEFT),
+        "out": (8.3, 1.0, "BVH, glTF,\nVRMA, USD, tables", SOFT),
+        "shown": (11.9, 1.0, "metrics, scoreboard,\npages, films", SOFT),
+    }
+    for x, y, text, color in things.values():
+        box(axes, x, y, text, (2.4 + 0.45 * (len(text) > 22), 1.0), color)
+    flows = (
+        ("files", "motion", "motion"),
+        ("motion", "dataset", "data"),
+        ("dataset", "model", "training"),
+        ("model", "engine", "export, play"),
+        ("model", "inference", ""),
+        ("asked", "controls", "control"),
+        ("controls", "inference", ""),
+        ("inference", "made", ""),
+        ("made", "clients", "play"),
+        ("made", "out", "export"),
+    )
+    for start, end, room in flows:
+        (x, y), (u, v) = things[start][:2], things[end][:2]
+        if y == v:
+            side = 1.4 if u > x else -1.4
+            arrow(axes, (x + side, y), (u - side, v))
+            axes.text((x + u) / 2, y + 0.12, room, ha="center", va="bottom", color=SOFT, fontsize=7.5)
+        elif x == u:
+            arrow(axes, (x, y - 0.6), (u, v + 0.6))
+            axes.text(x + 0.15, (y + v) / 2, room, va="center", color=SOFT, fontsize=7.5)
+        else:
+            arrow(axes, (x - 1.1, y - 0.6), (u + 1.1, v + 0.6))
+    arrow(axes, (5.2, 0.4), (11.0, 0.4), bend=0.1)
+    axes.text(8.1, -0.35, "evaluation, view", ha="center", color=SOFT, fontsize=7.5)
+    axes.text(9.3, 2.55, "each frame is the next input", ha="center", color=VIOLET, fontsize=7.5)
+    return figure
+
+
+OTHERS = {"data-flow": data_flow}
 FIGURES = {
     "1-loop": loop,
     "2-rigs": rigs,
@@ -396,8 +447,9 @@ FIGURES = {
 def main(names: list[str]) -> None:
     """Write all figures, or the named ones."""
     model = mk.load_model()
-    for name in names or FIGURES:
-        path = save(FIGURES[name](model), name)
+    every = FIGURES | OTHERS
+    for name in names or every:
+        path = save(every[name](model), name)
         print(f"{path.name}: {path.stat().st_size // 1000} kB")
 
 
