@@ -32,6 +32,7 @@ SMALL: dict[str, dict[str, Any]] = {
     "mvae": {"hidden": 16, "gate": 8, "latent": 4, "experts": 2},
     "htss": {"part": 4, "limb": 8, "body": 16, "decoder": 8},
     "neural-layering": {"hidden": 16, "gate": 8, "experts": 2},
+    "learned-motion-matching": {"hidden": 16, "latent": 4},
 }  # fmt: skip
 
 

@@ -20,6 +20,11 @@ from motionkit.models.baseline import Experts
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.checkpoint import load_model
 from motionkit.models.htss import TwoStream, TwoStreamConfig
+from motionkit.models.learned_motion_matching import (
+    SEARCHED,
+    LearnedMotionMatching,
+    LearnedMotionMatchingConfig,
+)
 from motionkit.models.mvae import MotionVae, MotionVaeConfig, teacher_share
 from motionkit.models.network import parameter_count
 from motionkit.models.pfnn import PhaseFunctionedConfig, PhaseFunctionedNetwork, gait_phase, spline_shares
@@ -28,12 +33,13 @@ from motionkit.training.presets import train_options
 from motionkit.training.sampler import SamplerOptions, WindowSampler
 from motionkit.training.trainer import TrainingRun
 
-NAMES = ("pfnn", "mvae", "htss", "neural-layering")
+NAMES = ("pfnn", "mvae", "htss", "neural-layering", "learned-motion-matching")
 SMALL = {
     "pfnn": {"hidden": 24},
     "mvae": {"hidden": 24, "gate": 8, "latent": 4, "experts": 3},
     "htss": {"part": 4, "limb": 8, "body": 16, "decoder": 8},
     "neural-layering": {"hidden": 24, "gate": 8, "experts": 3},
+    "learned-motion-matching": {"hidden": 24, "latent": 6},
 }
 
 
@@ -223,3 +229,68 @@ def test_a_stream_predicts_what_the_window_does(name: str, paper_dataset: Path) 
             )
             whole = network.run(batch.inputs, series).mean
     assert torch.allclose(torch.stack([f.mean for f in frames], 1), whole, atol=1e-4)
+
+
+# ---- learned motion matching ----
+
+
+def matching_network() -> LearnedMotionMatching:
+    torch.manual_seed(0)
+    return LearnedMotionMatching(LearnedMotionMatchingConfig(hidden=16, latent=4), 30).eval()
+
+
+def test_matching_features_are_feet_and_hips_and_controls() -> None:
+    network = matching_network()
+    assert network.matching_size == 4 * 3 + 4 * 3 + 3 + 30  # feet, their velocities, the hips', controls
+    x, controls = torch.randn(2, 276), torch.randn(2, 30)
+    features = network.matching(x, controls)
+    assert features.shape == (2, network.matching_size) and torch.equal(features[:, -30:], controls)
+
+
+def test_frames_count_only_where_a_search_is_due() -> None:
+    network, contacts = matching_network(), torch.zeros(1, 4)
+    draw = torch.Generator().manual_seed(1)
+    frames = torch.randn(SEARCHED + 6, 1, 276, generator=draw)
+    others = frames.clone()
+    others[3 : SEARCHED + 1] += 1.0  # between the searches at frames 1 and 1 + SEARCHED
+    later = frames.clone()
+    later[SEARCHED + 1] += 1.0
+
+    def roll(rows: torch.Tensor) -> torch.Tensor:
+        stream = network.stream(1)
+        stream.reset(given=2)  # frames 0 and 1
+        with torch.no_grad():
+            return torch.stack([stream.step(x, contacts, torch.zeros(1, 30)).mean for x in rows])
+
+    made = roll(frames)
+    assert torch.equal(roll(others), made)
+    changed = (roll(later) != made).flatten(1).any(dim=1)
+    assert changed.nonzero()[0].item() == SEARCHED + 1
+
+
+def test_the_stepper_is_trained_on_its_own_steps() -> None:
+    network = matching_network()
+    state = torch.randn(3, 2 * SEARCHED + 5, network.matching_size + 4)
+    with torch.no_grad():
+        for values in network.stepper[-1].parameters():
+            values.zero_()
+        standing = network._stepper_loss(state)
+    runs = state[:, : 2 * SEARCHED].reshape(6, SEARCHED, -1)
+    assert torch.allclose(standing, (runs[:, :1] - runs[:, 1:]).abs().mean(), atol=1e-5)
+
+
+def test_the_projector_learns_the_nearest_of_the_batch() -> None:
+    network = matching_network()
+    state = 10.0 * torch.randn(40, network.matching_size + 4)  # so far apart that noise changes no neighbour
+    found: list[torch.Tensor] = []
+
+    class Oracle(torch.nn.Module):
+        def forward(self, queries: torch.Tensor) -> torch.Tensor:
+            found.append(queries)
+            nearest = torch.cdist(queries, state[:, : network.matching_size]).argmin(dim=1)
+            assert torch.equal(nearest, torch.arange(40))
+            return state[nearest]
+
+    network.projector = Oracle()  # type: ignore[assignment]
+    assert float(network._projector_loss(state)) == 0.0
+    assert (found[0] - state[:, : network.matching_size]).abs().max() > 0.5

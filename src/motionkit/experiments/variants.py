@@ -97,6 +97,8 @@ VARIANTS: tuple[Variant, ...] = (
     Variant("HTSS", "baselines", "hierarchical two-stream GRUs (Ghosh 2021)", "htss", paper_parameters=4.7),
     Variant("NeuralLayering", "baselines", "reconstruction of Starke 2021, whose code is not public", "neural-layering",
             paper_parameters=25.21),
+    Variant("LearnedMM", "baselines", "learned motion matching (Holden 2020): decompressor, stepper, projector",
+            "learned-motion-matching"),
     Variant("last frame", "floors", "the last initial frame, held", ""),
     Variant("nearest clip", "floors", "the training clip whose half second before is nearest", ""),
     Variant("motion matching", "floors", "recorded frames, searched every third of a second", ""),

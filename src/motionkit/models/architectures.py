@@ -23,6 +23,7 @@ ARCHITECTURES: dict[str, tuple[str, str]] = {
     "mvae": ("motionkit.models.mvae", "MotionVae"),
     "htss": ("motionkit.models.htss", "TwoStream"),
     "neural-layering": ("motionkit.models.neural_layering", "NeuralLayering"),
+    "learned-motion-matching": ("motionkit.models.learned_motion_matching", "LearnedMotionMatching"),
 }
 
 
