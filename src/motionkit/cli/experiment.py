@@ -438,7 +438,7 @@ def long_command(model_path: Path, data: Path, seconds: float, seeds: int, outpu
 
     table = Table()
     for heading in LONG_HEADER:
-        table.add_column(heading)
+        table.add_column(heading, overflow="fold")
     for each in made:
         table.add_row(*long_row(each.facts))
     stdout_console().print(table)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from motionkit.experiments.datasets import SELECTIONS
@@ -232,7 +232,9 @@ def _paper_value(selection: str, name: str, column: Column) -> float | str:
 
 
 def _recorded_cell(figure: Figure | None, column: Column, selection: str) -> str:
-    return _beside(_cell(figure, column.digits), _paper_value(selection, "recorded", column))
+    # Recordings are the same for every seed.
+    alone = None if figure is None else replace(figure, seeds=1)
+    return _beside(_cell(alone, column.digits), _paper_value(selection, "recorded", column))
 
 
 def _cell(figure: Figure | None, digits: int) -> str:
