@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from motionkit.arrays import Array
-from motionkit.control.follow import PathFollower, follow_path
+from motionkit.arrays import Array, spans
+from motionkit.control.follow import ACCELERATION, PathFollower, follow_path, speed_profile
 from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
@@ -78,6 +78,44 @@ def test_samples_are_in_the_heading_frame(tiny_model: MotionModel) -> None:
     assert (positions[:, 0] < 0).all(), "along +Z is to the right of one who faces +X"
     assert np.allclose(positions[:, 1], np.full((6,), -30.0, np.float32), atol=1e-3)
     assert np.allclose(directions, np.broadcast_to(np.array([-1.0, 0.0], np.float32), (6, 2)), atol=1e-5)
+
+
+def test_a_stop_is_held_and_braked_for(tiny_model: MotionModel) -> None:
+    line = np.array([[0.0, 0.0], [0.0, 600.0]])
+    path = make_path([
+        PathPart(line, "walking", 200.0, stop=2.0),
+        PathPart(np.array([[0.0, 1200.0]]), "walking", 200.0, stop=1.0),
+    ])  # fmt: skip
+    follower = PathFollower(tiny_model, path)
+    ground, speeds, standing = np.array([[0.0, 0.0, 0.0]], np.float32), [], []
+    while not follower.finished:
+        assert len(speeds) < 1200, "the end was not reached"
+        controls = follower(len(speeds), ground)
+        # What is asked for in the next frames, without lag.
+        step = float(controls.trajectory[0, 1]) / 10.0
+        ground = ground + np.array([[0.0, step, 0.0]], np.float32)
+        speeds.append(60.0 * step)
+        standing.append(float(controls.type_weights[0, tiny_model.type_id("idle")]))
+    still, idle = np.array(speeds) < 20.0, np.array(standing)
+    stops = [(start, end) for start, end in spans(still) if end - start > 6]
+    assert [(end - start) / 60 for start, end in stops] == [
+        pytest.approx(2.0, abs=0.4),
+        pytest.approx(1.0, abs=0.4),
+    ]
+    assert [idle[start:end].max() for start, end in stops] == [1.0, 1.0] and idle[0] == 0.0
+    assert np.abs(np.diff(np.convolve(speeds, np.ones(20) / 20, "valid"))).max() * 60 < 1.6 * ACCELERATION
+    assert len(speeds) / 60 == pytest.approx(follower.expected_seconds, rel=0.15)
+
+
+def test_the_speed_changes_no_faster_than_bodies_brake(tiny_model: MotionModel) -> None:
+    line = [np.array([[0.0, 0.0], [0.0, 800.0]]), np.array([[0.0, 1400.0]]), np.array([[0.0, 2000.0]])]
+    path = make_path([PathPart(p, "walking", v) for p, v in zip(line, (360.0, 100.0, 300.0), strict=True)])
+    speeds = speed_profile(tiny_model, path)
+    accelerations = np.diff(speeds.astype(np.float64) ** 2) / (2.0 * SPACING)
+    assert np.abs(accelerations).max() <= 1.001 * ACCELERATION
+    assert (speeds <= np.array([360.0, 100.0, 300.0])[path.part] + 1e-3).all()
+    for part, speed in enumerate((360.0, 100.0, 300.0)):
+        assert speeds[path.part == part].max() == pytest.approx(speed)
 
 
 def test_a_type_that_goes_backwards_faces_against_its_way(tiny_model: MotionModel) -> None:

@@ -155,6 +155,16 @@ def test_json_in_metres(tmp_path: Path) -> None:
     assert [(p.type, p.speed) for p in path.parts] == [("walking", 140.0), ("running", None)]
 
 
+def test_stops_are_at_ends_of_parts(tmp_path: Path) -> None:
+    text = "x,z,type,stop\n0,0,walking,\n0,2,walking,1.5\n0,4,walking,\n0,6,walking,3\n"
+    (tmp_path / "path.csv").write_text(text)
+    path = read_path(tmp_path / "path.csv")
+    assert [p.stop for p in path.parts] == [1.5, 3.0]
+    assert [seconds for _, seconds in path.stops] == [1.5, 3.0]
+    assert [place for place, _ in path.stops] == [pytest.approx(200.0, abs=2 * SPACING), path.length]
+    assert shape_path("line", 4.0, ["walking"], None).stops == ()
+
+
 def test_json_may_be_a_bare_list(tmp_path: Path) -> None:
     assert len(read_path(write(tmp_path, json.dumps(GOOD["parts"]))).parts) == 2
 
@@ -195,6 +205,8 @@ def one_part(**changes: object) -> str:
         (one_part(type="walk\ning"), "part 1: expected a motion type, found"),
         (one_part(points=[[0, 0], [0, True]]), "part 1: expected points"),
         (one_part(speed="fast"), "part 1: expected a number for speed"),
+        (one_part(stop="long"), "part 1: expected a number for stop"),
+        (one_part(stop=-1), "part 1: expected a stop between 0 and 600"),
         (one_part(speed=-1), "part 1: expected a speed between"),
         (one_part(points=[[0, 0], [0, 0.001]]), "part 1 of the path (walking) is 0.1 cm long"),
         (one_part(points=[[0, 0], [0, 1e6]]), "longer than"),
@@ -214,9 +226,9 @@ def test_broken_json_names_the_part(tmp_path: Path, text: str, complaint: str) -
     [
         ("", ":1: path table lacks the columns x, z, type"),
         ("x,y,type\n0,0,walking\n", ":1: path table lacks the columns z"),
-        ("x,z,type\n0,0,walking\n0,one,walking\n", ":3: expected numbers for x, z and speed"),
-        ("x,z,type\n0,0,walking\n0\n", ":3: expected numbers for x, z and speed"),
-        ("x,z,type,speed\n0,0,walking,quick\n", ":2: expected numbers for x, z and speed"),
+        ("x,z,type\n0,0,walking\n0,one,walking\n", ":3: expected numbers for x, z, speed and stop"),
+        ("x,z,type\n0,0,walking\n0\n", ":3: expected numbers for x, z, speed and stop"),
+        ("x,z,type,speed\n0,0,walking,quick\n", ":2: expected numbers for x, z, speed and stop"),
         ("x,z,type\n0,0,walking\n0,inf,walking\n", ":3: expected finite numbers"),
         ("x,z,type\n0,1e308,walking\n0,0,walking\n", ":2: expected finite numbers up to 1,000,000"),
         ("x,z,type\n0,0,\n0,1,\n", ":2: expected a motion type, found none"),

@@ -28,6 +28,10 @@ SEARCH_BACK, SEARCH_AHEAD = 30.0, 60.0
 DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
 PATIENCE = 1.6  # times the expected duration, after which the end is given up
 BLEND_SAMPLES = 16
+# cm/s^2 by which a path's speed changes at most: what 98 % of the frames of recorded runs brake less than.
+ACCELERATION = 220.0
+CREEP = 10.0  # cm/s, the slowest way to a stop
+ARRIVED = 8.0  # cm before a stop at which it has been reached
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +73,10 @@ class PathFollower:
         self.types = np.array([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
         gaits = [model.types[part.type].gait for part in path.parts]
-        self.speeds = part_speeds(model, path)
+        self.speeds = speed_profile(model, path)
+        self.stops = list(path.stops)  # those to come
+        self.stand = next((i for i, name in enumerate(model.types) if model.types[name].stands), None)
+        self.stood: int | None = None  # frames since the stop was reached
         self.facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
         self.entered = -1  # the part the character is on
         self.arc = 0.0
@@ -80,9 +87,15 @@ class PathFollower:
         """How long the path takes at the asked speeds."""
         return _seconds_along(self.path, self.speeds)
 
+    @property
+    def finished(self) -> bool:
+        """Whether the end has been reached, and no stop is to come."""
+        return self.arc >= self.path.length - SPACING and not self.stops
+
     def __call__(self, frame: int, ground: Array) -> Controls:
         self.arc = self._project(ground[0, :2])
         self.arcs.append(self.arc)
+        standing = self._standing()
         ahead = self._arcs_ahead(TRAJECTORY_OFFSETS)
         points, tangents = self.path.at(ahead)
         heading = ground[0, 2]
@@ -92,9 +105,9 @@ class PathFollower:
         trajectory = np.concatenate([positions.reshape(-1), directions.reshape(-1)])
         part = int(self.path.part_at(self.arc))
         kind = self.path.parts[part].type
-        if self.model.types[kind].steered:
+        if self.model.types[kind].steered or standing:
             self.entered = part
-            asked = Controls.of_types(self._type_weights()[None])
+            asked = Controls.of_types(self._type_weights(standing=standing)[None])
         else:
             if part != self.entered:
                 self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
@@ -105,6 +118,23 @@ class PathFollower:
         if self.model.plain:
             asked = replace(asked, types_ahead=np.stack([self._type_weights(arc) for arc in ahead])[None])
         return replace(asked, trajectory=trajectory[None], slip_correction=free).with_mask(1.0)
+
+    def _standing(self) -> float:
+        """Share of standing still in this frame's type: it comes and goes over half a blend around a stop."""
+        if not self.stops:
+            return 0.0
+        place, seconds = self.stops[0]
+        if self.stood is None:
+            if self.arc < place - ARRIVED:
+                return 0.0
+            self.stood = 0
+        self.stood += 1
+        left, half = round(seconds * self.fps) - self.stood, TYPE_BLEND_FRAMES // 2
+        if left < 0:
+            self.stood = None
+            del self.stops[0]
+            return 0.0
+        return min(self.stood, left, half) / half
 
     def _project(self, point: Array) -> float:
         first = max(0, int((self.arc - SEARCH_BACK) / SPACING))
@@ -119,23 +149,34 @@ class PathFollower:
     def _arcs_ahead(self, frames: Sequence[int]) -> Array:
         """Arc lengths frames (sorted, from 1) ahead at the wanted speeds, part by part."""
         out, arc, frame = [], self.arc, 0
+        end = self.stops[0][0] if self.stops else math.inf
         for wanted in frames:
             while frame < wanted:
                 step = min(5, wanted - frame)
-                speed = float(self.speeds[self.path.part_at(arc)])
-                arc += speed * step / self.fps
+                arc = min(arc + self._speed_at(arc) * step / self.fps, max(end, self.arc))
                 frame += step
             out.append(arc)
         return np.array(out, np.float32)
 
-    def _type_weights(self, arc: float | None = None) -> Array:
-        """Type weights (N,), here or at an arc: the mean over half a blend behind and ahead, 40 frames in all."""
+    def _speed_at(self, arc: float) -> float:
+        """Speed in cm/s at an arc length."""
+        return float(self.speeds[min(max(round(arc / SPACING), 0), len(self.speeds) - 1)])
+
+    def _type_weights(self, arc: float | None = None, standing: float = 0.0) -> Array:
+        """Type weights (N,), here or at an arc: the mean over half a blend behind and ahead, 40 frames in all.
+
+        standing: the share of standing still.
+        """
         arc = self.arc if arc is None else arc
         half = TYPE_BLEND_FRAMES // 2
-        reach = float(self.speeds[self.path.part_at(arc)]) * half / self.fps
+        reach = self._speed_at(arc) * half / self.fps
         arcs = np.linspace(arc - reach, arc + reach, BLEND_SAMPLES)
         kinds = self.types[self.path.part_at(arcs)]
-        return np.eye(self.type_count, dtype=np.float32)[kinds].mean(axis=0)
+        weights = np.eye(self.type_count, dtype=np.float32)[kinds].mean(axis=0)
+        if standing and self.stand is not None:
+            weights *= 1.0 - standing
+            weights[self.stand] += standing
+        return weights
 
 
 def part_speeds(model: MotionModel, path: Path2D) -> Array:
@@ -147,13 +188,28 @@ def part_speeds(model: MotionModel, path: Path2D) -> Array:
     return np.maximum(np.array(wanted, np.float32), 20.0)
 
 
+def speed_profile(model: MotionModel, path: Path2D) -> Array:
+    """Speed (N,) in cm/s at each point of the path, which changes no faster than bodies brake and start, to each stop.
+
+    The beginning is as fast as its part: start poses are in motion.
+    """
+    speeds = part_speeds(model, path)[path.part].astype(np.float64)
+    for place, _ in path.stops:
+        speeds[min(round(place / SPACING), len(speeds) - 1)] = CREEP
+    # The square of the speed changes evenly along the way: no point's is more than so much above another's.
+    slope = 2.0 * ACCELERATION * SPACING * np.arange(len(speeds))
+    squares = np.minimum.accumulate(speeds * speeds - slope) + slope
+    squares = np.minimum.accumulate((squares + slope)[::-1])[::-1] - slope
+    return np.sqrt(squares).astype(np.float32)
+
+
 def expected_seconds(model: MotionModel, path: Path2D) -> float:
     """How long the path takes at the asked speeds."""
-    return _seconds_along(path, part_speeds(model, path))
+    return _seconds_along(path, speed_profile(model, path))
 
 
 def _seconds_along(path: Path2D, speeds: Array) -> float:
-    return float((SPACING / speeds[path.part]).sum())
+    return float((SPACING / speeds).sum()) + sum(seconds for _, seconds in path.stops)
 
 
 def follow_path(
@@ -198,7 +254,7 @@ def follow_path(
             progress(min(1.0, furthest))
 
     def finished() -> bool:
-        return follower.arc >= path.length - SPACING
+        return follower.finished
 
     began = time.perf_counter()
     rollout = run(state, limit, follower, report, finished)

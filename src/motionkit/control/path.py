@@ -23,15 +23,24 @@ SPACING = 2.0  # cm between the points a path is resampled to
 MAX_LENGTH = 10_000 * METRE
 MAX_COORDINATE = 1e6  # metres
 MAX_TYPE = 100  # letters
+MAX_STOP = 600.0  # seconds
 
 
 @dataclass(frozen=True, eq=False)
 class PathPart:
-    """A stretch of path: points (N, 2) as x, z in cm, what to do on it, and how fast (cm/s, None: as the type does)."""
+    """A stretch of path.
+
+    Attributes:
+        points: (N, 2) x, z in cm.
+        type: what to do on it.
+        speed: cm/s; None for as fast as the type does.
+        stop: seconds to stand still at its end.
+    """
 
     points: Array
     type: str
     speed: float | None = None
+    stop: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +76,16 @@ class Path2D:
         tangents = self.tangents[index] * (1 - share) + self.tangents[index + 1] * share
         points = points + beyond * self.tangents[last] + before * self.tangents[0]
         return points, normalized(tangents)
+
+    @property
+    def stops(self) -> tuple[tuple[float, float], ...]:
+        """Where to stand still and for how long: arc lengths in cm and seconds, in the order of the path."""
+        ends = np.searchsorted(self.part, np.arange(len(self.parts)), side="right") * SPACING
+        return tuple(
+            (min(float(end), self.length), part.stop)
+            for end, part in zip(ends, self.parts, strict=True)
+            if part.stop
+        )
 
     def part_at(self, arc: Array | float) -> Array:
         """Index (...) of the part at arc lengths (...)."""
@@ -218,8 +237,9 @@ def _check_number(value: float, what: str, low: float, high: float) -> None:
 def read_path(file: str | Path) -> Path2D:
     """A path from JSON or CSV, in metres and metres per second.
 
-    JSON: {"parts": [{"type": "walking", "speed": 1.4, "points": [[x, z], ...]}, ...]}; speed may be left
-    out. CSV: columns x, z, type and, if wanted, speed; rows of one type after another make a part.
+    JSON: {"parts": [{"type": "walking", "speed": 1.4, "stop": 2, "points": [[x, z], ...]}, ...]}; speed and stop may
+    be left out. CSV: columns x, z, type and, if wanted, speed and stop; rows of one type after another make a part,
+    and so does a stop.
 
     Raises:
         ControlError: naming the file and the part or line that is wrong.
@@ -248,10 +268,13 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
             raise ControlError(
                 f"{where}: expected points as a list of [x, z] numbers up to {MAX_COORDINATE:,.0f}"
             )
-        speed = entry.get("speed")
-        if speed is not None and not _is_number(speed):
-            raise ControlError(f"{where}: expected a number for speed, found {str(speed)[:40]!r}")
-        parts.append(_part(where, points, entry["type"], speed))
+        speed, stop = entry.get("speed"), entry.get("stop")
+        for name, number_or_none in (("speed", speed), ("stop", stop)):
+            if number_or_none is not None and not _is_number(number_or_none):
+                raise ControlError(
+                    f"{where}: expected a number for {name}, found {str(number_or_none)[:40]!r}"
+                )
+        parts.append(_part(where, points, entry["type"], speed, stop or 0.0))
     return parts
 
 
@@ -263,7 +286,7 @@ def _is_point(value: object) -> bool:
     return isinstance(value, list) and len(value) == 2 and all(_is_number(v) for v in value)
 
 
-def _part(where: str, points: list, kind: str, speed: float | None) -> PathPart:
+def _part(where: str, points: list, kind: str, speed: float | None, stop: float) -> PathPart:
     if len(kind) > MAX_TYPE or not kind.isprintable():
         raise ControlError(f"{where}: expected a motion type, found {kind[:40]!r}")
     if speed is not None:
@@ -271,37 +294,47 @@ def _part(where: str, points: list, kind: str, speed: float | None) -> PathPart:
             _check_number(speed, "speed", 0.05, 15.0)
         except ControlError as error:
             raise ControlError(f"{where}: {error} m/s") from None
-    return PathPart(np.array(points, np.float64) * METRE, kind, None if speed is None else speed * METRE)
+    try:
+        _check_number(stop, "stop", 0.0, MAX_STOP)
+    except ControlError as error:
+        raise ControlError(f"{where}: {error} s") from None
+    return PathPart(
+        np.array(points, np.float64) * METRE, kind, None if speed is None else speed * METRE, float(stop)
+    )
 
 
 def _csv_parts(file: Path, text: str) -> list[PathPart]:
     reader = csv.DictReader(text.splitlines())
     groups: list[tuple[str, float | None, list[list[float]]]] = []
+    stops: list[float] = []
     try:
         missing = [name for name in ("x", "z", "type") if name not in (reader.fieldnames or [])]
         if missing:
             raise ControlError(f"{file}:1: path table lacks the columns {', '.join(missing)}")
         for row in reader:
-            kind, speed, point = _csv_row(f"{file}:{reader.line_num}", row)
-            if not groups or groups[-1][:2] != (kind, speed):
+            kind, speed, stop, point = _csv_row(f"{file}:{reader.line_num}", row)
+            if not groups or groups[-1][:2] != (kind, speed) or stops[-1]:
                 groups.append((kind, speed, []))
+                stops.append(0.0)
             groups[-1][2].append(point)
+            stops[-1] = stop
     except csv.Error as error:
         raise ControlError(f"{file}:{reader.line_num + 1}: not a table row ({error})") from None
     return [
-        _part(f"{file}: part {i}", points, kind, speed) for i, (kind, speed, points) in enumerate(groups, 1)
+        _part(f"{file}: part {i}", points, kind, speed, stop)
+        for i, ((kind, speed, points), stop) in enumerate(zip(groups, stops, strict=True), 1)
     ]
 
 
-def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, list[float]]:
+def _csv_row(where: str, row: dict[str, str]) -> tuple[str, float | None, float, list[float]]:
     try:
         point = [float(row["x"]), float(row["z"])]
-        speed = float(row["speed"]) if (row.get("speed") or "").strip() else None
+        speed, stop = (float(row[n]) if (row.get(n) or "").strip() else None for n in ("speed", "stop"))
     except (TypeError, ValueError):
-        raise ControlError(f"{where}: expected numbers for x, z and speed") from None
-    if not all(abs(v) <= MAX_COORDINATE for v in (*point, speed or 0.0)):
+        raise ControlError(f"{where}: expected numbers for x, z, speed and stop") from None
+    if not all(abs(v) <= MAX_COORDINATE for v in (*point, speed or 0.0, stop or 0.0)):
         raise ControlError(f"{where}: expected finite numbers up to {MAX_COORDINATE:,.0f}")
     kind = (row["type"] or "").strip()
     if not kind:
         raise ControlError(f"{where}: expected a motion type, found none")
-    return kind, speed, point
+    return kind, speed, stop or 0.0, point

@@ -101,13 +101,11 @@ def speed_trials(walking: str, running: str, standing: str | None = None) -> lis
     trials.append(PathTrial(f"{running} at 3.6 m/s → {walking} at 1 m/s", make_path(parts), 2.0, (3.6, 1.0)))
     if standing is None:
         return trials
-    # The slowest part that a path may have: 10 cm in 2 s.
     stop = [
-        PathPart(np.array([[0.0, 0.0], [0.0, 5.0 * METRE]]), walking, 1.3 * METRE),
-        PathPart(np.array([[0.0, 5.1 * METRE]]), standing, 0.1 * METRE / STOP_SECONDS),
-        PathPart(np.array([[0.0, 10.1 * METRE]]), walking, 1.3 * METRE),
+        PathPart(np.array([[0.0, 0.0], [0.0, 5.0 * METRE]]), walking, 1.3 * METRE, STOP_SECONDS),
+        PathPart(np.array([[0.0, 10.0 * METRE]]), walking, 1.3 * METRE),
     ]
-    name = f"{walking}, {standing} for {STOP_SECONDS:g} s, {walking}"
+    name = f"{walking}, stop for {STOP_SECONDS:g} s, {walking}"
     trials.append(PathTrial(name, make_path(stop), 2.0, (1.3,), STOP_SECONDS))
     return trials
 
