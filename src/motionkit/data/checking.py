@@ -83,6 +83,9 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     check("phase_seconds", good, "seconds of some of the types")
     good = _mapping(events) and set(events) <= set(types) and all(e in ("", *KINDS) for e in events.values())
     check("phase_events", good, f"of some of the types one of {', '.join(KINDS)} or nothing")
+    twins: Any = manifest.get("mirrored_types", {})
+    good = _mapping(twins) and set(twins) <= set(types) and all(twin in types for twin in twins.values())
+    check("mirrored_types", good, "types of some of the types")
     clips: Any = manifest.get("clips")
     check("clips", isinstance(clips, list), "a list")
     for number, clip in enumerate(clips):

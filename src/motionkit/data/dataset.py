@@ -231,7 +231,8 @@ class Dataset:
     @cached_property
     def mirrored_type_ids(self) -> Array:
         """For each type (N,), the id of its mirror image's type."""
-        names = [mirrored_type(name) for name in self.types]
+        found = self.manifest.get("mirrored_types", {})
+        names = [found.get(name) or mirrored_type(name) for name in self.types]
         return np.array(
             [self.types.index(n) if n in self.types else i for i, n in enumerate(names)], np.int64
         )

@@ -10,7 +10,7 @@ import hashlib
 import json
 import os
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -29,6 +29,7 @@ from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
+from motionkit.data.twins import mirrored_types, type_poses
 from motionkit.data.workers import Map, worker_processes
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
@@ -104,7 +105,7 @@ class PreprocessReport:
 class _Prepared:
     """The first pass's result for a file; the arrays are in motion_file.
 
-    body is the skeleton of the motion; own_body has the performer's bone lengths.
+    body is the skeleton of the motion; own_body has the performer's bone lengths; poses are some of each type.
     """
 
     report: FileReport
@@ -115,6 +116,7 @@ class _Prepared:
     body: list[list[float]]
     own_body: list[list[float]]
     moment: np.ndarray | None
+    poses: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def preprocess(
@@ -261,7 +263,8 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     quats = motion.local_rotations.astype(np.float64)[rows]
     moment = np.einsum("tja,tjb->jab", quats, quats)
     body, own_body = motion.skeleton.offsets.tolist(), mapping.body.tolist()
-    return _Prepared(report, motion_file, runs, body, own_body, moment)
+    spans = [span for run in runs for span in run[2]]
+    return _Prepared(report, motion_file, runs, body, own_body, moment, type_poses(motion, spans))
 
 
 def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]) -> tuple:
@@ -290,7 +293,9 @@ def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, le
 # ---- splits ----
 
 
-def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, int], str]:
+def _decide_splits(
+    prepared: list[_Prepared], mirror: bool, twin_types: Mapping[str, str]
+) -> dict[tuple[int, int], str]:
     """Choose a split for each (file, run) without one; whole clips of each type are held out for testing.
 
     A type with a single clip gets "mirror": the clip is for training and its mirror image for testing, or, for about
@@ -308,7 +313,7 @@ def _decide_splits(prepared: list[_Prepared], mirror: bool) -> dict[tuple[int, i
         keys = sorted(open_runs[kind], key=lambda k: _hashed(f"{prepared[k[0]].report.name}{k[1]}"))
         if len(keys) == 1:
             i, r = keys[0]
-            same = all(mirrored_type(shown) == shown for _, _, shown in prepared[i].runs[r][2])
+            same = all(twin_types[shown] == shown for _, _, shown in prepared[i].runs[r][2])
             out[keys[0]] = "mirror" if mirror and same else "train"
             continue
         held = max(1, round(TEST_SHARE * len(keys)))
@@ -359,7 +364,8 @@ def _pass_two(
         given = identity_reference_rotations()
     reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
-    splits = _decide_splits(prepared, options.mirror)
+    twin_types = mirrored_types(types, _all_poses(prepared))
+    splits = _decide_splits(prepared, options.mirror, twin_types)
     if options.validation:
         _hold_out_validation(prepared, splits)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)
@@ -389,7 +395,7 @@ def _pass_two(
                 clip = Clip(
                     name, row, frames, splits.get((index, r), split), subject, bodies.index(item.body)
                 )
-                twins = _with_twin(clip, spans, types, options.mirror)
+                twins = _with_twin(clip, spans, twin_types, options.mirror)
                 clips.extend(twins)
                 _add_moments(twins, data, kinds, layout, moments, trajectory_moments)
                 row += frames
@@ -410,6 +416,7 @@ def _pass_two(
         "smoothed": options.smooth,
         "phase_seconds": {types[kind]: round(rule.frames / FPS, 3) for kind, rule in sorted(rules.items())},
         "phase_events": {types[kind]: rule.event for kind, rule in sorted(rules.items())},
+        **({"mirrored_types": found} if (found := _found_by_motion(twin_types)) else {}),
         "bodies": bodies,
         "characters": _characters(prepared, options.own_bodies),
         "references": reference_rotations.tolist(),
@@ -422,11 +429,25 @@ def _pass_two(
         staging,
         None,
         [p.report for p in prepared],
-        _type_table(clips, kinds, types),
+        _type_table(clips, kinds, types, twin_types),
         len(clips),
         total / FPS,
     )
     return manifest, report
+
+
+def _all_poses(prepared: list[_Prepared]) -> dict[str, np.ndarray]:
+    """Poses of each type in all files."""
+    parts: dict[str, list[np.ndarray]] = defaultdict(list)
+    for item in prepared:
+        for kind, poses in item.poses.items():
+            parts[kind].append(poses)
+    return {kind: np.concatenate(found) for kind, found in parts.items()}
+
+
+def _found_by_motion(twin_types: Mapping[str, str]) -> dict[str, str]:
+    """The types whose mirror image is a type that no name tells."""
+    return {kind: other for kind, other in twin_types.items() if other != mirrored_type(kind)}
 
 
 def _write_phases(
@@ -522,7 +543,7 @@ def _encode_file(
 
 
 def _with_twin(
-    clip: Clip, spans: Sequence[tuple[int, int, str]], types: Sequence[str], mirror: bool
+    clip: Clip, spans: Sequence[tuple[int, int, str]], twin_types: Mapping[str, str], mirror: bool
 ) -> list[Clip]:
     """The clip and, if it has one, its mirrored twin."""
     base = asdict(clip)
@@ -533,7 +554,7 @@ def _with_twin(
             trains, tests = {**twin, "split": "train"}, {**base, "split": "test"}
         return [Clip(**trains), Clip(**tests)]
     # The mirror image of a one-sided type has no correct label if the data lacks the other side.
-    known = all(mirrored_type(kind) in types for _, _, kind in spans)
+    known = all(twin_types[kind] in twin_types for _, _, kind in spans)
     if clip.split == "train" and mirror and known:
         return [clip, Clip(**twin)]
     return [clip]
@@ -572,7 +593,7 @@ def _plain(scaling: Scaling) -> dict[str, list[float]]:
 
 
 def _type_table(
-    clips: list[Clip], types_array: np.ndarray, types: Sequence[str]
+    clips: list[Clip], types_array: np.ndarray, types: Sequence[str], twin_types: Mapping[str, str]
 ) -> dict[str, dict[str, float]]:
     """For each type: number of clips, mirrored, validation and test clips, and seconds of recordings in each split."""
     table = {
@@ -596,7 +617,7 @@ def _type_table(
         for kind, count in zip(kinds, counts, strict=True):
             name = types[kind]
             if clip.mirrored:
-                shown = mirrored_type(name)
+                shown = twin_types[name]
                 row = table[shown if shown in table else name]
                 row["mirrored"] += 1
             else:
