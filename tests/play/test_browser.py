@@ -7,6 +7,7 @@ import math
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +16,8 @@ from typing import TYPE_CHECKING
 import pytest
 from PIL import Image
 
+from motionkit.models.bundled import BUNDLED_MODEL
+from motionkit.models.checkpoint import load_model, save_model
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from view.conftest import PATIENCE, drawn
 
@@ -23,9 +26,12 @@ if TYPE_CHECKING:
 
 
 @pytest.fixture(scope="module", autouse=True)  # the first to start and the last to stop: pages look for it
-def address() -> Iterator[str]:
-    """The address of `motionkit play` in a separate process."""
-    words = [sys.executable, "-m", "motionkit", "play", "--port", "0", "--no-open", "--json"]
+def address(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """The address of `motionkit play` in a separate process, with three of the bundled model's bodies."""
+    model, file = load_model(BUNDLED_MODEL), tmp_path_factory.mktemp("browser") / "few.safetensors"
+    save_model(file, replace(model, characters=dict(list(model.characters.items())[:3])), half=True)
+    words = [sys.executable, "-m", "motionkit", "play", "--model", str(file)]
+    words += ["--port", "0", "--no-open", "--json"]
     with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as server:
         assert server.stdout is not None and server.stderr is not None
         try:

@@ -17,7 +17,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 from motionkit.play.on_rig import LiveRig, with_rig
-from motionkit.play.recording import bvh_bytes
+from motionkit.play.recording import file_bytes
 from motionkit.play.requests import parse_request
 from motionkit.play.session import Session
 from synthetic_rigs import FAMILIES, renamed, walk
@@ -93,6 +93,6 @@ def test_a_recording_of_the_body_is_on_the_rig(tiny_model: MotionModel, rig: Rig
     for _ in range(30):
         session.step()
     recorded = session.obey(1, parse_request('{"do": "record", "on": false}'))
-    (tmp_path / "out.bvh").write_bytes(bvh_bytes(recorded.motion, rig))
+    (tmp_path / "out.bvh").write_bytes(file_bytes(recorded.motion, rig))
     made = read_bvh(tmp_path / "out.bvh")
     assert made.skeleton.names == rig.skeleton.names and len(made.values) == 30

@@ -12,15 +12,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from motionkit.cli import motion_options
 from motionkit.errors import ControlError
+from motionkit.export.formats import WRITERS, read_motion
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterFrame
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle
 from motionkit.play.frames import WorldFrame
 from motionkit.play.limits import Limits
-from motionkit.play.recording import Recordings, bvh_bytes
+from motionkit.play.recording import FORMATS, Recordings, file_bytes
 from motionkit.play.requests import Request, parse_request
 from motionkit.play.session import Recorded, Session
 
@@ -229,13 +232,30 @@ def test_a_recording_holds_the_frames_that_were_sent(session: Session, tmp_path:
     recorded = ask(session, 1, "record", on=False)
     assert recorded is not None and not play(session, 1)[0].characters[0].recording
     file = tmp_path / "recorded.bvh"
-    file.write_bytes(bvh_bytes(recorded.motion))
+    file.write_bytes(file_bytes(recorded.motion))
     motion = bvh_to_motion(read_bvh(file))
     assert len(motion) == 40 and motion.fps == 60.0
     rotations = np.stack([shown.rotations for shown in sent])
     roots = np.stack([shown.root for shown in sent])
     assert float(quat_angle(motion.local_rotations, rotations).max()) < 1e-3
     assert np.allclose(motion.root_positions, roots, atol=1e-4)
+
+
+def test_recordings_have_every_format(session: Session, tmp_path: Path) -> None:
+    assert set(FORMATS) == {ending.removeprefix(".") for ending in WRITERS} == set(motion_options.FORMATS)
+    session.join(1)
+    ask(session, 1, "record", on=True)
+    play(session, 8)
+    recorded = ask(session, 1, "record", on=False, format="glb")
+    assert recorded is not None and recorded.format == "glb"
+    for name in FORMATS:
+        (tmp_path / f"a.{name}").write_bytes(file_bytes(recorded.motion, format=name))
+    for name in ("bvh", "glb"):
+        again = read_motion(tmp_path / f"a.{name}")
+        assert len(again) == 8 and np.allclose(
+            motion_kinematics(again)[1], motion_kinematics(recorded.motion)[1], atol=0.01
+        )
+    assert (tmp_path / "a.csv").read_text().count("\n") == 9
 
 
 def test_a_recording_ends_at_its_limit(tiny_model: MotionModel) -> None:

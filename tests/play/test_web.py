@@ -428,6 +428,25 @@ def test_a_recording_on_a_users_rig(serve: Callable, web: Callable, tmp_path: Pa
     assert f"Frames: {event['frames']}" in body.decode()
 
 
+def test_a_recording_in_another_format(serve: Callable, web: Callable) -> None:
+    server = serve(recording_format="usda")
+    client = web(server)
+    mine = client.hello["character"]
+    for asked, ending, content, begin in (
+        ({}, "usda", "text/plain; charset=utf-8", b"#usda 1.0"),
+        ({"format": "vrma"}, "vrma", "model/gltf-binary", b"glTF"),
+    ):
+        client.ask(do="record", on=True)
+        client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
+        client.ask(do="record", on=False, **asked)
+        event = client.until("recorded")
+        status, headers, body = get(server, event["url"])
+        assert (status, headers["content-type"]) == (200, content) and body.startswith(begin)
+        assert headers["content-disposition"] == f'attachment; filename="motionkit-recording.{ending}"'
+    client.ask(do="record", on=False, format="fbx")
+    assert "format: expected one of bvh, glb," in client.until("error")["message"]
+
+
 def test_recordings_do_not_pile_up(serve: Callable, web: Callable, monkeypatch: pytest.MonkeyPatch) -> None:
     begun, go_on = threading.Event(), threading.Event()
 
@@ -436,7 +455,7 @@ def test_recordings_do_not_pile_up(serve: Callable, web: Callable, monkeypatch: 
         assert go_on.wait(PATIENCE)
         return b"HIERARCHY"
 
-    monkeypatch.setattr("motionkit.play.live.bvh_bytes", slow)
+    monkeypatch.setattr("motionkit.play.live.file_bytes", slow)
     client = web(serve(limits=Limits(recordings=1)))
     mine = client.hello["character"]
 

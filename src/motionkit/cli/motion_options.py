@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from motionkit.editing.loop import Loop
     from motionkit.motion.motion import Motion
 
-ENDINGS = ".bvh, .glb, .vrma, .usda, .npz or .csv"
+FORMATS = ("bvh", "glb", "vrma", "usda", "npz", "csv")  # those of export.formats, which takes long to import
+ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
 
 
 @dataclass(frozen=True)

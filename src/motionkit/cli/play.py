@@ -11,6 +11,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import remark, say, visible
+from motionkit.cli.motion_options import FORMATS
 from motionkit.cli.rig_options import RigChoice, rig_options
 from motionkit.cli.synthesis_options import reference_option
 
@@ -78,6 +79,14 @@ def _visible_log() -> Iterator[None]:
     "--vmc", metavar="HOST:PORT", callback=_target, help="Also send one character as VMC (OSC over UDP)."
 )
 @rig_options
+@click.option(
+    "--format",
+    "recording_format",
+    type=click.Choice(FORMATS),
+    default="bvh",
+    show_default=True,
+    help="Format of recordings; programs may ask for another one.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
 def command(
     model_path: Path | None,
@@ -90,6 +99,7 @@ def command(
     tcp: int | None,
     vmc: tuple[str, int] | None,
     choice: RigChoice,
+    recording_format: str,
     as_json: bool,
 ) -> None:
     """Start a server on this machine and open its page, to steer characters live.
@@ -140,7 +150,7 @@ def command(
         model = with_rig(model, choice.rig)
         character = character or choice.rig.name
     session = Session(model, character or "default")
-    options = ServerOptions(host, port, tcp, vmc, not headless, choice.rig, choice.clip)
+    options = ServerOptions(host, port, tcp, vmc, not headless, choice.rig, choice.clip, recording_format)
     with _visible_log():
         try:
             asyncio.run(PlayServer(session, options).run(ready))

@@ -8,14 +8,14 @@ from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
-from motionkit.errors import ControlError
+from motionkit.errors import ControlError, MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig
 from motionkit.play.client import COSTS, Client
 from motionkit.play.frames import Shown, WorldFrame, frame_bytes, frame_text
 from motionkit.play.on_rig import LiveRig
 from motionkit.play.pace import Pacer
-from motionkit.play.recording import Recordings, bvh_bytes
+from motionkit.play.recording import Recordings, file_bytes
 from motionkit.play.requests import ProtocolError, Request, parse_request
 from motionkit.play.session import Recorded, Session
 
@@ -31,9 +31,16 @@ class Live:
         session: Session,
         clock: Callable[[], float] = time.perf_counter,
         rig: tuple[Rig | None, Motion | None] = (None, None),
+        recording_format: str = "bvh",
     ) -> None:
-        """rig: that of recordings and of JSON frames, and a clip of it for its other joints (bvh_bytes)."""
+        """What programs get beside the session's own frames.
+
+        Args:
+            rig: that of recordings and of JSON frames, and a clip of it for its other joints (file_bytes).
+            recording_format: of recordings whose request names none, one of FORMATS.
+        """
         self.session, self.clock, self.rig = session, clock, rig
+        self.recording_format = recording_format
         self._live_rig = None if rig[0] is None else LiveRig(rig[0])
         self.clients: dict[int, Client] = {}
         limits = session.limits
@@ -151,20 +158,23 @@ class Live:
 
     async def _write(self, recorded: Recorded) -> None:
         """Write the file in a thread while frames go on, then tell its owner."""
-        async with self._writing:
-            data = await asyncio.to_thread(bvh_bytes, recorded.motion, *self.rig)
-        token = self.recordings.add(data)
+        format = recorded.format or self.recording_format
+        try:
+            async with self._writing:
+                data = await asyncio.to_thread(file_bytes, recorded.motion, *self.rig, format)
+        except MotionkitError as error:
+            told = error_event(error, closing=False)
+        else:
+            told = {
+                "event": "recorded",
+                "character": recorded.character,
+                "url": f"/recordings/{self.recordings.add(data, format)}",
+                "frames": len(recorded.motion),
+                "seconds": recorded.motion.seconds,
+            }
         client = self.clients.get(recorded.owner or 0)
         if client is not None:
-            client.tell(
-                {
-                    "event": "recorded",
-                    "character": recorded.character,
-                    "url": f"/recordings/{token}.bvh",
-                    "frames": len(recorded.motion),
-                    "seconds": recorded.motion.seconds,
-                }
-            )
+            client.tell(told)
 
     # ---- the clock ----
 
@@ -232,6 +242,6 @@ class Live:
         }
 
 
-def error_event(error: ControlError | ProtocolError, closing: bool) -> dict[str, Any]:
+def error_event(error: MotionkitError | ProtocolError, closing: bool) -> dict[str, Any]:
     """The event for a client that made an error."""
     return {"event": "error", "message": str(error), "closing": closing}

@@ -19,7 +19,14 @@ from motionkit.view.viewer import fill_page
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:;\[\]]+))(?::\d{1,5})?")
-_RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64})\.bvh")
+_RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64}\.([a-z]{3,4}))")
+_CONTENT = {
+    "bvh": "text/plain; charset=utf-8",
+    "glb": "model/gltf-binary",
+    "vrma": "model/gltf-binary",
+    "usda": "text/plain; charset=utf-8",
+    "csv": "text/csv; charset=utf-8",
+}
 
 
 def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
@@ -83,7 +90,10 @@ def origin_allowed(origin: str | None, host: str) -> bool:
     return origin is None or origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())
 
 
-def find_recording(path: str, recordings: Recordings) -> bytes | None:
-    """The recording that a request path names, or None."""
+def find_recording(path: str, recordings: Recordings) -> tuple[bytes, str, str] | None:
+    """The recording that a request path names, its content type and a name to save it by; or None."""
     match = _RECORDING.fullmatch(path)
-    return None if match is None else recordings.get(match.group(1))
+    found = None if match is None else recordings.get(match[1])
+    if match is None or found is None:
+        return None
+    return found, _CONTENT.get(match[2], "application/octet-stream"), f"motionkit-recording.{match[2]}"

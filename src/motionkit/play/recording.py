@@ -1,4 +1,4 @@
-"""Records frames as they were sent, and makes BVH files of them."""
+"""Records frames as they were sent, and makes motion files of them."""
 
 from __future__ import annotations
 
@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.export.clip import Clip
+from motionkit.export.formats import WRITERS, write_motion
 from motionkit.export.on_rig import on_rig
-from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig
 from motionkit.motion.rotations import quat_continuous
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
-from motionkit.motion.to_rig import rig_bvh
 
 Floats = NDArray[np.float32]
+FORMATS = tuple(ending.removeprefix(".") for ending in WRITERS)
 _GROWTH = 600  # initial capacity of a recording, frames
 
 
@@ -53,37 +54,46 @@ class Recorder:
         return Motion(self.skeleton, rotations, values[:, -3:], self.fps)
 
 
-def bvh_bytes(motion: Motion, rig: Rig | None = None, clip: Motion | None = None) -> bytes:
-    """A motion as the contents of a BVH file; takes about a second for minutes of motion.
+def file_bytes(
+    motion: Motion, rig: Rig | None = None, clip: Motion | None = None, format: str = "bvh"
+) -> bytes:
+    """A motion as the contents of a file; takes about a second for minutes of motion.
 
     Args:
         motion: on the canonical joints.
         rig: to put it on, its feet held; the canonical joints by default.
         clip: motion of the rig, whose other joints move as they do there.
+        format: of the file, one of FORMATS.
+
+    Raises:
+        MotionkitError: the format cannot hold the motion, such as VRMA on a rig that it knows too little of.
     """
+    made = Clip(motion, "recording")
+    if rig is not None:
+        made = Clip(on_rig(motion, rig, clip=clip), "recording", (), rig.channels, rig.hierarchy)
     with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "recording.bvh"
-        write_bvh(file, motion if rig is None else rig_bvh(on_rig(motion, rig, clip=clip), rig))
+        file = Path(folder) / f"recording.{format}"
+        write_motion(file, made)
         return file.read_bytes()
 
 
 class Recordings:
-    """Finished files in memory, keyed by random tokens; the oldest are dropped when there are too many."""
+    """Finished files in memory by random names; the oldest are dropped when there are too many."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         self.most, self.most_bytes = most, most_bytes
         self._files: OrderedDict[str, bytes] = OrderedDict()
 
-    def add(self, data: bytes) -> str:
-        """Store a file; returns its token."""
-        token = secrets.token_urlsafe(18)
-        self._files[token] = data
+    def add(self, data: bytes, format: str = "bvh") -> str:
+        """Store a file; returns its name, a token with the ending of its format."""
+        name = f"{secrets.token_urlsafe(18)}.{format}"
+        self._files[name] = data
         while len(self._files) > 1 and (
             len(self._files) > self.most or sum(map(len, self._files.values())) > self.most_bytes
         ):
             self._files.popitem(last=False)
-        return token
+        return name
 
-    def get(self, token: str) -> bytes | None:
-        """The file of a token, None if it is unknown or was dropped."""
-        return self._files.get(token)
+    def get(self, name: str) -> bytes | None:
+        """The file of a name, None if it is unknown or was dropped."""
+        return self._files.get(name)

@@ -10,6 +10,7 @@ from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
 from motionkit.inference.rollout import NOISE_KINDS
 from motionkit.play.limits import Limits
+from motionkit.play.recording import FORMATS
 
 MAX_SPEED = 1000.0  # cm/s
 MAX_PLACE = 1e6  # cm from the origin
@@ -65,6 +66,12 @@ def _flag(value: Any) -> bool:
 def _noise_kind(value: Any) -> str:
     if value not in NOISE_KINDS:
         raise ValueError(f"one of {', '.join(NOISE_KINDS)}")
+    return str(value)
+
+
+def _format(value: Any) -> str:
+    if value not in FORMATS:
+        raise ValueError(f"one of {', '.join(FORMATS)}")
     return str(value)
 
 
@@ -125,7 +132,7 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
         "kind": (_noise_kind, "correlated"),
         "temperature": (_number(0.0, MAX_TEMPERATURE), 0.05),
     },
-    "record": {**_CHARACTER, "on": (_flag, _REQUIRED)},
+    "record": {**_CHARACTER, "on": (_flag, _REQUIRED), "format": (_or_null(_format), None)},
     "ping": {"stamp": (_number(-1e300, 1e300), 0.0)},
 }
 

@@ -65,7 +65,7 @@ class ServerOptions:
     """Where to listen and send, and what recordings are on; port 0 picks a free one, None disables the output.
 
     rig and clip are those of recordings and of JSON frames: a user's rig, and motion of it for joints of recordings
-    without a canonical joint.
+    without a canonical joint. recording_format is that of recordings whose request names none.
     """
 
     host: str = "127.0.0.1"
@@ -75,6 +75,7 @@ class ServerOptions:
     page: bool = True
     rig: Rig | None = None
     clip: Motion | None = None
+    recording_format: str = "bvh"
 
 
 @dataclass(frozen=True)
@@ -93,7 +94,7 @@ class PlayServer:
 
     def __init__(self, session: Session, options: ServerOptions) -> None:
         self.options = options
-        self.live = Live(session, rig=(options.rig, options.clip))
+        self.live = Live(session, rig=(options.rig, options.clip), recording_format=options.recording_format)
         model = session.model
         bodies = {name: model.character(name) for name in model.characters}
         self._page = load_page(bodies) if options.page else None
@@ -198,8 +199,9 @@ class PlayServer:
             return _response(HTTPStatus.OK, self._page, "text/html; charset=utf-8", headers)
         recording = find_recording(path, self.live.recordings)
         if recording is not None:
-            named = {"Content-Disposition": 'attachment; filename="motionkit-recording.bvh"'}
-            return _response(HTTPStatus.OK, recording, "text/plain; charset=utf-8", named)
+            data, content, name = recording
+            named = {"Content-Disposition": f'attachment; filename="{name}"'}
+            return _response(HTTPStatus.OK, data, content, named)
         return _response(HTTPStatus.NOT_FOUND, "not found")
 
     def _knows_token(self, request: HttpRequest, query: str) -> bool:

@@ -108,11 +108,12 @@ class Character:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A finished recording of a character."""
+    """A finished recording of a character; format as its owner asked for, or None."""
 
     character: int
     owner: int | None
     motion: Motion
+    format: str | None = None
 
 
 class Session:
@@ -249,7 +250,7 @@ class Session:
                     replace(character.noise, kind=fields["kind"], temperature=fields["temperature"])
                 )
             case "record":
-                return self._record(character, fields["on"])
+                return self._record(character, fields["on"], fields.get("format"))
         character.seq = fields.get("seq", character.seq)
         return None
 
@@ -261,7 +262,7 @@ class Session:
                 f"the path is {length:.0f} cm long, at most {self.limits.path_cm:.0f} cm are allowed"
             )
 
-    def _record(self, character: Character, on: bool) -> Recorded | None:
+    def _record(self, character: Character, on: bool, format: str | None) -> Recorded | None:
         if on:
             if character.recorder is not None:
                 raise ControlError(f"character {character.id} is already being recorded")
@@ -272,7 +273,7 @@ class Session:
         if character.recorder is None or not character.recorder.frames:
             character.recorder = None
             raise ControlError(f"nothing was recorded of character {character.id}")
-        return self._end_recording(character)
+        return replace(self._end_recording(character), format=format)
 
     def _end_recording(self, character: Character) -> Recorded:
         assert character.recorder is not None
