@@ -185,6 +185,16 @@ def test_the_page_says_where_networks_have_not_learnt_enough() -> None:
     assert "motion matching (MPJPE" not in page([*three, matching(15.0)])
 
 
+def test_the_page_names_networks_beyond_the_spread() -> None:
+    text = page(RESULTS)
+    wanted = (
+        "MPJPE more than twice TPTN's spread over 3 seeds from TPTN's 10.1 ± 0.1: lower FPTN-R; higher EBTN; "
+        "of 2 other networks"
+    )
+    assert wanted in text
+    assert "twice TPTN's spread" not in page(RESULTS[:1] + RESULTS[3:])  # one seed of TPTN has none
+
+
 def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) -> None:
     def scenes(model: str, shift: float) -> dict[str, Any]:
         facts = [

@@ -20,6 +20,7 @@ from motionkit.experiments.tables import (
     protocol_folders,
     tables,
 )
+from motionkit.experiments.variants import VARIANTS
 from motionkit.files import atomic_write
 
 HEAD = """# Experiments
@@ -152,8 +153,29 @@ def findings(results: Results) -> list[str]:
             said = _compared(here, rival)
             if said:
                 lines.append(f"`{folder}`, {claim}: {said}.")
-        lines += _unlearnt(folder, here)
+        lines += _beyond_spread(folder, here) + _unlearnt(folder, here)
     return lines or ["Nothing yet: no results of TPTN beside another."]
+
+
+def _beyond_spread(folder: str, results: Results) -> list[str]:
+    """Name the other networks whose MPJPE or AFS differs from TPTN's by more than twice its spread over seeds."""
+    lines = []
+    names = [v.name for v in VARIANTS if v.preset and v.group != "tptn"]
+    for metric, title in (("mpjpe", "MPJPE"), ("afs", "AFS")):
+        mine = figure_of([r for r in results if r["name"] == "TPTN"], metric)
+        if mine is None or mine.seeds < 2:
+            continue
+        theirs = {name: figure_of([r for r in results if r["name"] == name], metric) for name in names}
+        gaps = {name: found.mean - mine.mean for name, found in theirs.items() if found is not None}
+        lower, higher = (
+            [name for name, gap in gaps.items() if sign * gap > 2.0 * mine.spread] for sign in (-1.0, 1.0)
+        )
+        said = f"lower {', '.join(lower) or 'in none'}; higher {', '.join(higher) or 'in none'}"
+        lines.append(
+            f"`{folder}`, {title} more than twice TPTN's spread over {mine.seeds} seeds from TPTN's {mine.mean:.3g} "
+            f"± {mine.spread:.2g}: {said}; of {len(gaps)} other networks, most with one seed."
+        )
+    return lines
 
 
 def _unlearnt(folder: str, results: Results) -> list[str]:
