@@ -24,6 +24,8 @@ from docutils.nodes import SkipNode  # noqa: E402
 from latex2mathml.converter import convert  # noqa: E402
 
 import motionkit  # noqa: E402
+from motionkit.models.bundled import load_bundled_model  # noqa: E402
+from motionkit.play.demo import write_demo  # noqa: E402
 
 project = "motionkit"
 author = "the motionkit authors"
@@ -57,6 +59,9 @@ LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
 # Pages that no section lists by hand: those of these names are tutorials, all others are how-to.
 TUTORIALS = ("my-*", "experiments*")
 UNKNOWN_LANGUAGES = {"csv": "text"}
+# The picture of the demo, in whose place the site has the demo itself.
+DEMO_PICTURE = "![The page, light and dark](demo.png)"
+DEMO = '<iframe class="demo" src="_static/demo/index.html" title="The demo" allow="clipboard-write; gamepad"></iframe>'
 
 
 def title(page: Path) -> str:
@@ -113,6 +118,8 @@ def read_page(app: Any, name: str, source: list[str]) -> None:
     if name.startswith("_generated/"):
         return
     text = site_links(source[0], DOCS, "")
+    if app.config.motionkit_gallery:
+        text = text.replace(DEMO_PICTURE, DEMO)
     for language, known in UNKNOWN_LANGUAGES.items():
         text = text.replace(f"```{language}\n", f"```{known}\n")
     if name in ("tutorials", "how-to") and (more := unlisted(name == "tutorials")):
@@ -137,6 +144,7 @@ def generate(app: Any) -> None:
         from make_gallery import make_gallery
 
         make_gallery(GENERATED)
+        write_demo(GENERATED / "static" / "demo", load_bundled_model())
     else:
         write("gallery.md", "# Gallery\n\nLeft out of this build.\n")
 
@@ -192,7 +200,7 @@ def write_block_formula(page: Any, node: Any) -> None:
 
 
 def setup(app: Any) -> None:
-    """Connect the above to Sphinx; `-D motionkit_gallery=0` leaves the gallery out."""
+    """Connect the above to Sphinx; `-D motionkit_gallery=0` leaves gallery and demo out."""
     app.add_config_value("motionkit_gallery", True, "env", types=(bool, int, str))
     app.add_html_math_renderer("mathml", (write_formula, None), (write_block_formula, None))
     app.connect("builder-inited", generate)

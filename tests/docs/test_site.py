@@ -7,7 +7,7 @@ import shlex
 import subprocess
 import sys
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 
 import click
 import pytest
@@ -53,6 +53,17 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     api = (tmp_path / "_generated" / "api.html").read_text("utf-8")
     assert all(f'id="motionkit.{name}"' in api for name in motionkit.__all__ if name != "__version__")
     assert "http://" not in (tmp_path / "_static" / "site.css").read_text("utf-8")
+
+
+def test_the_site_has_the_demo_itself_in_place_of_its_picture() -> None:
+    pytest.importorskip("latex2mathml")
+    conf = module("conf")
+    text = (DOCS / "demo.md").read_text("utf-8")
+    assert conf.DEMO_PICTURE in text
+    for shown in (True, False):
+        source = [text]
+        conf.read_page(SimpleNamespace(config=SimpleNamespace(motionkit_gallery=shown)), "demo", source)
+        assert ("<iframe" in source[0]) is shown and ("demo.png" in source[0]) is not shown
 
 
 def test_links_of_the_site() -> None:

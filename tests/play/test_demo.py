@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
+import motionkit as mk
 from motionkit.arrays import Array, Floats
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import PathPart, make_path
@@ -328,7 +329,7 @@ def test_a_drawn_path_is_followed(visit: Callable[..., Page]) -> None:
     page.close()
 
 
-def test_a_recording_is_the_motion_that_was_shown(page: Page) -> None:
+def test_a_recording_is_the_motion_that_was_shown(page: Page, tmp_path: Path) -> None:
     with page.expect_download(timeout=PATIENCE) as download:
         page.evaluate("motionkit.record()")
         wait_frames(page, 40)
@@ -342,6 +343,14 @@ def test_a_recording_is_the_motion_that_was_shown(page: Page) -> None:
     assert len(motion) >= 40 and abs(motion.fps - 60.0) < 0.01
     names = load_bundled_model().character("default").names
     order = [motion.skeleton.names.index(name) for name in names]
+    assert np.linalg.norm(positions[-1, order] - kept, axis=-1).max() < 0.01
+    with page.expect_download(timeout=PATIENCE) as download:
+        page.locator("#hint a", has_text="as GLB").click()
+    file = Path(download.value.path()).rename(tmp_path / "recording.glb")
+    skinned = mk.read(file)
+    _, positions = motion_kinematics(skinned)
+    order = [skinned.skeleton.names.index(name) for name in names]
+    assert len(skinned) == len(motion)
     assert np.linalg.norm(positions[-1, order] - kept, axis=-1).max() < 0.01
 
 

@@ -1,6 +1,7 @@
 // What the page of `motionkit play` asks of a server, done in the page itself: the listeners and methods of play/link.js.
 
 import { bvhText } from "./bvh.js";
+import { glbBytes } from "./glb.js";
 import { World } from "./world.js";
 
 const CLIENT = 1;
@@ -113,9 +114,10 @@ export class LocalLink {
     one.recorded = on ? [] : null;
     this.#changed();
     if (on || !recorded?.length) return;
-    const text = bvhText(this.model.skeleton, recorded, this.model.fps);
-    const url = URL.createObjectURL(new Blob([text], { type: "text/plain" }));
-    this.listeners.event({ event: "recorded", character, url, seconds: recorded.length / this.model.fps });
+    const { fps, skeleton } = this.model;
+    const url = addressOf(bvhText(skeleton, recorded, fps));
+    const others = { glb: async (figure) => addressOf(await glbBytes(figure, recorded, fps)) };
+    this.listeners.event({ event: "recorded", character, url, others, seconds: recorded.length / fps });
   }
 
   // Says so once the machine makes fewer frames than are due, and once it keeps up again.
@@ -131,6 +133,8 @@ export class LocalLink {
     this.behind = behind;
   }
 }
+
+const addressOf = (content) => URL.createObjectURL(new Blob([content], { type: "application/octet-stream" }));
 
 // Numbers as a link keeps them, so that it replays what was done.
 function rounded(value) {

@@ -575,10 +575,23 @@ export class Play {
     this.recordButton.replaceChildren(element("span", { className: "dot" }), on ? "0.0 s" : "Record");
   }
 
-  #save({ url, seconds }) {
-    const link = element("a", { href: url, download: "motionkit-recording.bvh" }, "again");
+  // Downloads a recording; others are what makes its address in other formats, by their endings.
+  #save({ character, url, seconds, others = {} }) {
+    const name = (ending) => `motionkit-recording.${ending}`;
+    const link = element("a", { href: url, download: name("bvh") }, "BVH again");
+    const more = Object.entries(others).flatMap(([ending, make]) => {
+      const other = element("a", { href: "#", download: name(ending) }, `as ${ending.toUpperCase()}`);
+      other.onclick = async (event) => {
+        if (other.href.startsWith("blob:")) return;
+        event.preventDefault();
+        const shown = this.characters.get(character) ?? this.own;
+        other.href = await make(shown.figure);
+        other.click();
+      };
+      return [", ", other];
+    });
     link.click();
-    this.say(`Recorded ${seconds.toFixed(1)} s. `, link);
+    this.say(`Recorded ${seconds.toFixed(1)} s: `, link, ...more);
   }
 
   /** A line to the user, for a while. */
@@ -586,7 +599,7 @@ export class Play {
     clearTimeout(this.forgetting);
     $("hint").replaceChildren(...parts);
     $("hint").style.pointerEvents = "auto";
-    this.forgetting = setTimeout(() => this.#hint(), 6000);
+    this.forgetting = setTimeout(() => this.#hint(), 12_000);
   }
 
   #hint() {
