@@ -35,18 +35,17 @@ def run(folder: Path, *words: object) -> subprocess.CompletedProcess[str]:
         (["mirror", SAMPLE / "16_45.bvh", "a.bvh"], "a.bvh"),
         (["view", SAMPLE / "16_45.bvh", "-o", "a.html", "--no-open"], "a.html"),
         (["view", SAMPLE / "16_45.bvh", "-o", "a.png"], "a.png"),
-        (["preprocess", SAMPLE, "-o", "ds", "--jobs", 1], "ds"),
-        (["export", "--onnx", "a.onnx"], "a.onnx"),
+        (["export", "--model", "tiny", "--onnx", "a.onnx"], "a.onnx"),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else None,
 )
-def test_commands(tmp_path: Path, words: list, made: str) -> None:
-    done = run(tmp_path, *words)
+def test_commands(tmp_path: Path, words: list, made: str, tiny_model_file: Path) -> None:
+    done = run(tmp_path, *(tiny_model_file if word == "tiny" else word for word in words))
     assert done.returncode == 0, done.stderr
     assert not made or (tmp_path / made).exists()
 
 
-def test_evaluate(tmp_path: Path) -> None:
+def test_preprocess_and_evaluate(tmp_path: Path) -> None:
     assert run(tmp_path, "preprocess", SAMPLE, "-o", "ds", "--jobs", 1).returncode == 0
     done = run(
         tmp_path, "evaluate", "bundled", "ds", "--quick", "--seeds", 1, "--only", "paths", "-o", "a.md"
