@@ -66,6 +66,24 @@ def test_without_feet_the_sides_are_a_guess() -> None:
     assert 0.5 <= found.sides_sure < 1.0
 
 
+@pytest.mark.parametrize("turn", [0.0, np.pi])
+def test_a_body_without_feet_and_bent_knees_faces_where_it_goes(turn: float) -> None:
+    """A stiff puppet that glides along tells its sides by its way, whichever way its rest pose faces."""
+    names = {name: new for name, new in NAMELESS.items() if not name.endswith(("Foot", "ToeBase"))}
+    rest = renamed(walk(1), names).skeleton
+    flat = rest.offsets.copy()
+    flat[:, 2] = 0.0
+    ends = {joint: (x, y, 0.0) for joint, (x, y, z) in rest.end_sites.items()}
+    puppet = replace(rest, offsets=flat, end_sites=ends)
+    around = np.array([np.cos(turn), 1.0, np.cos(turn)], np.float32)
+    way = np.arange(20, dtype=np.float32)[:, None, None] * np.array([0.0, 0.0, 20.0], np.float32) * around
+    found = map_rig(puppet, puppet.rest_positions()[None] * around + way)
+    assert puppet.names[found.places["LeftUpLeg"]] == NAMELESS["LeftUpLeg"]
+    assert 0.7 < found.sides_sure < 0.99
+    back = map_rig(puppet, puppet.rest_positions()[None] * around - way)
+    assert puppet.names[back.places["LeftUpLeg"]] == NAMELESS["RightUpLeg"]
+
+
 def test_props_twists_and_fingers_do_not_mislead() -> None:
     source = canonical_skeleton()
     names, parents, offsets = list(source.names), list(source.parents), list(source.offsets)

@@ -382,10 +382,14 @@ def _left(
 
 _LEFTNESS = {"left": 1, "right": -1, "": 0}
 _SIDE_STEEP = 8.0
+_TRUST_TRAVEL, _TRUST_Z = 0.3, 0.15  # in ways that bodies go, and in +Z, beside that in feet and knees
 
 
 def _leftward(tree: _Tree, leg: _Limb, arm: _Limb, across: Array, poses: Array) -> float:
-    """How far (-1 to 1) the first branch is to the left: feet point forward, knees bend forward, else +Z is."""
+    """How far (-1 to 1) the first branch is to the left, by what tells where ahead is.
+
+    Feet point forward, knees bend forward; without both, bodies mostly go forward, and last of all +Z is ahead.
+    """
     up = normalized(_middle(arm, arm.upper, poses) - _middle(leg, leg.upper, poses))
     hip, knee, ankle = (_middle(leg, index, poses) for index in (leg.upper, leg.middle, leg.lower))
     toe = _middle(leg, len(leg.pair.joints), poses) - ankle
@@ -395,9 +399,18 @@ def _leftward(tree: _Tree, leg: _Limb, arm: _Limb, across: Array, poses: Array) 
     )
     bend = knee - hip - share * (ankle - hip)
     rest_toe = np.broadcast_to(0.5 * (ends[0] + ends[1]), up.shape) if len(poses) == 1 else np.zeros_like(up)
+    travel = np.gradient(hip, axis=0) if len(poses) > 2 else np.zeros_like(hip)
     ahead = np.broadcast_to(np.array([0.0, 0.0, 0.1]) * leg.length, up.shape)
-    for forward in (toe, rest_toe, bend, ahead):
-        forward = forward - (forward * up).sum(-1, keepdims=True) * up
+    evidence = (
+        (toe, 1.0),
+        (rest_toe, 1.0),
+        (bend, 1.0),
+        (travel, _TRUST_TRAVEL),
+        (ahead, _TRUST_Z),
+    )
+    forward, trust = toe, 0.0
+    for told, worth in evidence:
+        forward, trust = told - (told * up).sum(-1, keepdims=True) * up, worth
         if float(np.median(np.linalg.norm(forward, axis=-1))) > 0.04 * leg.length:
             break
-    return float(np.mean((normalized(across) * cross(up, normalized(forward))).sum(-1)))
+    return trust * float(np.mean((normalized(across) * cross(up, normalized(forward))).sum(-1)))
