@@ -102,3 +102,9 @@ def test_contributing_names_what_exists() -> None:
             assert any(place.exists() for place in places), f"CONTRIBUTING.md: no {name}"
         elif re.fullmatch(r"[A-Za-z_]\w+", name):
             assert re.search(rf"\b{name}\b", code), f"CONTRIBUTING.md: nothing is called {name}"
+
+
+def test_the_changelog_says_nothing_twice() -> None:
+    points = re.findall(r"^- .*(?:\n  .*)*", (ROOT / "CHANGELOG.md").read_text("utf-8"), re.MULTILINE)
+    beginnings = [" ".join(point.split())[:60] for point in points]
+    assert len(points) > 50 and len(set(beginnings)) == len(beginnings)
