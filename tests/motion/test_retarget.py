@@ -339,3 +339,17 @@ def test_a_mirrored_rig_is_refused_in_one_line(signs: tuple[float, float, float]
     with pytest.raises(SkeletonError, match="LeftFoot and RightFoot point backwards") as caught:
         retarget(motion_to_bvh(mirrored))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("degrees", [90.0, 180.0, -90.0])
+def test_a_clip_of_the_canonical_joints_may_lie_or_stand_on_its_head(tmp_path: Path, degrees: float) -> None:
+    upright = walk(4)
+    half = np.deg2rad(degrees) / 2
+    roll = np.array([np.cos(half), 0.0, 0.0, np.sin(half)], np.float32)
+    rotations = upright.local_rotations.copy()
+    rotations[:, 0] = quat_multiply(np.broadcast_to(roll, rotations[:, 0].shape), rotations[:, 0])
+    lying = replace(upright, local_rotations=rotations)
+    write_bvh(tmp_path / "lying.bvh", lying)
+    read, report = retarget_file(tmp_path / "lying.bvh")
+    assert not any("up axis" in note for note in report.notes)
+    assert np.allclose(motion_kinematics(read)[1], motion_kinematics(lying)[1], atol=0.5)

@@ -25,7 +25,7 @@ from motionkit.motion.rest_pose import (
 )
 from motionkit.motion.rig_names import RigMap, map_rig
 from motionkit.motion.rotations import quat_angle, quat_between, quat_inverse, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 
 _BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
 _SAMPLES = 32  # recorded poses that show the shape of a rig
@@ -184,7 +184,8 @@ def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
     if frame is not None:  # the body may be on the floor or upside down for a whole clip
         rest = quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
         axis = int(np.abs(rest).argmax())
-        votes[axis] += 0.4
+        # motionkit's own files are upright in their rest pose, however short they are cut and whatever they show.
+        votes[axis] += 2.0 if source.skeleton.same_hierarchy(canonical_skeleton()) else 0.4
         sign[axis] = 1.0 if rest[axis] > 0 else -1.0
     best = int(votes.argmax())
     return np.eye(3, dtype=np.float32)[best] * sign[best].astype(np.float32)
