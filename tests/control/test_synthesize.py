@@ -252,3 +252,11 @@ def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
         made.append(state.normalised.copy())
     apart = [abs(each - made[0]).max() for each in made[1:]]
     assert apart[0] > 0.01 and apart[1] == pytest.approx(2.0 * apart[0], rel=1e-2)
+
+
+def test_feet_hold_the_root_of_all_but_standing_bodies(tiny_model: MotionModel) -> None:
+    weights = np.eye(len(tiny_model.types), dtype=np.float32)
+    stand, walk = tiny_model.type_id("idle"), tiny_model.type_id("walking")
+    assert tiny_model.types["idle"].stands
+    mixed = 0.25 * weights[stand] + 0.75 * weights[walk]
+    assert tiny_model.root_hold(np.stack([weights[stand], weights[walk], mixed])).tolist() == [0.0, 1.0, 0.75]

@@ -234,3 +234,16 @@ def test_feet_are_held_and_let_go_in_the_same_time_at_any_rate(fps: float) -> No
     assert float(apart.mean()) < 0.25 and float(apart.max()) < (0.7 if fps > 60.0 else 1.5)
     raw = toe_track(make_walk(120, speed=10.0, turn=0.0, swing=0.08, cadence=0.3, crouch=0.4), LEFT_TOE)
     assert float(np.linalg.norm((usual - raw)[:, [0, 2]], axis=-1).max()) > 1.0
+
+
+def test_feet_hold_the_root_in_the_frames_that_say_so() -> None:
+    motion = sliding(speed=20.0)
+    contacts = np.ones((len(motion), 4), np.float32)
+    whole, none = (lock_feet(motion, contacts, hold).root_positions for hold in (1.0, 0.0))
+    assert np.array_equal(lock_feet(motion, contacts, np.ones(len(motion))).root_positions, whole)
+    half = np.zeros(len(motion), np.float32)
+    half[60:] = 1.0
+    mixed = lock_feet(motion, contacts, half).root_positions[:, ::2]
+    assert np.abs(mixed[:60] - none[:60, ::2]).max() < 0.5
+    went = [np.linalg.norm(path[-1] - path[60]) for path in (mixed, whole[:, ::2], none[:, ::2])]
+    assert went[0] == pytest.approx(went[1], rel=0.1) and went[0] < 0.5 * went[2]

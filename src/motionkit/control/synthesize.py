@@ -145,7 +145,7 @@ def synthesize(
     for i in range(count):
         mine = rollout.first(frames[turn[i]])
         skeleton = skeletons[i % len(skeletons)]
-        motion, raw = finish_motions(model, mine, i, skeleton, options, hold=1.0)
+        motion, raw = finish_motions(model, mine, i, skeleton, options, model.root_hold(weights[turn[i]]))
         motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
     return SynthesisResult(tuple(motions), seconds)
 
@@ -179,14 +179,15 @@ def finish_motion(
     index: int,
     skeleton: Skeleton,
     options: SynthesisOptions,
-    hold: float = 0.0,
+    hold: Array | float = 0.0,
 ) -> Motion:
     """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate.
 
     A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
     Args:
-        hold: share of the sliding of feet in contact that is taken out of the root's way; 0 where the way was given.
+        hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way; 0
+            where the way was given.
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
@@ -201,7 +202,7 @@ def finish_motions(
     index: int,
     skeleton: Skeleton,
     options: SynthesisOptions,
-    hold: float = 0.0,
+    hold: Array | float = 0.0,
 ) -> tuple[Motion, Motion | None]:
     """One character's motion to write, and the same with feet not locked if the options ask for it."""
     without = replace(options, ik=False)

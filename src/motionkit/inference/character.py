@@ -147,7 +147,7 @@ class CharacterStream:
             trajectory[:, :_POSITIONS] /= self.scale[:, None]
             controls = replace(controls, trajectory=trajectory)
         if self.feet is not None:
-            self.feet.hold[:] = controls.slip_correction
+            self.feet.hold[:] = controls.slip_correction * self.model.root_hold(controls.type_weights)
         features, contacts, ground = self.state.advance(controls)
         rotations, root, positions = self._pose(features, contacts, ground)
         return CharacterFrame(

@@ -89,6 +89,14 @@ class MotionModel:
         """Length in seconds of a performance, strike or jump of a type; 0 for types without a phase."""
         return self.types[kind].phase_seconds(self.fps) if kind in self.types else 0.0
 
+    def root_hold(self, type_weights: Array) -> Array:
+        """Share (...) of the sliding of feet in contact that is taken out of the root's way, by type weights (..., N).
+
+        Not of a standing body: its feet shuffle while it sways, and would carry it away.
+        """
+        moving = np.array([not each.stands for each in self.types.values()], np.float32)
+        return type_weights @ moving
+
     def presets(self, name: str) -> Array:
         """One field of the sampling presets (N,) of all types, such as "noise_scale"."""
         return np.array([getattr(kind.preset, name) for kind in self.types.values()], np.float32)

@@ -38,14 +38,14 @@ LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise a
 RATE = 60.0
 
 
-def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
+def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Motion:
     """Hold the feet of a motion while they touch the floor, and keep toes above it.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
         contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        hold: share of the sliding of feet in contact that is taken out of the root's way over the ground; 0 keeps the
-            way, 1 lets feet decide it.
+        hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way
+            over the ground; 0 keeps the way, 1 lets feet decide it.
 
     Returns:
         The motion with changed leg rotations and root positions.
@@ -54,11 +54,12 @@ def lock_feet(motion: Motion, contacts: Array, hold: float = 0.0) -> Motion:
         return motion
     turns, positions = motion_kinematics(motion)
     world = quat_to_matrix(turns)
-    if hold:
+    share = np.broadcast_to(np.asarray(hold, np.float32), len(motion))[1:, None]
+    if share.any():
         feet = positions[:, list(FOOT_JOINTS)]
-        slip = np.cumsum(root_slip(feet[:-1], feet[1:], contacts[1:]), axis=0, dtype=np.float64)
+        slip = share * root_slip(feet[:-1], feet[1:], contacts[1:])
         shift = np.zeros_like(motion.root_positions)
-        shift[1:, ::2] = -hold * slip
+        shift[1:, ::2] = -np.cumsum(slip, axis=0, dtype=np.float64)
         motion = replace(motion, root_positions=motion.root_positions + shift)
         positions = positions + shift[:, None]
     shifts = np.stack(
