@@ -195,6 +195,16 @@ def test_the_page_names_networks_beyond_the_spread() -> None:
     assert "twice TPTN's spread" not in page(RESULTS[:1] + RESULTS[3:])  # one seed of TPTN has none
 
 
+def test_the_page_names_networks_that_hardly_move_and_the_command() -> None:
+    text = page(RESULTS)  # the recordings move by 50
+    assert "stand nearly still: TPTN (20%), EBTN (24%), FPTN-R (2%), last frame (40%)." in text
+    lively = [result("TPTN", "tptn", 0, 30.0)]
+    assert "nearly still" not in page(lively)
+    assert "`motionkit experiment run all --set D_L --budget cpu --frames 240 --seeds 3`" in page(lively)
+    short = [each | {"folder": "D_L/cpu-300"} for each in lively]
+    assert "--frames 240 --steps 300 --seeds 3`" in page(short)
+
+
 def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) -> None:
     def scenes(model: str, shift: float) -> dict[str, Any]:
         facts = [
@@ -208,14 +218,16 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
             }
             for each in SCENES
         ]
-        return {"model": model, "scenes": facts}
+        return {"model": model, "steps": 200, "scenes": facts}
 
     for name, shift in (("tptn-0", 2.0), ("shipped", 0.0)):
         (tmp_path / f"{name}.json").write_text(json.dumps(scenes(name, shift)))
     (tmp_path / "figure-6-curves.png").write_bytes(b"")
     found = read_scenes(tmp_path)
     text = page(RESULTS, Extras(tuple(found)), tmp_path)
-    assert "| figure | what it shows | shipped (cm/frame) | tptn-0 (cm/frame) | paper |" in text
+    assert (
+        "| shipped, 200 training steps (cm/frame) | tptn-0, 200 training steps (cm/frame) | paper |" in text
+    )
     assert "| 6 | walking a path with large curvatures | 1.500 ± 0.707 | 3.500 ± 0.707 | 0.513 |" in text
     assert "1.500 ± 0.707; 1 of 2 did not reach the end" in text
     assert text.count("![Figure") == 1 and "](figure-6-curves.png)" in text

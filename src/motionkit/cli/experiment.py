@@ -363,7 +363,8 @@ def scenes_command(
             facts.append(scene_facts(made))
     if not names:
         with atomic_write(output / f"{name}.json", "w") as out:
-            out.write(json.dumps({"model": name, "scenes": facts}, indent=1) + "\n")
+            result = {"model": name, "steps": model.card.get("steps"), "scenes": facts}
+            out.write(json.dumps(result, indent=1) + "\n")
     if as_json:
         print_json({"folder": str(folder), "scenes": facts})
         return

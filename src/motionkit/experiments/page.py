@@ -68,7 +68,7 @@ def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
         cells = [scene_cell(each["scenes"][number]) for each in scenes]
         paper = "" if scene["paper"] is None else f"{scene['paper']:g}"
         rows.append((scene["figure"], scene["text"], *cells, paper))
-    names = [f"{each['model']} (cm/frame)" for each in scenes]
+    names = [f"{each['model']}, {each['steps']} training steps (cm/frame)" for each in scenes]
     table = TextTable("Distances from paths", ("figure", "what it shows", *names, "paper"), tuple(rows))
     parts = [SCENES, markdown(table)]
     for scene in scenes[0]["scenes"]:
@@ -97,7 +97,9 @@ network's own prediction, fed back, and frames are drawn at full sigma. Each rol
 distance of its poses to the nearest pose in the training clips of the type (root mean square over joints, in the
 heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
 those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
-recording is, and its feet swing between half and {apart:g} times as far. `motionkit experiment long MODEL` makes them.
+recording is, and its feet swing between half and {apart:g} times as far. `motionkit experiment long MODEL` makes them,
+and `motionkit train datasets/paper --preset tptn-paper --budget short --steps 600 --from-scratch` a model for it,
+of all types.
 """
 
 
@@ -153,7 +155,7 @@ def findings(results: Results) -> list[str]:
             said = _compared(here, rival)
             if said:
                 lines.append(f"`{folder}`, {claim}: {said}.")
-        lines += _beyond_spread(folder, here) + _unlearnt(folder, here)
+        lines += _beyond_spread(folder, here) + _still(folder, here) + _unlearnt(folder, here)
     return lines or ["Nothing yet: no results of TPTN beside another."]
 
 
@@ -176,6 +178,23 @@ def _beyond_spread(folder: str, results: Results) -> list[str]:
             f"± {mine.spread:.2g}: {said}; of {len(gaps)} other networks, most with one seed."
         )
     return lines
+
+
+def _still(folder: str, results: Results) -> list[str]:
+    """Name the networks that hardly move, whose feet therefore hardly slide."""
+    moved: dict[str, float] = {}
+    for name in dict.fromkeys(r["name"] for r in results if r.get("parameters")):
+        mine = [r for r in results if r["name"] == name]
+        made, recorded = (figure_of(mine, "bm-euler", recorded=side) for side in (False, True))
+        if made and recorded and made.mean < 0.5 * recorded.mean:
+            moved[name] = made.mean / recorded.mean
+    if not moved:
+        return []
+    shares = ", ".join(f"{name} ({share:.0%})" for name, share in moved.items())
+    return [
+        f"`{folder}`: these move less than half as much as the recordings, so what is low in their AFS and MPJPE is "
+        f"that of bodies that stand nearly still: {shares}."
+    ]
 
 
 def _unlearnt(folder: str, results: Results) -> list[str]:

@@ -302,8 +302,19 @@ def budget_lines(results: Results) -> list[str]:
                     f" So short a training needs part transformers that begin near a copy of the present frame, with "
                     f"little dropout: {words}. Absolute head is TPTN without these changes."
                 )
-        lines.append(f"{line} At most {here[0]['longest']} frames are made of a sequence.")
+        lines.append(
+            f"{line} At most {here[0]['longest']} frames are made of a sequence. {_command(here[0], folder)}"
+        )
     return lines
+
+
+def _command(result: dict[str, Any], folder: str) -> str:
+    """How these runs are made again, in words."""
+    budget, _, steps = folder.partition("/")[2].partition("-")
+    words = f"--set {result['data']} --budget {budget} --frames {result['longest']}"
+    return (
+        f"Made with `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds 3`."
+    )
 
 
 def missing(results: Results, folder: str) -> list[str]:
