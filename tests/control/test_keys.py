@@ -144,7 +144,7 @@ FAULTS = [
     ({"keys": []}, "1 to 1000 keys"),
     ([1], "expected"),
     ({"keys": [3]}, "key 1: expected an object"),
-    ({"keys": [{"time": 1}]}, "says nothing"),
+    ({"keys": [{"time": 1}]}, "nothing to meet"),
     ({"keys": [{"time": 1, "facing": 0, "speed": 3}]}, "'speed'"),
     ({"keys": [{"facing": 0, "position": [0, 0]}]}, "time: expected 1 number"),
     ({"keys": [{"time": 0.05, "facing": 0}]}, "time: expected 0.2"),
