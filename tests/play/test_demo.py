@@ -8,7 +8,6 @@ import gzip
 import http.server
 import math
 import re
-import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -37,7 +36,6 @@ from view.conftest import PATIENCE, drawn
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-WEB = Path(__file__).resolve().parents[2] / "web"
 FRAMES = 600
 START = "motionkit.own?.root && motionkit.link.world.frame > 5"
 
@@ -242,18 +240,6 @@ def test_the_folder_is_small(folder: Path) -> None:
     assert not re.search(rb"""(src|href)=["']?https?:""", files["index.html"])
 
 
-def test_the_kernels_are_built_from_their_sources() -> None:
-    sys.path.insert(0, str(WEB))
-    try:
-        import build_wasm
-    finally:
-        sys.path.remove(str(WEB))
-    built = build_wasm.built_hash(build_wasm.MODULE.read_bytes())
-    assert built == build_wasm.source_hash(), (
-        "out of date: pip install ziglang==0.13.0.post1 && python web/build_wasm.py"
-    )
-
-
 def test_a_file_in_the_way_is_said_and_kept(tmp_path: Path) -> None:
     (tmp_path / "site").write_text("mine", "utf-8")
     with pytest.raises(MotionkitError, match="site: is a file, expected a folder"):
@@ -352,6 +338,37 @@ def test_a_recording_is_the_motion_that_was_shown(page: Page, tmp_path: Path) ->
     order = [skinned.skeleton.names.index(name) for name in names]
     assert len(skinned) == len(motion)
     assert np.linalg.norm(positions[-1, order] - kept, axis=-1).max() < 0.01
+
+
+def test_a_link_that_says_nonsense_changes_nothing(page: Page) -> None:
+    told = page.evaluate(
+        """() => {
+          const { world } = motionkit.link, before = world.done.length;
+          return [
+            [{ do: "wish", velocity: "fast" }, "velocity"], [{ do: "wish", velocity: [0, null], facing: 0 }, "velocity"],
+            [{ do: "wish", velocity: null, facing: null, type: "flying" }, "flying"], [{ do: "perform" }, "motion type"],
+            [{ do: "path", points: [[0, 0], [1e12, 0]] }, "500 m"], [{ do: "path", points: [[0, 0], ["x", 0]] }, "points"],
+            [{ do: "noise", temperature: NaN }, "temperature"], [{ do: "leave" }, "cannot do leave"],
+            [{ do: "reset", character: 99 }, "no character 99"],
+          ].filter(([asked, said]) => {
+            try {
+              world.obey(asked);
+            } catch (error) {
+              return !error.message.includes(said) || world.done.length !== before;
+            }
+            return true;
+          });
+        }"""
+    )
+    assert told == []
+    wait_frames(page, 5)
+    nonsense = page.evaluate(
+        "async () => { const bad = location.href.split('#')[0] + '#do=AAAA'; history.replaceState(null, '', bad); }"
+    )
+    assert nonsense is None
+    page.reload()
+    page.wait_for_function(START, timeout=PATIENCE)
+    page.evaluate("motionkit.stage.renderer.render = () => {}")
 
 
 def test_twenty_characters_and_no_more(visit: Callable[..., Page]) -> None:

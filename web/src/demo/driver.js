@@ -21,9 +21,9 @@ export class Driver {
   }
 
   /** Obeys another wish: {velocity: [x, z] cm/s or null, facing: radians or null, type: name or null}. */
-  set(wish) {
-    this.#known(wish.type);
-    this.wish = wish;
+  set({ velocity, facing, type = null }) {
+    this.#known(type);
+    this.wish = { velocity, facing, type };
     this.follower = null;
   }
 

@@ -18,7 +18,8 @@ export async function readAddress(address) {
   if (!text) return null;
   const bytes = Uint8Array.from(atob(text.replaceAll("-", "+").replaceAll("_", "/")), (letter) => letter.charCodeAt(0));
   const [seed, done] = JSON.parse(new TextDecoder().decode(await through(new DecompressionStream("deflate-raw"), bytes)));
-  if (!Number.isInteger(seed) || !Array.isArray(done)) throw new Error("the address holds no motion");
+  const isRequest = (entry) => Array.isArray(entry) && Number.isInteger(entry[0]) && typeof entry[1]?.do === "string";
+  if (!Number.isInteger(seed) || !Array.isArray(done) || !done.every(isRequest)) throw new Error("the address holds no motion");
   return { seed, done };
 }
 

@@ -9,6 +9,7 @@ import { normals } from "./random.js";
 const BETWEEN = 120; // cm between the places of characters
 const TEMPERATURE = 0.05;
 const LIKELY = 0.5;
+const LONGEST_PATH = 50_000; // cm
 export const MOST = 20; // characters
 
 export class World {
@@ -23,6 +24,7 @@ export class World {
     const number = asked.character ?? this.characters.keys().next().value;
     const one = this.characters.get(number);
     if (!one && asked.do !== "add") throw new Error(`there is no character ${number}`);
+    check(asked); // links may say anything
     if (asked.do === "add") this.#add();
     else if (asked.do === "wish") one.driver.set(asked);
     else if (asked.do === "perform") one.driver.perform(asked.type, this.frame);
@@ -82,6 +84,19 @@ export class World {
     one.body.temperature = one.temperature;
     one.driver = new Driver(this.model, this.seed + one.number);
   }
+}
+
+const finite = (value, count) => Array.isArray(value) && value.length === count && value.every(Number.isFinite);
+
+function check({ do: what, velocity, facing, type, points, temperature }) {
+  if (what === "wish" && !(velocity === null || finite(velocity, 2))) throw new Error("expected a velocity [x, z] or null");
+  if (what === "wish" && !(facing === null || Number.isFinite(facing))) throw new Error("expected a facing or null");
+  if (what === "perform" && typeof type !== "string") throw new Error("expected a motion type");
+  if (what === "noise" && !(temperature >= 0 && temperature <= 2)) throw new Error("expected a temperature from 0 to 2");
+  if (what !== "path") return;
+  if (!Array.isArray(points) || points.length < 2 || !points.every((point) => finite(point, 2))) throw new Error("expected points [x, z]");
+  const steps = points.slice(1).map(([x, z], n) => Math.hypot(x - points[n][0], z - points[n][1]));
+  if (Math.hypot(...points[0]) + steps.reduce((sum, step) => sum + step, 0) > LONGEST_PATH) throw new Error("the path is longer than 500 m");
 }
 
 /** Points [x, z] of a figure eight from the origin towards +Z, so many times around. */
