@@ -1,4 +1,4 @@
-"""Writes the contact sheets in docs/sheets: every type as the network draws it, and paths with feet held.
+"""Writes the contact sheets in docs/sheets: every type and paths, as the commands make them by default.
 
 python docs/make_sheets.py [MODEL] [FOLDER]
 """
@@ -10,7 +10,7 @@ from pathlib import Path
 
 from motionkit.control.follow import follow_path
 from motionkit.control.script import parse_types
-from motionkit.control.synthesize import SynthesisOptions, synthesize
+from motionkit.control.synthesize import synthesize
 from motionkit.evaluation.paths import path_trials
 from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.models.model import MotionModel
@@ -31,7 +31,7 @@ def type_motions(model: MotionModel) -> list[tuple[str, Motion]]:
         once = f"walking:1.5,{kind}:{model.phase_seconds(kind):.2f},walking:1.5"
         text = once if kind in performed else f"{kind}:{SECONDS}"
         parts = parse_types(text, SECONDS, model.phase_seconds)
-        made = synthesize(model, [parts], SynthesisOptions(ik=False))
+        made = synthesize(model, [parts])
         out.append((", ".join(part.type for part in parts), made.motions[0].motion))
     return out
 
@@ -43,10 +43,9 @@ def main(model: str = BUNDLED, folder: str = str(Path(__file__).resolve().parent
     for first in range(0, len(types), EACH):
         some = types[first : first + EACH]
         write_contact_sheet(Path(folder) / f"types-{first // EACH + 1}.png", some, POSES, WIDTH)
-    held = SynthesisOptions(ik=True)
     # The sheets' font has no arrows.
-    names = [(trial.name.replace(" →", ","), trial) for trial in path_trials()[-PATHS:]]
-    paths = [(name, follow_path(loaded, trial.path, held).motion) for name, trial in names]
+    names = [(trial.name.replace(" →", ","), trial) for trial in path_trials("walking", "running")[-PATHS:]]
+    paths = [(name, follow_path(loaded, trial.path).motion) for name, trial in names]
     write_contact_sheet(Path(folder) / "paths.png", paths, POSES, WIDTH)
 
 
