@@ -81,13 +81,13 @@ def running(server: PlayServer) -> Iterator[Running]:
 
 @pytest.fixture(scope="session", autouse=True)
 def one_page_for_all() -> Iterator[None]:
-    """Make the page of the same bodies once: it takes a server half a second for each body."""
+    """Make the page of the same bodies once: it takes a server a part of a second for each body."""
     made: dict[tuple, bytes] = {}
 
-    def load(bodies: Mapping[str, Skeleton]) -> bytes:
-        key = tuple((name, body.offsets.tobytes()) for name, body in bodies.items())
+    def load(bodies: Mapping[str, Skeleton], chosen: str = "default") -> bytes:
+        key = (chosen, *((name, body.offsets.tobytes()) for name, body in bodies.items()))
         if key not in made:
-            made[key] = load_page(bodies)
+            made[key] = load_page(bodies, chosen)
         return made[key]
 
     with pytest.MonkeyPatch.context() as patch:

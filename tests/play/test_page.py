@@ -58,3 +58,11 @@ def test_origins(origin: str | None, allowed: bool) -> None:
 
 def test_there_is_a_page() -> None:
     assert load_page({"default": canonical_skeleton()}).lower().startswith(b"<!doctype html>")
+
+
+def test_only_the_chosen_body_has_a_fine_mesh() -> None:
+    body = canonical_skeleton()
+    sizes = [
+        len(load_page({"default": body, "other": body}, chosen)) for chosen in ("default", "other", "none")
+    ]
+    assert sizes[0] == pytest.approx(sizes[1], rel=0.01) and sizes[0] - sizes[2] > 5e4

@@ -15,6 +15,7 @@ from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import Skeleton
 from motionkit.play.recording import Recordings
 from motionkit.view.figure_data import CM, rig_data
+from motionkit.view.flesh import COARSE_STEP, STEP
 from motionkit.view.viewer import fill_page
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
@@ -29,16 +30,23 @@ _CONTENT = {
 }
 
 
-def load_page(bodies: Mapping[str, Skeleton]) -> bytes:
-    """The page with the figures of all bodies, as served."""
-    rigs = {name: standing_rig(skeleton) for name, skeleton in bodies.items()}
+def load_page(bodies: Mapping[str, Skeleton], chosen: str = "default") -> bytes:
+    """The page with the figures of all bodies, as served.
+
+    The meshes of all but the chosen one are coarse: thirty fine ones take ten seconds to make.
+    """
+    rigs = {
+        name: standing_rig(skeleton, STEP if name == chosen else COARSE_STEP)
+        for name, skeleton in bodies.items()
+    }
     return fill_page("play.html", {"bodies": rigs}).encode()
 
 
-def standing_rig(skeleton: Skeleton) -> dict[str, Any]:
-    """The figure of a body (in cm), made from it at rest, for a page."""
+def standing_rig(skeleton: Skeleton, step: float = STEP) -> dict[str, Any]:
+    """The figure of a body (in cm), made from it at rest, for a page; step as in rig_data."""
     turns = quat_identity((1, len(skeleton)))
-    return rig_data(Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0).scaled(CM))
+    motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
+    return rig_data(motion.scaled(CM), step=step)
 
 
 def policy(host: str) -> str:

@@ -97,7 +97,7 @@ class PlayServer:
         self.live = Live(session, rig=(options.rig, options.clip), recording_format=options.recording_format)
         model = session.model
         bodies = {name: model.character(name) for name in model.characters}
-        self._page = load_page(bodies) if options.page else None
+        self._page = load_page(bodies, session.body) if options.page else None
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
