@@ -95,7 +95,8 @@ class MotionModel:
         Not of a standing body: its feet shuffle while it sways, and would carry it away.
         """
         moving = np.array([not each.stands for each in self.types.values()], np.float32)
-        return type_weights @ moving
+        # Not a matrix product, whose last digits depend on the rows beside a character's.
+        return (type_weights * moving).sum(axis=-1)
 
     def presets(self, name: str) -> Array:
         """One field of the sampling presets (N,) of all types, such as "noise_scale"."""
