@@ -3,6 +3,8 @@
 // What Python's RolloutState and CharacterStream do around the kernels is here; the memory they work on comes ready from
 // the model file (kernel_image.py): addresses of arrays are those in model.addresses.
 
+import { stands } from "./springs.js";
+
 const PAGE = 65536;
 const NEITHER = () => 0;
 
@@ -98,7 +100,9 @@ export class Character {
   /** One frame on, by controls as Driver makes them; then rotations, root, positions and contacts are those of it. */
   step(asked) {
     const { kernel, model, mean } = this;
-    this.feet_hold[0] = asked.slip;
+    // Feet hold the root of all but standing bodies: root_hold in Python.
+    const moving = model.types.reduce((sum, type, i) => (stands(type) ? sum : sum + asked.weights[i]), 0);
+    this.feet_hold[0] = asked.slip * moving;
     const share = this.#ask(asked);
     this.#step();
     for (let n = 0; n < model.features; n++) mean[model.features + n] += share;

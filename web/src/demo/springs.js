@@ -27,6 +27,11 @@ function travel(away, velocity, y, t) {
   return (away * (1 - fade) + push * ((1 - fade) / y - t * fade)) / y;
 }
 
+/** Whether a type is standing still. */
+export function stands({ steered, gait }) {
+  return steered && gait !== null && gait.speed < STANDS_BELOW;
+}
+
 /** The number of the steered type for a wanted velocity [x, z] in cm/s and a facing in radians, null for any. */
 export function steeredType(model, velocity, facing) {
   const all = model.types.map((type, number) => ({ ...type, number }));
