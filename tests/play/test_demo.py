@@ -192,7 +192,9 @@ def made_in_numpy(noise: Floats) -> Array:
 def test_the_page_makes_the_motion_of_numpy(page: Page) -> None:
     noise = np.random.default_rng(8).standard_normal((FRAMES + 1, 276), np.float32)
     words = base64.b64encode(noise.astype("<f4").tobytes()).decode()
-    made = np.array(page.evaluate(IN_THE_PAGE, [words, ASKED, FRAMES])).reshape(FRAMES, 23, 3)
+    made = np.array(page.evaluate(IN_THE_PAGE, [words, [list(each) for each in ASKED], FRAMES])).reshape(
+        FRAMES, 23, 3
+    )
     expected = made_in_numpy(noise)
     apart = np.linalg.norm(made - expected, axis=-1).max()
     assert np.ptp(expected[:, 0], axis=0).max() > 300.0, "it goes somewhere"

@@ -86,7 +86,7 @@ class _Canvas:
         self, x: float, y: float, words: str, color: Color = INK, size: float = 12, anchor: str = "la"
     ) -> None:
         """Draw text with its anchor ("la" left top, "ma" middle top, "rm" right middle ...) at (x, y)."""
-        font = _font(self._fonts, size)
+        font = default_font(self._fonts, size * ZOOM)
         try:
             self._draw.text((x * ZOOM, y * ZOOM), words, fill=color, font=font, anchor=anchor)
         except (
@@ -113,9 +113,10 @@ def load_pillow() -> tuple[Any, Any, Any]:
     return Image, ImageDraw, ImageFont
 
 
-def _font(fonts: Any, size: float) -> Any:
+def default_font(fonts: Any, size: float) -> Any:
+    """Pillow's own font at a size in pixels, or the only one that Pillow 10.0 has."""
     try:
-        return fonts.load_default(size * ZOOM)
+        return fonts.load_default(size)
     except TypeError:  # Pillow 10.0
         return fonts.load_default()
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionkit.view.contact_sheet import load_pillow
+from motionkit.view.contact_sheet import default_font, load_pillow
 from motionkit.view.figure_data import Shown
 from motionkit.view.surface import Array
 
@@ -27,7 +27,7 @@ class Labels:
     def __init__(self, shown: Sequence[Shown], colors: Sequence[Color], width: int, height: int) -> None:
         image, image_draw, fonts = load_pillow()
         size = max(SMALLEST, height // 26)
-        font = _font(fonts, size)
+        font = default_font(fonts, size)
         most = max(4.0 * size, 0.9 * width / len(shown))
         self.width = width
         self.tags = [
@@ -94,10 +94,3 @@ def _plain(pen: Any, font: Any, name: str) -> str:
 def _box(pen: Any, font: Any, words: str) -> tuple[float, ...]:
     box: tuple[float, ...] = pen.textbbox((0, 0), words, font=font)
     return box
-
-
-def _font(fonts: Any, size: int) -> Any:
-    try:
-        return fonts.load_default(size)
-    except TypeError:  # Pillow 10.0
-        return fonts.load_default()
