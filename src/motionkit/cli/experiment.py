@@ -73,6 +73,18 @@ def _plan_options(function: Callable) -> Callable:
     return function
 
 
+def _output_option(default: str, folder: bool) -> Callable:
+    """-o: the folder, or else the page, to write."""
+    return click.option(
+        "-o",
+        "--output",
+        default=default,
+        show_default=True,
+        type=click.Path(path_type=Path, file_okay=not folder, dir_okay=folder),
+        help="Folder to write to." if folder else "Page to write.",
+    )
+
+
 def _results_option(function: Callable) -> Callable:
     option: Callable = click.option(
         "--results",
@@ -272,14 +284,7 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
 
 @command.command("tables")
 @_results_option
-@click.option(
-    "-o",
-    "--output",
-    default="docs/experiments.md",
-    show_default=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Page to write.",
-)
+@_output_option("docs/experiments.md", folder=False)
 @click.option(
     "--latex", type=click.Path(path_type=Path, dir_okay=False), help="Also write all tables in LaTeX."
 )
@@ -297,14 +302,7 @@ def tables_command(results: Path, output: Path, latex: Path | None) -> None:
 
 @command.command("figures")
 @_results_option
-@click.option(
-    "-o",
-    "--output",
-    default="experiments/figures",
-    show_default=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder to write to.",
-)
+@_output_option("experiments/figures", folder=True)
 def figures_command(results: Path, output: Path) -> None:
     """Draw PNGs from the results: training curves, BM against AFS, and inference speed against parts."""
     _needs_torch()
@@ -325,14 +323,7 @@ def figures_command(results: Path, output: Path) -> None:
 @click.option(
     "--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Motions of each scene."
 )
-@click.option(
-    "-o",
-    "--output",
-    default=str(SCENES),
-    show_default=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder to write to.",
-)
+@_output_option(str(SCENES), folder=True)
 @json_option
 def scenes_command(
     names: tuple[str, ...], model_path: Path | None, seeds: int, output: Path, as_json: bool
@@ -393,14 +384,7 @@ def scenes_command(
 @click.option(
     "--seeds", default=1, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each type."
 )
-@click.option(
-    "-o",
-    "--output",
-    default=str(LONG),
-    show_default=True,
-    type=click.Path(path_type=Path, file_okay=False),
-    help="Folder to write to.",
-)
+@_output_option(str(LONG), folder=True)
 def long_command(model_path: Path, data: Path, seconds: float, seeds: int, output: Path) -> None:
     """Roll out walking, running and a dance for a long time from 30 initial frames, with a MODEL of tptn-paper.
 
@@ -448,14 +432,7 @@ def long_command(model_path: Path, data: Path, seconds: float, seeds: int, outpu
 
 @command.command("study")
 @click.argument("folder", type=click.Path(exists=True, path_type=Path, file_okay=False))
-@click.option(
-    "-o",
-    "--output",
-    default="study.html",
-    show_default=True,
-    type=click.Path(path_type=Path, dir_okay=False),
-    help="Page to write.",
-)
+@_output_option("study.html", folder=False)
 @seed_option()
 def study_command(folder: Path, output: Path, seed: int) -> None:
     """Write the page of a user study (paper section 5.4): one HTML file that raters open.
