@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -94,9 +95,13 @@ class MotionModel:
 
         Not of a standing body: its feet shuffle while it sways, and would carry it away.
         """
-        moving = np.array([not each.stands for each in self.types.values()], np.float32)
         # Not a matrix product, whose last digits depend on the rows beside a character's.
-        return (type_weights * moving).sum(axis=-1)
+        return (type_weights * self._moving).sum(axis=-1)
+
+    @cached_property
+    def _moving(self) -> Array:
+        """1 for each type but standing ones (N,); kept, because live characters ask in every frame."""
+        return np.array([not each.stands for each in self.types.values()], np.float32)
 
     def presets(self, name: str) -> Array:
         """One field of the sampling presets (N,) of all types, such as "noise_scale"."""
