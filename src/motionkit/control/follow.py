@@ -12,6 +12,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.steering import usual_gaits
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
@@ -75,7 +76,8 @@ class PathFollower:
         gaits = [model.types[part.type].gait for part in path.parts]
         self.speeds = speed_profile(model, path)
         self.stops = list(path.stops)  # those to come
-        self.stand = next((i for i, name in enumerate(model.types) if model.types[name].stands), None)
+        stand = usual_gaits(model).stand
+        self.stand = None if stand is None else model.type_id(stand)
         self.stood: int | None = None  # frames since the stop was reached
         self.facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
         self.entered = -1  # the part the character is on
@@ -160,7 +162,7 @@ class PathFollower:
 
     def _speed_at(self, arc: float) -> float:
         """Speed in cm/s at an arc length."""
-        return float(self.speeds[min(max(round(arc / SPACING), 0), len(self.speeds) - 1)])
+        return float(self.speeds[self.path.nearest(arc)])
 
     def _type_weights(self, arc: float | None = None, standing: float = 0.0) -> Array:
         """Type weights (N,), here or at an arc: the mean over half a blend behind and ahead, 40 frames in all.
@@ -195,7 +197,7 @@ def speed_profile(model: MotionModel, path: Path2D) -> Array:
     """
     speeds = part_speeds(model, path)[path.part].astype(np.float64)
     for place, _ in path.stops:
-        speeds[min(round(place / SPACING), len(speeds) - 1)] = CREEP
+        speeds[path.nearest(place)] = CREEP
     # The square of the speed changes evenly along the way: no point's is more than so much above another's.
     slope = 2.0 * ACCELERATION * SPACING * np.arange(len(speeds))
     squares = np.minimum.accumulate(speeds * speeds - slope) + slope

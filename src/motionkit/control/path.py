@@ -89,7 +89,11 @@ class Path2D:
 
     def part_at(self, arc: Array | float) -> Array:
         """Index (...) of the part at arc lengths (...)."""
-        return self.part[np.clip(np.round(arc / SPACING), 0, len(self.points) - 1).astype(np.int64)]
+        return self.part[self.nearest(arc)]
+
+    def nearest(self, arc: Array | float) -> Array:
+        """Index (...) of the point nearest to arc lengths (...)."""
+        return np.clip(np.round(arc / SPACING), 0, len(self.points) - 1).astype(np.int64)
 
 
 def make_path(parts: list[PathPart]) -> Path2D:
@@ -269,11 +273,9 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
                 f"{where}: expected points as a list of [x, z] numbers up to {MAX_COORDINATE:,.0f}"
             )
         speed, stop = entry.get("speed"), entry.get("stop")
-        for name, number_or_none in (("speed", speed), ("stop", stop)):
-            if number_or_none is not None and not _is_number(number_or_none):
-                raise ControlError(
-                    f"{where}: expected a number for {name}, found {str(number_or_none)[:40]!r}"
-                )
+        for name, found in (("speed", speed), ("stop", stop)):
+            if found is not None and not _is_number(found):
+                raise ControlError(f"{where}: expected a number for {name}, found {str(found)[:40]!r}")
         parts.append(_part(where, points, entry["type"], speed, stop or 0.0))
     return parts
 
@@ -289,15 +291,15 @@ def _is_point(value: object) -> bool:
 def _part(where: str, points: list, kind: str, speed: float | None, stop: float) -> PathPart:
     if len(kind) > MAX_TYPE or not kind.isprintable():
         raise ControlError(f"{where}: expected a motion type, found {kind[:40]!r}")
-    if speed is not None:
+    for what, value, low, high, unit in (
+        ("speed", speed, 0.05, 15.0, "m/s"),
+        ("stop", stop, 0.0, MAX_STOP, "s"),
+    ):
         try:
-            _check_number(speed, "speed", 0.05, 15.0)
+            if value is not None:
+                _check_number(value, what, low, high)
         except ControlError as error:
-            raise ControlError(f"{where}: {error} m/s") from None
-    try:
-        _check_number(stop, "stop", 0.0, MAX_STOP)
-    except ControlError as error:
-        raise ControlError(f"{where}: {error} s") from None
+            raise ControlError(f"{where}: {error} {unit}") from None
     return PathPart(
         np.array(points, np.float64) * METRE, kind, None if speed is None else speed * METRE, float(stop)
     )
