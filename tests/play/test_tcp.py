@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import asyncio
+import json
 import math
 from collections.abc import Callable
 
 import pytest
 
+from motionkit.models.model import MotionModel
 from motionkit.play.limits import Limits
+from motionkit.play.live import Live
+from motionkit.play.session import Session
 
 
 def test_frames_as_json(serve: Callable, tcp: Callable) -> None:
@@ -99,3 +104,31 @@ def test_no_room(serve: Callable, tcp: Callable) -> None:
     server = serve(tcp=0, limits=Limits(clients=1))
     tcp(server)
     assert tcp(server).hello == {"event": "error", "message": "too many clients", "closing": True}
+
+
+def test_the_first_frame_has_the_character_of_a_client_that_joins_while_it_is_made(
+    tiny_model: MotionModel,
+) -> None:
+    """A frame that was computed before a client joined, and is sent after, is not for it."""
+
+    async def shown() -> list[list[int]]:
+        live = Live(Session(tiny_model))
+        seen: list[list[int]] = []
+
+        async def send(message: str | bytes) -> None:
+            told = json.loads(message)
+            if told["event"] == "frame":
+                seen.append([one["id"] for one in told["characters"]])
+
+        computed = live.session.step(60.0)
+        client = await live.join(as_json=True)
+        assert client is not None
+        pump = asyncio.ensure_future(client.pump(send))
+        for frame in (computed, live.session.step(60.0)):
+            live._send(frame)
+            await asyncio.sleep(0.05)
+        client.leave()
+        await pump
+        return seen
+
+    assert asyncio.run(shown()) == [[1]]

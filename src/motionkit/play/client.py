@@ -25,8 +25,8 @@ class TooManyMessages(ProtocolError):
 class Client:
     """The send queue of a client: every event in order, but only the newest frame."""
 
-    def __init__(self, number: int, as_json: bool, limits: Limits, now: float) -> None:
-        self.number, self.as_json = number, as_json
+    def __init__(self, number: int, as_json: bool, limits: Limits, now: float, first_frame: int = 0) -> None:
+        self.number, self.as_json, self.first_frame = number, as_json, first_frame
         self._rate = RateLimit(limits.messages_per_second, now)
         self._events: deque[str] = deque()
         self._frame: str | bytes | None = None

@@ -80,7 +80,9 @@ class Live:
 
     def _welcome(self, as_json: bool) -> Client:
         self._last_client += 1
-        client = Client(self._last_client, as_json, self.session.limits, self.clock())
+        # A frame that is computed already, but not yet sent, lacks the new character.
+        first_frame = self.session.number + 1
+        client = Client(self._last_client, as_json, self.session.limits, self.clock(), first_frame)
         character = self.session.join(client.number)
         self.clients[client.number] = client
         rig = {} if self._live_rig is None else {"rig": self._live_rig.told()}
@@ -216,6 +218,8 @@ class Live:
     def _show(self, frame: WorldFrame) -> None:
         forms: dict[bool, str | bytes] = {}  # encode each form once, and only if a client uses it
         for client in self.clients.values():
+            if frame.number < client.first_frame:
+                continue
             if client.as_json not in forms:
                 as_json = client.as_json
                 forms[as_json] = (
