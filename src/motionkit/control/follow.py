@@ -230,13 +230,13 @@ def follow_path(
     if options.count != 1:
         raise ControlError("a path is followed by one character at a time")
     first = path.parts[0].type
-    check_size(expected_seconds(model, path), model.fps, options)
     weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(first)] = 1.0
     start = type_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
     # Start poses are the beginning of a performance; what comes after them goes on from there.
     length = model.phase_seconds(first) * model.fps if options.init is None else 0.0
     follower = PathFollower(model, path, options.seed, start.features.shape[1] if length else 0)
+    check_size(follower.expected_seconds, model.fps, options)
     tangent = path.tangents[0]
     heading = math.atan2(*tangent) - follower.facings[0]
     place = np.array([[*path.points[0], heading]], np.float32)

@@ -8,6 +8,7 @@ from motionkit.export.onnx_graph import Graph
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.inference import slip_correction
 from motionkit.models.model import MotionModel
+from motionkit.motion.leg_ik import FOOT_SHARES, HOLD
 
 
 def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
@@ -30,7 +31,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     x, y, z = slip_correction.foot_columns(model.config.layout).T
     yaw, xz = velocities
     mean, std = model.scaling.mean, model.scaling.std
-    reaches, shares = np.array(slip_correction.REACHES), np.array(slip_correction.SHARES)
+    reaches, shares = np.array(slip_correction.REACHES), np.array(FOOT_SHARES)
     # Everything that is linear in the frame, at once: foot positions without the turn, x and z; their lever arms, z and
     # -x; how low the feet are; the turn, and the turn plus a quarter turn.
     of_frame, plus = np.zeros((FEATURE_COUNT, 22)), np.zeros(22)
@@ -58,7 +59,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     low = g.add("Min", g.add("Max", low, np.float32(0.0)), shares)
     moves = g.add("Mul", both, np.array([[1.0], [1.0], [0.0], [0.0]]))
     moved = g.add("ReduceL2", moves, axes=[0], keepdims=1)
-    weight = g.add("Div", low, g.add("Add", moved, np.float32(slip_correction.EASE)))
+    weight = g.add("Div", low, g.add("Add", moved, np.float32(HOLD.ease)))
     weight = g.add("Div", weight, g.add("Gemm", weight, np.ones((4, 4)), np.full(4, 1e-9)))
     means = g.add("Gemm", both, weight, transB=1)
     off = g.add("Sub", both, means)
@@ -70,7 +71,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     angle = g.add("Div", *g.split(turn, [1, 1], axis=1))
     by = g.add("Concat", g.constant([[-1.0]]), angle, axis=1)
     step = g.add("MatMul", by, g.reshape(means, 2, 2))
-    holds = g.add("Min", g.add("MatMul", low, np.full((4, 1), 1.0 / slip_correction.ENOUGH)), np.float32(1.0))
+    holds = g.add("Min", g.add("MatMul", low, np.full((4, 1), 1.0 / HOLD.enough)), np.float32(1.0))
     size = g.add("ReduceL2", step, axes=[1], keepdims=1)
     holds = g.add("Div", holds, g.add("Gemm", size, np.full((1, 1), 1.0 / slip_correction.LIMIT), np.ones(1)))
     return g.add("Mul", g.add("Concat", angle, step, axis=1), holds)

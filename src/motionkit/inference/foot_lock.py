@@ -82,7 +82,7 @@ class FootLock:
         positions[..., ::2] += self.carry[:, None]
         root_positions[:, ::2] += self.carry
         shifts = self._shifts(positions[:, TOES], contacts, scale, known)
-        backwards = knees_backwards(positions, world[..., :3, :3]).any(axis=1)
+        backwards = knees_backwards(positions, world[:, HIPS, :3, :3]).any(axis=1)
         still = ~shifts.any(axis=(1, 2)) & (self.drop <= LOCK.least_change) & ~backwards
         self.drop[still] = 0.0
         if still.all():

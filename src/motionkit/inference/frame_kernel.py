@@ -175,8 +175,8 @@ def draw_words(
     return _Draw(
         FEATURE_COUNT, CONTACT_COUNT, yaw, xz, *strides,
         (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
-        four(*slip_correction.REACHES), four(*slip_correction.SHARES),
-        slip_correction.EASE, slip_correction.STIFFNESS, slip_correction.ENOUGH, slip_correction.LIMIT,
+        four(*slip_correction.REACHES), four(*leg_ik.FOOT_SHARES),
+        leg_ik.HOLD.ease, slip_correction.STIFFNESS, leg_ik.HOLD.enough, slip_correction.LIMIT,
         *(_address(v) for v in (*vars(made).values(), *arrays.scaling, filters.fresh, *followed)),
         *noise, fps,
         *(_address(v) for v in frame),

@@ -53,7 +53,6 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
     if len(motion) < 2:
         return motion
     turns, positions = motion_kinematics(motion)
-    world = quat_to_matrix(turns)
     share = np.broadcast_to(np.asarray(hold, np.float32), len(motion))[1:, None]
     if share.any():
         feet = positions[:, list(FOOT_JOINTS)]
@@ -66,7 +65,8 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
         [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2], motion.fps) for i in range(2)],
         axis=1,
     )
-    moved = (length(shifts) > LOCK.least_change).any(axis=1) | knees_backwards(positions, world).any(axis=1)
+    backwards = knees_backwards(positions, quat_to_matrix(turns[:, HIPS]))
+    moved = (length(shifts) > LOCK.least_change).any(axis=1) | backwards.any(axis=1)
     if not moved.any():
         return motion
     pitch, ankle_shifts = pitched_feet(positions, shifts)
@@ -74,7 +74,8 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
     rotations, positions = motion.local_rotations.copy(), positions + drop[:, None]
     moved |= (drop != 0.0).any(axis=1)
     turned, places = rotations[moved], positions[moved]
-    move_feet(turned, places, world[moved], pitch[moved], (ankle_shifts - drop[:, None])[moved])
+    world = quat_to_matrix(turns[moved])
+    move_feet(turned, places, world, pitch[moved], (ankle_shifts - drop[:, None])[moved])
     legs = LEG_JOINTS[:3].ravel()
     turned[:, legs] = quat_normalize(turned[:, legs])
     rotations[moved] = turned

@@ -86,6 +86,9 @@ class HoldSettings:
 
 LOCK, TOE, HOLD = LockSettings(), ToeSettings(), HoldSettings()
 
+# Weights of ankles and toes, in the order of FOOT_JOINTS.
+FOOT_SHARES = (HOLD.ankle_share, 1.0, HOLD.ankle_share, 1.0)
+
 # Hips, knees, ankles and toes, left and right.
 LEG_JOINTS = np.array(
     [[JOINT_NAMES.index(side + n) for side in ("Left", "Right")] for n in ("UpLeg", "Leg", "Foot", "ToeBase")]
@@ -178,36 +181,48 @@ def move_feet(rotations: Array, positions: Array, world: Array, pitch: Array, sh
     positions[:, TOES] = moved + quat_rotate(pitch, toes - ankles)
 
 
-def knees_backwards(positions: Array, world: Array) -> Array:
+def knees_backwards(positions: Array, thighs: Array) -> Array:
     """Whether each knee (N, 2) is bent backwards, as no knee bends: move_feet stretches such legs.
 
     Args:
         positions: (N, 23, 3) joint positions in cm.
-        world: (N, 23, 3, 3) world rotations of the joints.
+        thighs: (N, 2, 3, 3) world rotations of the joints HIPS.
     """
     hips, knees, ankles, _ = (positions[:, joints] for joints in LEG_JOINTS)
-    return _backwards(hips, knees, ankles, np.matmul(world[:, HIPS], _SIDE))
+    return _backwards(hips, knees, ankles, np.matmul(thighs, _SIDE))
+
+
+def foot_weights(holds: Array, moved: Array, scale: Array | float = 1.0) -> tuple[Array, Array]:
+    """Weigh what foot joints say about the movement of the root: the less a joint moves, the more it counts.
+
+    Args:
+        holds: (N, 4) how firmly each joint stands, 0 to its share of FOOT_SHARES.
+        moved: (N, 4) how far it has moved over the ground since the frame before, in cm.
+        scale: one, or (N, 1), size of each body against the canonical one.
+
+    Returns:
+        Weights (N, 4) whose sum is 1, or 0 where no joint stands, and how firmly all hold together (N,), 0 to 1.
+    """
+    weights = holds / (moved + HOLD.ease * scale)
+    weights = weights / (weights.sum(axis=1, keepdims=True) + 1e-9)
+    return weights, np.minimum(holds.sum(axis=1) / HOLD.enough, 1.0)
 
 
 def root_slip(before: Array, feet: Array, contacts: Array, scale: Array | float = 1.0) -> Array:
     """How far feet in contact carry the root along with them over the ground (N, 2) since the frame before.
 
-    What feet say that stand still counts more than what moving ones say.
-
     Args:
-        before, feet: (N, 4, 3) joints in the order of FOOT_JOINTS, in cm, of a frame and of the one before.
+        before, feet: (N, 4, 3) joints in the order of FOOT_JOINTS, in cm, of the frame before and of this one.
         contacts: (N, 4) probabilities.
         scale: (N,) size of each body against the canonical one.
     """
     size = np.broadcast_to(np.asarray(scale, feet.dtype), feet.shape[:1])[:, None]
     moved = (feet - before)[..., ::2]
-    shares = np.array([HOLD.ankle_share, 1.0, HOLD.ankle_share, 1.0], feet.dtype)
-    holds = shares * np.clip((contacts - HOLD.unsure) / (HOLD.sure - HOLD.unsure), 0.0, 1.0)
-    weights = holds / (length(moved) + HOLD.ease * size)
-    mean = (weights[..., None] * moved).sum(axis=1) / (weights.sum(axis=1) + 1e-9)[:, None]
+    certain = np.clip((contacts - HOLD.unsure) / (HOLD.sure - HOLD.unsure), 0.0, 1.0)
+    weights, strength = foot_weights(np.array(FOOT_SHARES, feet.dtype) * certain, length(moved), size)
+    mean = (weights[..., None] * moved).sum(axis=1)
     far = length(mean)[:, None] / (HOLD.limit * size)
-    strength = np.minimum(holds.sum(axis=1) / HOLD.enough, 1.0)[:, None]
-    return (strength * mean / (1.0 + far * far)).astype(feet.dtype)
+    return (strength[:, None] * mean / (1.0 + far * far)).astype(feet.dtype)
 
 
 def leg_turns(hips: Array, knees: Array, ankles: Array, side: Array, targets: Array) -> tuple[Array, Array]:
