@@ -81,7 +81,7 @@ class Timed:
     def _step(self) -> list[float]:
         run, options = self.run, self.run.options
         period = options.scheduled_sampling.period
-        windows = self.timed(lambda: run.sampler.batch(run.step, options.batch))
+        windows = self.timed(lambda: run.sampler.batch(run.step, options.optimizer.batch))
         # A block makes the windows of all its steps, and runs some of them on predictions.
         block = self.timed(lambda: setattr(self, "batch", run.blocks.next(run.step, 0.0)))
         predictions = max(0.0, block / period - windows)

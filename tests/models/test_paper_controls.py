@@ -34,7 +34,7 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import SamplingPreset
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton, leg_length
 from motionkit.training.presets import train_options
-from motionkit.training.sampler import LEAST_CUT, SamplerOptions, WindowSampler
+from motionkit.training.sampler import LEAST_CUT, ControlSampling, SamplerOptions, WindowSampler
 from motionkit.training.trainer import train
 
 SMALL = {"width": 48, "heads": 4, "ffn": 96, "layers": 2, "control_width": 16, "control_embedding": 24}
@@ -96,7 +96,11 @@ def test_types_are_given_at_six_frames_of_the_coming_second() -> None:
 def test_training_windows_hold_them(paper_dataset: Path) -> None:
     dataset = Dataset(paper_dataset)
     sampler = WindowSampler(
-        dataset, SamplerOptions(window=24, interval=4.0, noise=0.0, lead_share=0.0), 0, (), "paper"
+        dataset,
+        SamplerOptions(window=24, interval=4.0, noise=0.0, controls=ControlSampling(lead_share=0.0)),
+        0,
+        (),
+        "paper",
     )
     batch = sampler.batch(0, 4)
     types = batch.controls[..., sampler.controls.type].reshape(4, 24, 6, len(dataset.types))
@@ -133,9 +137,9 @@ def test_the_log_says_how_the_run_compares_with_the_papers(run: tuple[MotionMode
 
 def test_a_budget_sets_steps_batch_window_and_rate() -> None:
     cpu = train_options("tptn-paper", budget="cpu", batch=None)
-    assert (cpu.steps, cpu.batch, cpu.sampler.window, cpu.optimizer.rate) == (1500, 8, 96, 3e-4)
+    assert (cpu.steps, cpu.optimizer.batch, cpu.sampler.window, cpu.optimizer.rate) == (1500, 8, 96, 3e-4)
     own = train_options("tptn-paper", steps=5, budget="cpu", window=40)
-    assert (own.steps, own.batch, own.sampler.window) == (5, 8, 40)
+    assert (own.steps, own.optimizer.batch, own.sampler.window) == (5, 8, 40)
     paper = train_options("tptn-paper", budget="paper")
     assert paper == train_options("tptn-paper", steps=paper.steps)
     with pytest.raises(ModelError, match="budgets are for presets"):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
+from dataclasses import fields
 
 import pytest
 
-from motionkit.training.options import Stage, TrainOptions, flat_options
+from motionkit.training.options import GROUP_OF, GROUPS, Stage, TrainOptions, flat_options, with_changes
 from motionkit.training.presets import STAGES, train_options
 
 TWO = (Stage(0.0, {"share": 0.0}), Stage(0.5, {"share": 0.3, "step_weight": 7.0}))
@@ -45,3 +47,33 @@ def test_stages_are_plain_values_in_a_checkpoint() -> None:
 def test_an_unknown_option_of_a_stage() -> None:
     with pytest.raises(TypeError, match="speed"):
         TrainOptions(steps=1, stages=(Stage(0.0, {"speed": 1.0}),)).at(0.0)
+
+
+def test_every_option_has_one_name() -> None:
+    names = Counter(option.name for kind in (TrainOptions, *GROUPS.values()) for option in fields(kind))
+    assert not [name for name, count in names.items() if count > 1]
+    assert {*GROUP_OF.values()} == {*GROUPS}
+
+
+def test_changes_reach_groups_within_groups() -> None:
+    before = TrainOptions(steps=3)
+    after = with_changes(before, {"lead_share": 0.1, "window": 8, "batch": 2, "steps": None, "minutes": 1.0})
+    assert after.sampler.controls.lead_share == 0.1 and after.sampler.window == 8
+    assert (after.optimizer.batch, after.steps, after.minutes) == (2, None, 1.0)
+    assert after.losses == before.losses
+    assert after.sampler.controls.reference_dropout == before.sampler.controls.reference_dropout
+    whole = with_changes(before, {"optimizer": after.optimizer, "sampler": after.sampler})
+    assert (whole.optimizer, whole.sampler) == (after.optimizer, after.sampler)
+
+
+def test_options_of_earlier_releases_get_the_names_of_today() -> None:
+    now = flat_options(TrainOptions(steps=3).to_dict())
+    assert {f"{group}.{name}" for name, group in GROUP_OF.items()} < {*now}
+    grouped = {  # as in release 0.2
+        "steps": 3, "batch": 16, "optimizer": {"rate": 1e-3},
+        "sampler": {"window": 96, "trajectory_dropout": 0.5, "reference_dropout": 0.5, "reference_gaps": 0.25},
+    }  # fmt: skip
+    single = {"steps": 3, "batch": 16, "rate": 1e-3, "window": 96, "guide_dropout": 0.5, "lead_frames": 30}
+    for earlier in (grouped, single):
+        found = flat_options(earlier)
+        assert len(found) > 5 and found.items() <= now.items()

@@ -170,10 +170,14 @@ def test_tensors_of_a_checkpoint(
         ({"step": -1}, "step is -1"),
         ({"seconds": None}, "seconds is None"),
         ({"options": [1]}, "options is [1], expected an object"),
-        ({"options": {"batch": [[]]}}, "started with batch [[]] (now 4)"),
+        ({"options": {"batch": [[]]}}, "started with optimizer.batch [[]] (now 4)"),
         ({"options": {"optimizer": {"rate": 0.5}}}, "started with optimizer.rate 0.5 (now 0.001)"),
         # Checkpoints of earlier releases, without groups.
         ({"options": {"rate": 0.5, "half": True}}, "started with optimizer.rate 0.5 (now 0.001); resume"),
+        (
+            {"options": {"sampler": {"lead_share": 0.9}}},
+            "started with sampler.controls.lead_share 0.9 (now 0.5)",
+        ),
         ({"options": {"evenness": 0.0}}, "started with losses.beta_nll 0.0 (now 0.5)"),
         (
             {"options": {"self_feed": {"guided_back": 0.5}}},

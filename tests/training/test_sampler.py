@@ -7,13 +7,15 @@ import torch
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
+from motionkit.training.presets import train_options
 from motionkit.training.sampler import SamplerOptions, WindowSampler
 
 WINDOW = 40
 
 
 def sampler(dataset: Dataset, seed: int = 0, **changes) -> WindowSampler:
-    made = WindowSampler(dataset, SamplerOptions(**{"window": WINDOW, "splices": 0} | changes), seed)
+    options = train_options("tiny", steps=1, **{"window": WINDOW, "splices": 0} | changes)
+    made = WindowSampler(dataset, options.sampler, seed)
     made.make_splices()
     return made
 
@@ -164,8 +166,8 @@ def test_a_dataset_without_training_clips(dataset: Dataset, monkeypatch: pytest.
 
 
 def test_gaps_in_reference_poses_last_half_a_second_to_a_second(dataset: Dataset) -> None:
-    options = SamplerOptions(window=96, splices=0, reference_dropout=0.0, reference_gaps=1.0, lead_share=0.0)
-    batch = WindowSampler(dataset, options).batch(0, 16)
+    gaps = {"reference_dropout": 0.0, "reference_gaps": 1.0, "lead_share": 0.0}
+    batch = sampler(dataset, window=96, **gaps).batch(0, 16)
     gain = batch.controls[..., -1] * (batch.mask > 0)
     recorded = (batch.mask > 0).sum(dim=1)
     missing = recorded - gain.sum(dim=1)

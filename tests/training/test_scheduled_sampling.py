@@ -10,7 +10,7 @@ from motionkit.features.control import ControlLayout
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.training.losses import Batch
-from motionkit.training.sampler import SamplerOptions, WindowSampler, window_generator
+from motionkit.training.sampler import ControlSampling, SamplerOptions, WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
     PredictedInputs,
     ScheduledSamplingOptions,
@@ -26,7 +26,9 @@ ALWAYS = ScheduledSamplingOptions(
 
 @pytest.fixture(scope="module")
 def sampler(dataset: Dataset) -> WindowSampler:
-    return WindowSampler(dataset, SamplerOptions(window=24, splices=0, reference_dropout=0.6))
+    return WindowSampler(
+        dataset, SamplerOptions(window=24, splices=0, controls=ControlSampling(reference_dropout=0.6))
+    )
 
 
 @pytest.fixture(scope="module")

@@ -373,9 +373,9 @@ def test_a_run_needs_steps_or_minutes() -> None:
 def test_train_options_of_presets() -> None:
     assert train_options("tptn", steps=5).optimizer.rate == 1e-3
     paper = train_options("tptn-paper", steps=5)
-    assert (paper.optimizer.rate, paper.batch, paper.sampler.window) == (1e-4, 56, 300)
+    assert (paper.optimizer.rate, paper.optimizer.batch, paper.sampler.window) == (1e-4, 56, 300)
     assert paper.losses.weights == WEIGHTS and paper.losses.beta_nll == 0.0
-    assert paper.sampler.splices == 0 and paper.sampler.trajectory_dropout == 0.0
+    assert paper.sampler.splices == 0 and paper.sampler.controls.trajectory_dropout == 0.0
     assert train_options("tptn-paper", steps=5, splices=20, window=64).sampler.splices == 20
     changed = train_options("tiny", minutes=1.0, window=64, splices=3, rate=2e-3, batch=8)
     assert (changed.sampler.window, changed.sampler.splices) == (64, 3)

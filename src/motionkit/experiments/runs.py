@@ -166,7 +166,7 @@ def _trained(
         "budget": {
             "name": plan.budget,
             "steps": done.steps,
-            "batch": options.batch,
+            "batch": options.optimizer.batch,
             "window": options.sampler.window,
             "rate": options.optimizer.rate,
         },

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from motionkit.errors import MotionkitError
 from motionkit.training.losses import WEIGHTS, LossOptions
-from motionkit.training.sampler import SamplerOptions
+from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 
 # The paper's weights, but for smoothness: the paper's weight of 10 damps every movement (docs/learning.md).
@@ -18,16 +18,15 @@ SHIPPED_LOSSES = LossOptions(outlier=3.0, beta_nll=0.5, slip_weight=10.0, weight
 
 @dataclass(frozen=True)
 class OptimizerOptions:
-    """AdamW, its learning rate, and the running average of the weights."""
+    """AdamW, its batches and learning rate, and the running average of the weights."""
 
+    batch: int = 16  # windows per step, over all processes
     rate: float = 1e-3  # peak learning rate
     warmup: int = 200  # steps of linear warm-up
     final_rate: float = 0.02  # share of the peak rate at the end of the cosine
     weight_decay: float = 0.01
     betas: tuple[float, float] = (0.9, 0.98)
-    schedule: str = (
-        "cosine"  # "cosine"; "halving" halves the rate at every quarter of the run, as the paper does
-    )
+    schedule: str = "cosine"  # or "halving": the rate halves at every quarter of the run, as in the paper
     clip_norm: float = 1.0  # largest norm of the gradient
     ema: float = 0.998  # decay of the running average that becomes the model
     precision: str = "auto"  # arithmetic of the network: "auto", "float32" or "bfloat16"
@@ -70,7 +69,6 @@ class TrainOptions:
     init: str | None = None  # model file whose weights the run starts from
     steps: int | None = None
     minutes: float | None = None
-    batch: int = 16  # windows per step, over all processes
     seed: int = 0
     optimizer: OptimizerOptions = field(default_factory=OptimizerOptions)
     losses: LossOptions = SHIPPED_LOSSES
@@ -100,21 +98,44 @@ GROUPS: dict[str, type] = {
     "optimizer": OptimizerOptions,
     "losses": LossOptions,
     "sampler": SamplerOptions,
+    "sampler.controls": ControlSampling,
     "scheduled_sampling": ScheduledSamplingOptions,
     "output": OutputOptions,
 }
-GROUP_OF = {option.name: group for group, kind in GROUPS.items() for option in fields(kind)}
+# Each option's name to that of its group; no two groups have an option of the same name.
+GROUP_OF = {
+    option.name: group
+    for group, kind in GROUPS.items()
+    for option in fields(kind)
+    if f"{group}.{option.name}" not in GROUPS
+}
+_GROUP_WORDS = {group.rpartition(".")[2] for group in GROUPS}
 
 
 def with_changes(options: TrainOptions, changes: Mapping[str, Any]) -> TrainOptions:
     """Return options with some of any group changed by name. Raises TypeError if a name is unknown."""
-    grouped: dict[str, dict[str, Any]] = {}
+    grouped: dict[str, Any] = {}
     for name, value in changes.items():
-        if name in GROUP_OF:
-            grouped.setdefault(GROUP_OF[name], {})[name] = value
-    plain = {name: value for name, value in changes.items() if name not in GROUP_OF}
-    groups = {group: replace(getattr(options, group), **values) for group, values in grouped.items()}
-    return replace(options, **plain, **groups)
+        values = grouped
+        for group in _groups(name):
+            values = values.setdefault(group, {})
+        values[name] = value
+    return _replaced(options, grouped)
+
+
+def _groups(name: str) -> list[str]:
+    """Return the groups that an option is in, outermost first."""
+    return GROUP_OF[name].split(".") if name in GROUP_OF else []
+
+
+def _replaced(record: Any, changes: Mapping[str, Any]) -> Any:
+    """Return a record with changed fields; for a field that is a record, changes may be a mapping likewise."""
+    values = dict(changes)
+    for name, value in changes.items():
+        now = getattr(record, name, None)
+        if is_dataclass(now) and isinstance(value, Mapping):
+            values[name] = _replaced(now, value)
+    return replace(record, **values)
 
 
 # Names in checkpoints of earlier releases.
@@ -130,13 +151,13 @@ EARLIER_NAMES = {
 def flat_options(options: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of to_dict by names such as "optimizer.rate".
 
-    Options of a checkpoint of an earlier release, which had fewer groups, get today's names.
+    Options of a checkpoint of an earlier release, which had other groups, get today's names.
     """
     flat: dict[str, Any] = {}
     for key, value in options.items():
         name = EARLIER_NAMES.get(key, key)
-        if name in GROUPS and isinstance(value, Mapping):
-            flat |= {f"{name}.{EARLIER_NAMES.get(k, k)}": v for k, v in value.items()}
+        if isinstance(value, Mapping) and name in _GROUP_WORDS:
+            flat |= flat_options(value)
         else:
-            flat[f"{GROUP_OF[name]}.{name}" if name in GROUP_OF else name] = value
+            flat[".".join([*_groups(name), name])] = value
     return flat

@@ -12,7 +12,7 @@ from motionkit.models.config import ModelConfig
 from motionkit.models.presets import preset
 from motionkit.training.losses import LossOptions
 from motionkit.training.options import OptimizerOptions, Stage, TrainOptions, with_changes
-from motionkit.training.sampler import SamplerOptions
+from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 
 # A run from random weights. At first no prediction is near enough to be an input. Feet are to stand where they stood
@@ -27,9 +27,8 @@ STAGES = (
 # Paper section 4.3: 56 windows of 300 frames cut at intervals by type, AdamW, learning rate 1e-4 halved every 500 of
 # 2000 epochs, no warm-up, no average of the weights, no clipping of the gradient.
 PAPER: dict[str, Any] = {
-    "batch": 56,
     "optimizer": OptimizerOptions(
-        rate=1e-4, warmup=0, schedule="halving", betas=(0.9, 0.999), clip_norm=1e9, ema=0.0
+        batch=56, rate=1e-4, warmup=0, schedule="halving", betas=(0.9, 0.999), clip_norm=1e9, ema=0.0
     ),
     "losses": LossOptions(outlier=1e9, foot_term="paper"),
     "sampler": SamplerOptions(
@@ -37,9 +36,7 @@ PAPER: dict[str, Any] = {
         balance=1.0,
         splices=0,
         splice_share=0.0,
-        trajectory_dropout=0.0,
-        reference_dropout=1.0,
-        lead_share=0.0,
+        controls=ControlSampling(trajectory_dropout=0.0, reference_dropout=1.0, lead_share=0.0),
         phase_weight=1.0,
         interval=4.0,
         noise=0.05,

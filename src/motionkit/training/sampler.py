@@ -38,25 +38,29 @@ MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
 
 
 @dataclass(frozen=True)
+class ControlSampling:
+    """How often windows go without some of their controls, so that the network learns to do without."""
+
+    trajectory_dropout: float = 0.5  # share of windows without a trajectory
+    # Share of windows without reference poses; before and after a change of type it is sampled separately.
+    reference_dropout: float = 0.5
+    reference_gaps: float = 0.25  # share of windows that lack reference poses for half a second to a second
+    lead_share: float = 0.5  # share of windows whose type changes before the motion does
+    lead_frames: int = 30  # by at most this many frames
+
+
+@dataclass(frozen=True)
 class SamplerOptions:
     """How windows are sampled."""
 
     window: int = 96  # frames per window (paper: 300)
     balance: float = 0.75  # 0: types as often as recorded; 1: all equally often (paper)
-    phase_weight: float = (
-        3.0  # factor for types with a phase, such as flips (the paper favours hard types too)
-    )
+    # Factor for types with a phase, such as flips; the paper favours hard types too.
+    phase_weight: float = 3.0
     type_weights: dict[str, float] = field(default_factory=dict)  # factors for single types
     splices: int = 2000  # spliced transitions made before training
     splice_share: float = 0.4  # share of windows from spliced transitions
-    trajectory_dropout: float = 0.5  # share of windows without a trajectory
-    # Share of windows without reference poses; before and after a change of type it is sampled separately.
-    reference_dropout: float = 0.5
-    reference_gaps: float = (
-        0.25  # share of windows whose reference poses are missing for half a second to a second
-    )
-    lead_share: float = 0.5  # share of windows whose type changes before the motion does
-    lead_frames: int = 30  # by at most this many frames
+    controls: ControlSampling = field(default_factory=ControlSampling)
     # Frames between the windows that are cut from every clip, and drawn alike (paper: 4); longer where a type has many
     # frames and shorter where it has few, by balance. 0 draws windows type by type instead.
     interval: float = 0.0
@@ -248,8 +252,8 @@ class WindowSampler:
         x = self.dataset.scaling.normalize(data.features[: frames + 1])
         trajectory = future_trajectory(data.ground, np.arange(frames + 1))
         types = data.types
-        if torch.rand((), generator=generator) < options.lead_share:
-            lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
+        if torch.rand((), generator=generator) < options.controls.lead_share:
+            lead = int(torch.randint(options.controls.lead_frames + 1, (), generator=generator))
             types = np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
         all_weights = blend_types(types, len(self.dataset.types))
         weights = all_weights[:frames]
@@ -259,7 +263,7 @@ class WindowSampler:
         asked = Controls(
             weights,
             trajectory[:frames],
-            np.full(frames, float(u >= options.trajectory_dropout), np.float32),
+            np.full(frames, float(u >= options.controls.trajectory_dropout), np.float32),
             data.phases[:frames],
             data.reference[:frames],
             reference_gain,
@@ -287,12 +291,11 @@ class WindowSampler:
 
     def _with_reference(self, types: Array, generator: torch.Generator) -> Array:
         """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it, and gaps."""
-        before, after = (
-            (torch.rand(2, generator=generator) >= self.options.reference_dropout).float().tolist()
-        )
+        options = self.options.controls
+        before, after = (torch.rand(2, generator=generator) >= options.reference_dropout).float().tolist()
         unchanged = np.logical_and.accumulate(types == types[0])
         gain = np.where(unchanged, np.float32(before), np.float32(after))
-        if torch.rand((), generator=generator) < self.options.reference_gaps:
+        if torch.rand((), generator=generator) < options.reference_gaps:
             begins, frames = torch.rand(2, generator=generator).tolist()
             first = int(begins * len(types))
             gain[first : first + GAP_FRAMES + int(frames * GAP_FRAMES)] = 0.0

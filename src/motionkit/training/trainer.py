@@ -243,8 +243,9 @@ class TrainingRun:
         self.folder = Path(run_folder) if run_folder else output.with_suffix(".run")
         self.device = resolve_device(device)
         self.rank, self.world = _join_processes(self.device)
-        if options.batch % self.world:
-            raise DatasetError(f"--batch {options.batch}: expected a multiple of the {self.world} processes")
+        batch = options.optimizer.batch
+        if batch % self.world:
+            raise DatasetError(f"--batch {batch}: expected a multiple of the {self.world} processes")
         self.on_event = on_event if self.rank == 0 else None
         try:  # before training, not hours later when the model is written
             check_names(list(dataset.types), list(dict.fromkeys(["default", *dataset.characters])))
@@ -287,7 +288,7 @@ class TrainingRun:
         self.scores: tuple[TypeScore, ...] = ()
         kept, controls = tuple(self.kept), config.controls
         self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, controls)
-        share = options.batch // self.world
+        share = batch // self.world
         places = range(self.rank * share, (self.rank + 1) * share)
         self.blocks = WindowBlocks(self.sampler, network, options, places)
         self._block: BlockStart | None = None  # of the checkpoint that the run resumes from
@@ -373,10 +374,11 @@ class TrainingRun:
         options, cuts = self.options, len(self.sampler.cuts)
         if not cuts or not options.steps:
             return []
-        frames = options.steps * options.batch * options.sampler.window
+        batch, window = options.optimizer.batch, options.sampler.window
+        share = 100.0 * options.steps * batch * window / PAPER_FRAMES
         return [
-            f"{cuts} windows; {options.steps} steps of {options.batch} x {options.sampler.window} frames are "
-            f"{options.steps * options.batch / cuts:.2f} epochs and {100.0 * frames / PAPER_FRAMES:.3g} % of the "
+            f"{cuts} windows; {options.steps} steps of {batch} x {window} frames are "
+            f"{options.steps * batch / cuts:.2f} epochs and {share:.3g} % of the "
             f"paper's frames; rate {options.optimizer.rate:g}, halved every {-(-options.steps // 4)} steps "
             "(paper: 0.0001, every 500 of 2000 epochs)"
         ]
@@ -524,7 +526,9 @@ class TrainingRun:
             "losses": {n: round(v, 5) for n, v in self.losses.items()},
             "scores": {s.type: s.to_dict() for s in self.scores},
         }
-        references = self.options.sampler.reference_dropout < 1.0 and network.config.controls == "extended"
+        references = (
+            self.options.sampler.controls.reference_dropout < 1.0 and network.config.controls == "extended"
+        )
         return bundle_model(network.weights(), self.dataset, card, references, self.kept)
 
     def _score(self) -> bool:

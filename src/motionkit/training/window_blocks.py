@@ -114,7 +114,7 @@ class WindowBlocks:
         """Return the windows of some steps as they are recorded; for a GPU those of the next block are begun."""
 
         def make(step: int) -> Batch:
-            return self.sampler.batch(step, self.options.batch, self.places.start, len(self.places))
+            return self.sampler.batch(step, self.options.optimizer.batch, self.places.start, len(self.places))
 
         if device.type == "cpu":  # which has better things to do meanwhile
             return [make(step) for step in steps]
