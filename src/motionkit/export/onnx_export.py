@@ -49,6 +49,7 @@ WEIGHTS = ("float32", "int8")
 # Largest distance in cm between joints of the graph and of motionkit after ten seconds in closed loop. In 8 bits small
 # differences add up to another path over the ground.
 TOLERANCES = {"float32": 0.5, "int8": 200.0}
+CHECK_FRAMES = 600  # of the check before a graph is written
 REFERENCE_SECONDS = 12.0  # of reference clips per type in the metadata; the last clip is not cut
 
 
@@ -187,7 +188,7 @@ def _reference_clips(model: MotionModel, kind: str) -> list[dict[str, list]]:
 
 
 def _rounded(values: Array, digits: int) -> list:
-    return [[round(number, digits) for number in row] for row in values.astype(np.float64).tolist()]
+    return np.round(values.astype(np.float64), digits).tolist()
 
 
 # ---- export and check ----
@@ -278,7 +279,7 @@ def export_onnx(
     check = _checked(model, proto, character, TOLERANCES[weights])
     with _both(path, beside) as (graph, text):
         graph.write(proto)
-        json.dump(metadata(model, character, weights), text)
+        text.write(json.dumps(metadata(model, character, weights)))  # faster than json.dump
     return check
 
 
@@ -288,7 +289,7 @@ def _checked(model: MotionModel, graph: bytes, character: str, tolerance: float)
         import onnxruntime
     except ImportError:
         return None
-    check = check_export(model, graph, character)
+    check = check_export(model, graph, character, CHECK_FRAMES)
     if not check.positions <= tolerance:  # NaN fails as well
         raise ModelError(
             f"nothing written: in {check.frames} frames in ONNX Runtime {onnxruntime.__version__} joints of the graph "
@@ -401,7 +402,7 @@ def _start_graph(graph: OnnxStep, model: MotionModel, start: Start, type_weights
 
 
 def check_export(
-    model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int = 600
+    model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int
 ) -> ExportCheck:
     """Run the graph and motionkit in closed loop, from the same start with the same noise and every control.
 
