@@ -316,7 +316,9 @@ def test_a_finished_run_can_be_continued(dataset_folder: Path, tmp_path: Path, t
 def test_resuming_with_other_settings_is_refused(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     path = tmp_path / "m.safetensors"
     train(dataset_folder, path, tiny_options(steps=1), device="cpu")
-    with pytest.raises(ModelError, match=r"started with batch 4 \(now 8\); resume it with the same"):
+    with pytest.raises(
+        ModelError, match=r"started with optimizer.batch 4 \(now 8\); resume it with the same"
+    ):
         train(dataset_folder, path, tiny_options(steps=2, batch=8), resume=True, device="cpu")
     with pytest.raises(ModelError, match=r"started with sampler\.window 32 \(now 48\)"):
         train(dataset_folder, path, tiny_options(steps=2, window=48), resume=True, device="cpu")
@@ -379,7 +381,7 @@ def test_train_options_of_presets() -> None:
     assert train_options("tptn-paper", steps=5, splices=20, window=64).sampler.splices == 20
     changed = train_options("tiny", minutes=1.0, window=64, splices=3, rate=2e-3, batch=8)
     assert (changed.sampler.window, changed.sampler.splices) == (64, 3)
-    assert (changed.optimizer.rate, changed.batch, changed.seed) == (2e-3, 8, 0)
+    assert (changed.optimizer.rate, changed.optimizer.batch, changed.seed) == (2e-3, 8, 0)
     with pytest.raises(TypeError, match="windows"):
         train_options("tiny", steps=1, windows=64)
     with pytest.raises(ModelError, match="preset 'nope' is unknown"):
