@@ -18,7 +18,7 @@ from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
-from motionkit.experiments.datasets import DANCE
+from motionkit.experiments.datasets import is_dance
 from motionkit.experiments.protocol import TestSequence, decoded
 from motionkit.features.control import Controls
 from motionkit.files import read_json
@@ -59,7 +59,7 @@ def long_types(dataset: Dataset) -> list[str]:
         for start, end, number in type_stretches(dataset.clip_types(clip)):
             kind = dataset.types[number]
             counts[kind] = max(counts.get(kind, 0), end - start)
-    dances = sorted((kind for kind in counts if kind.startswith(DANCE)), key=lambda k: (-counts[k], k))
+    dances = sorted((kind for kind in counts if is_dance(kind)), key=lambda k: (-counts[k], k))
     kinds = ["walking", "running", *dances[:1]]
     lacking = [kind for kind in kinds if counts.get(kind, 0) < INITIAL]
     if lacking or not dances:

@@ -14,7 +14,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.errors import MotionkitError
-from motionkit.experiments.datasets import DANCE, LEAST_TEST
+from motionkit.experiments.datasets import LEAST_TEST, is_dance
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
 from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.inference.rollout import RolloutState, default_noise, run
@@ -70,7 +70,7 @@ class TestSequence:
     @property
     def dance(self) -> bool:
         """Whether it is a dance."""
-        return self.kind.startswith(DANCE)
+        return is_dance(self.kind)
 
 
 def sequences_of(dataset: Dataset, longest: int = LONGEST) -> list[TestSequence]:
