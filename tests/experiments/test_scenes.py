@@ -9,7 +9,7 @@ import pytest
 
 from motionkit.cli.main import main
 from motionkit.errors import MotionkitError
-from motionkit.experiments.scenes import SCENES, chosen_scenes
+from motionkit.experiments.scenes import SCENES, chosen_scenes, picture_name
 
 
 def test_figures_1_and_5_to_9_have_scenes_with_the_distances_of_the_paper() -> None:
@@ -42,3 +42,14 @@ def test_the_command_writes_motion_picture_and_distance(
     assert 0.0 < max(row["distances"]) < 5.0 and row["distances"][0] != row["distances"][1]
     assert {file.suffix for file in (tmp_path / "shipped").iterdir()} == {".bvh", ".png"}
     assert not list(tmp_path.glob("*.json"))  # only all scenes together make a results file
+
+
+def test_the_pictures_in_docs_are_those_of_the_script(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("PIL")
+    docs = Path(__file__).resolve().parents[2] / "docs"
+    monkeypatch.syspath_prepend(str(docs))
+    import make_scenes
+
+    made = {picture_name(each.figure, each.name) for each in chosen_scenes(make_scenes.FIGURES)}
+    assert {path.name for path in docs.glob("figure-*.png")} == made
+    assert all(f"]({name})" in (docs / "experiments.md").read_text("utf-8") for name in made)

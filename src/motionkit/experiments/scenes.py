@@ -110,6 +110,11 @@ def chosen_scenes(names: Sequence[str]) -> list[Scene]:
     return [each for each in SCENES if not names or each.name in names or each.figure in names]
 
 
+def picture_name(figure: str, name: str) -> str:
+    """Return the file name of a scene's picture beside docs/experiments.md; docs/make_scenes.py makes some of them."""
+    return f"figure-{figure}-{name}.png"
+
+
 def make_scene(model: MotionModel, scene: Scene, seed: int) -> Made:
     """Make a scene with a model; feet are not held, as in the paper's figures.
 
