@@ -10,17 +10,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from motionkit.cli.experiment import BUDGET_NAMES, SETS
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments import runs
-from motionkit.experiments.datasets import SELECTIONS, Selection, select
+from motionkit.experiments.datasets import SELECTIONS, Selection, is_dance, select
 from motionkit.experiments.protocol import METRICS, sequences_of
 from motionkit.experiments.runs import Plan, read_results, result_file, run_one
 from motionkit.experiments.shipped import features_after, recorded_motion, run_shipped
 from motionkit.experiments.tables import tables
 from motionkit.experiments.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
 from motionkit.models.bundled import BUNDLED, open_model
-from motionkit.training.presets import train_options
+from motionkit.motion.bvh import write_bvh
+from motionkit.training.presets import BUDGETS, train_options
+from synthetic_motions import make_cartwheel, make_dance, make_idle, make_walk
 
 # Fields that make networks small; what a variant changes stays.
 SMALL: dict[str, dict[str, Any]] = {
@@ -153,6 +156,68 @@ def test_a_training_set_has_no_test_sequence(paper_folder: Path, monkeypatch: py
     monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
     with pytest.raises(DatasetError, match="no clips for the data set empty"):
         select(paper_folder, "empty")
+
+
+@pytest.fixture(scope="module")
+def labelled_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A dataset with gaits, a dance and a cartwheel, each with a training and a test clip."""
+    folder = tmp_path_factory.mktemp("labelled")
+    makers = {
+        "walking": make_walk,
+        "Tango dancing": make_dance,
+        "cartwheel": make_cartwheel,
+        "idle": make_idle,
+    }
+    lines = ["file,start_frame,end_frame,type,subject,split"]
+    for kind, make in makers.items():
+        for split, frames in (("train", 150), ("test", 130)):
+            name = f"{kind}_{split}.bvh".replace(" ", "-")
+            write_bvh(folder / name, make(frames))
+            lines.append(f"{name},0,-1,{kind},P1,{split}")
+    (folder / "labels.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    options = PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True, smooth=False)
+    preprocess([folder], folder / "data", options)
+    return folder / "data"
+
+
+@pytest.mark.parametrize(
+    ("name", "train", "test"),
+    [
+        ("D_L", {"walking", "cartwheel", "idle"}, {"walking", "cartwheel", "idle"}),
+        ("all", {"walking", "Tango dancing", "cartwheel", "idle"}, {"walking", "Tango dancing", "cartwheel", "idle"}),
+        ("no-dances", {"walking", "cartwheel", "idle"}, {"walking", "cartwheel", "idle"}),
+        ("locomotion", {"walking", "idle"}, {"walking", "idle"}),
+    ],
+)  # fmt: skip
+def test_a_data_set_runs_on_its_own_clips(
+    plan: Plan, labelled_folder: Path, name: str, train: set[str], test: set[str]
+) -> None:
+    dataset = select(labelled_folder, name)
+
+    def kinds(split: str) -> set[str]:
+        clips = dataset.select(split)
+        return {dataset.types[k] for clip in clips for k in set(dataset.clip_types(clip).tolist())}
+
+    assert (kinds("train"), kinds("test")) == (train, test)
+    here = replace(plan, data=labelled_folder, selection=name, steps=3)
+    for each in ("MVAE", "last frame"):
+        result = run(here, variant(each))
+        assert result["data"] == name and ("dance" in result["groups"]) == (name == "all")
+    written = read_results(plan.results)
+    assert {each["folder"] for each in written} == {f"{name}/cpu-3"}
+    titles = [table.title for table in tables(written)]
+    assert titles and all(name in title for title in titles)
+
+
+def test_the_options_name_every_data_set_and_budget() -> None:
+    assert list(SELECTIONS) == SETS and list(BUDGETS) == BUDGET_NAMES
+
+
+@pytest.mark.parametrize(
+    ("kind", "dance"), [("dance-salsa", True), ("Tango dancing", True), ("balance", False)]
+)
+def test_dances_are_known_by_their_label(kind: str, dance: bool) -> None:
+    assert is_dance(kind) == dance
 
 
 def test_types_without_a_test_clip_are_tested_on_a_mirror_image(paper_folder: Path) -> None:

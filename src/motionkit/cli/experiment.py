@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 RESULTS = Path("experiments/results")
 SCENES = Path("experiments/scenes")
 LONG = Path("experiments/long")
+BODIES = Path("experiments/bodies")
+SETS = ["D_L", "all", "no-dances", "locomotion"]
+BUDGET_NAMES = ["short", "medium", "cpu", "gpu", "paper"]
 
 
 def _data_option(function: Callable) -> Callable:
@@ -48,14 +51,14 @@ def _plan_options(function: Callable) -> Callable:
             "selection",
             default="D_L",
             show_default=True,
-            type=click.Choice(["D_L", "all", "no-dances", "locomotion"]),
+            type=click.Choice(SETS),
             help="Data set (motionkit/experiments/datasets.py).",
         ),
         click.option(
             "--budget",
             default="cpu",
             show_default=True,
-            type=click.Choice(["short", "cpu", "gpu", "paper"]),
+            type=click.Choice(BUDGET_NAMES),
             help="Training of every network: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
         ),
         click.option("--steps", type=click.IntRange(min=1), help="Training steps; the budget's by default."),
@@ -240,7 +243,7 @@ def run_command(
     "selection",
     default="D_L",
     show_default=True,
-    type=click.Choice(["D_L", "all", "no-dances", "locomotion"]),
+    type=click.Choice(SETS),
     help="Data set (motionkit/experiments/datasets.py).",
 )
 @click.option(
@@ -284,19 +287,25 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
 
 @command.command("tables")
 @_results_option
+@click.option("--set", "selection", type=click.Choice(SETS), help="Only this data set; all by default.")
 @_output_option("docs/experiments.md", folder=False)
 @click.option(
     "--latex", type=click.Path(path_type=Path, dir_okay=False), help="Also write all tables in LaTeX."
 )
-def tables_command(results: Path, output: Path, latex: Path | None) -> None:
+def tables_command(results: Path, selection: str | None, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     _needs_torch()
+    from motionkit.experiments.bodies import read_bodies
     from motionkit.experiments.long_rollouts import read_long
     from motionkit.experiments.page import Extras, write_page
     from motionkit.experiments.scenes import read_scenes
 
     scenes, long = read_scenes(results.parent / SCENES.name), read_long(results.parent / LONG.name)
-    write_page(_read(results), output, latex, Extras(tuple(scenes), tuple(long)))
+    bodies = read_bodies(results.parent / BODIES.name)
+    found = [each for each in _read(results) if selection in (None, each["data"])]
+    if not found:
+        raise MotionkitError(f"{results}: no results of the data set {selection} yet")
+    write_page(found, output, latex, Extras(tuple(scenes), tuple(long), tuple(bodies)))
     stdout_console().print(f"wrote {output}" + (f" and {latex}" if latex else ""))
 
 
@@ -428,6 +437,53 @@ def long_command(model_path: Path, data: Path, seconds: float, seeds: int, outpu
         table.add_row(*long_row(each.facts))
     stdout_console().print(table)
     stdout_console().print(f"wrote {sheet}")
+
+
+@command.command("bodies")
+@click.argument("model_path", metavar="MODEL", type=click.Path(exists=True, path_type=Path, dir_okay=False))
+@_data_option
+@click.option("--type", "kind", default="walking", show_default=True, help="Motion type.")
+@click.option(
+    "--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each performer."
+)
+@_output_option(str(BODIES), folder=True)
+def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: Path) -> None:
+    """Show the skeleton control signal of a MODEL with five performers, from short to long legs.
+
+    One recording is rolled out with the body of each in the network's input and all else alike. Limbs, height of the
+    hips and steps that come out are written beside those of the performer's own recordings, for `experiment tables`.
+    """
+    _needs_torch()
+    from motionkit.data.dataset import Dataset
+    from motionkit.experiments.bodies import BODIES_HEADER, bodies_row, show_bodies
+    from motionkit.files import atomic_write
+    from motionkit.models.checkpoint import load_model
+
+    model, dataset = load_model(model_path), Dataset(data)
+    with progress_bar() as bar:
+        task = bar.add_task("rolling out", total=100)
+        shown = show_bodies(
+            model, dataset, kind, seeds, lambda share: bar.update(task, completed=100 * share)
+        )
+    facts = {
+        "model": model_path.stem,
+        "steps": model.card.get("steps"),
+        "type": kind,
+        "seeds": seeds,
+        "performers": shown,
+    }
+    file = output / f"{model_path.stem}.json"
+    with atomic_write(file, "w") as out:
+        out.write(json.dumps(facts, indent=1) + "\n")
+    from rich.table import Table
+
+    table = Table()
+    for heading in BODIES_HEADER:
+        table.add_column(heading, overflow="fold", justify="right")
+    for each in shown:
+        table.add_row(*bodies_row(each))
+    stdout_console().print(table)
+    stdout_console().print(f"wrote {file}")
 
 
 @command.command("study")

@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from motionkit.experiments.bodies import BODIES_HEADER, bodies_row, slopes
 from motionkit.experiments.long_rollouts import APART, LONG_HEADER, long_row
+from motionkit.experiments.scenes import picture_name
 from motionkit.experiments.tables import (
     Results,
     TextTable,
@@ -47,15 +49,13 @@ foot locks; it leaves out test sequences that are mirror images of training clip
 """
 
 
-PICTURES = "figure-{figure}-{name}.png"  # of scenes, beside the page
-
 SCENES = """## The paper's figures 1 and 5 to 9
 
 `motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). The paper gives its
 paths as pictures alone: types and shapes are those of the paper, lengths are chosen to suit the recordings, so the
 distances are of like paths and not of the same. Each distance is the mean over frames from the root's place on the
 ground to the nearest point of the path, ± the standard deviation over seeds. Feet are not held, as in the paper's
-figures; the shipped model uses its reference poses.
+figures; the shipped model uses its reference poses. `python docs/make_scenes.py` draws the pictures below.
 """
 
 
@@ -72,7 +72,7 @@ def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
     table = TextTable("Distances from paths", ("figure", "what it shows", *names, "paper"), tuple(rows))
     parts = [SCENES, markdown(table)]
     for scene in scenes[0]["scenes"]:
-        file = PICTURES.format(**scene)
+        file = picture_name(scene["figure"], scene["name"])
         if (folder / file).exists():
             parts.append(f"![Figure {scene['figure']}: {scene['text']}]({file})\n")
     return parts
@@ -119,12 +119,38 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path) -> list[str]:
     return parts
 
 
+BODIES = """## Skeleton control
+
+The control signal c^s holds the joints of the performer's body in its rest pose (paper section 3.2). Here one recording
+is continued with the bodies of {count} performers in that signal, and with the same initial frames, types, trajectory
+and seeds. The network predicts joint positions beside rotations, so what it takes the body to be is measured in
+them, after the initial frames have left its receptive field; steps are the largest distance between the ankles in a
+second. Beside it stand the performer's own recordings of the type, all in cm. `motionkit experiment bodies MODEL` makes
+the table.
+"""
+
+
+def bodies_section(models: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the section of the skeleton control signal: a table for each model, and how far it is followed."""
+    parts = [BODIES.format(count=len(models[0]["performers"]))] if models else []
+    for each in models:
+        shown = each["performers"]
+        title = f"{each['model']}, {each['steps']} training steps: {each['type']}, {each['seeds']} seeds"
+        parts.append(markdown(TextTable(title, BODIES_HEADER, tuple(bodies_row(row) for row in shown))))
+        words = ", ".join(f"{name} {slope:.2f}" for name, slope in slopes(shown).items())
+        parts.append(
+            f"How much of a difference between performers is made (least squares; 1 is all): {words}.\n"
+        )
+    return parts
+
+
 @dataclass(frozen=True)
 class Extras:
-    """What stands on the page beside the tables: the results of scenes and of long roll-outs, by model."""
+    """What stands on the page beside the tables: the results of scenes, long roll-outs and bodies, by model."""
 
     scenes: tuple[dict[str, Any], ...] = ()
     long: tuple[dict[str, Any], ...] = ()
+    bodies: tuple[dict[str, Any], ...] = ()
 
 
 def page(results: Results, extras: Extras | None = None, beside: Path = Path("docs")) -> str:
@@ -137,7 +163,8 @@ def page(results: Results, extras: Extras | None = None, beside: Path = Path("do
             parts.append(f"Not run yet in `{folder}`: {', '.join(lacking)}.\n")
     parts += ["## What can be said\n", *(f"- {line}" for line in findings(results)), "", "## Tables\n"]
     parts += [markdown(table) for table in tables(results)]
-    return "\n".join([*parts, *scenes_section(extras.scenes, beside), *long_section(extras.long, beside)])
+    parts += [*scenes_section(extras.scenes, beside), *long_section(extras.long, beside)]
+    return "\n".join([*parts, *bodies_section(extras.bodies)])
 
 
 def findings(results: Results) -> list[str]:
