@@ -29,8 +29,12 @@ from motionkit.motion.rig_pose import map_file, median_offsets
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.motion.to_rig import on_body, rig_bvh, to_rig
+from motionkit.play.on_rig import LiveRig, with_rig
+from motionkit.play.requests import parse_request
+from motionkit.play.session import Session
 
 TOES = [JOINT_NAMES.index(f"{side}ToeBase") for side in ("Left", "Right")]
+LIVE_SECONDS = 7
 TYPES = ("walking:4", "running:4", "dance-modern:4")
 
 
@@ -67,6 +71,23 @@ def measure(rig: Rig, motion: Motion) -> list[float]:
     ]
 
 
+def live_sliding(rig: Rig) -> float:
+    """Sliding of the feet of a live character on a rig that walks for LIVE_SECONDS, after the first."""
+    session = Session(with_rig(mk.load_model(), rig), rig.name)
+    session.join(1)
+    session.obey(1, parse_request('{"do": "wish", "velocity": [0, 130], "seq": 1}'))
+    on_joints, shown, poses = LiveRig(rig), [], []
+    for _ in range(60 * LIVE_SECONDS):
+        (character,) = session.step().characters
+        shown.append(character.contacts)
+        poses.append(on_joints.pose(character))
+    rotations, places = (
+        np.array([pose[key] for pose in poses], np.float32) for key in ("rotations", "positions")
+    )
+    motion = Motion(rig.skeleton, rotations, places[:, 0], 60.0, places)
+    return sliding(feet(motion, rig)[60:], np.stack(shown)[60:, [1, 3]], 60.0)
+
+
 def found_by_shape(path: Path) -> bool:
     """Whether thighs, shins, upper arms and forearms are the same with and without names."""
     bvh = median_offsets(read_bvh(path))
@@ -91,8 +112,8 @@ def main() -> None:
         print(f"limbs found by shape alone: {sum(found)} of {len(found)} files")
         return
     motions = [mk.synthesize(types, seed=1).motion for types in TYPES]
-    print("| rigs | files | there and back | read as a new file | sliding: motion | copied | held |")
-    print("|---|---|---|---|---|---|---|")
+    print("| rigs | files | there and back | read as a new file | sliding: motion | copied | held | live |")
+    print("|---|---|---|---|---|---|---|---|")
     for folder in arguments.folders:
         files = files_below(folder, ".bvh")
         files = files[:: max(1, -(-len(files) // arguments.most))]
@@ -104,7 +125,7 @@ def main() -> None:
                 print(f"refused: {error}")
                 continue
             found = np.array([measure(rig, motion) for motion in motions])
-            rows.append(np.concatenate([found[:, :2].max(axis=0), found[:, 2:].mean(axis=0)]))
+            rows.append(np.array([*found[:, :2].max(axis=0), *found[:, 2:].mean(axis=0), live_sliding(rig)]))
         table = np.stack(rows)
         back, again = table[:, 0].max(), table[:, 1].max()
         print(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,9 @@ from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig
+from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
+from motionkit.play.frames import Shown
 from motionkit.play.on_rig import LiveRig, with_rig
 from motionkit.play.recording import file_bytes
 from motionkit.play.requests import parse_request
@@ -60,13 +63,51 @@ def test_a_pose_is_on_the_joints_of_the_rig(tiny_model: MotionModel, rig: Rig) -
     places = world(rig, live.pose(one)) * rig.scale
     for name in ("LeftLeg", "RightArm", "Head", *FEET):
         mine, theirs = (
-            at - root
-            for at, root in (
-                (places[rig.place(name)], places[rig.place("Hips")]),
-                (one.positions[JOINT_NAMES.index(name)], one.positions[0]),
+            at - thigh
+            for at, thigh in (
+                (places[rig.place(name)], places[rig.place("LeftUpLeg")]),
+                (one.positions[JOINT_NAMES.index(name)], one.positions[JOINT_NAMES.index("LeftUpLeg")]),
             )
         )
         assert np.allclose(mine, theirs, atol=0.05), name
+
+
+def hips_between_thighs(rig: Rig) -> Rig:
+    """The rig with its hips joint between its thighs, as high as they are, and 3 cm more from ankles down to toes."""
+    offsets = rig.skeleton.offsets.copy()
+    thighs, toes = (
+        [rig.place(f"{side}{part}") for side in ("Left", "Right")] for part in ("UpLeg", "ToeBase")
+    )
+    offsets[rig.skeleton.children(0)] -= offsets[thighs].mean(axis=0)
+    offsets[toes] -= 3.0 / rig.scale * rig.up.astype(np.float32)
+    return replace(rig, skeleton=replace(rig.skeleton, offsets=offsets))
+
+
+def test_feet_stand_on_the_floor_wherever_the_hips_joint_is(tiny_model: MotionModel, rig: Rig) -> None:
+    """The body of a rig once stood 10 cm in the air, on its toes, if its hips joint was as high as its thighs."""
+    other = hips_between_thighs(rig)
+    model = with_rig(tiny_model, other)
+    pose = replace(walk(1), local_rotations=quat_identity((1, len(JOINT_NAMES))))
+    places = {
+        name: motion_kinematics(replace(pose, skeleton=model.character(name)))[1]
+        for name in ("default", other.name)
+    }
+    for foot in ("LeftToeBase", "RightToeBase"):
+        joint = JOINT_NAMES.index(foot)
+        assert np.allclose(places["default"][0, joint, 1], places[other.name][0, joint, 1], atol=0.1), foot
+    live, shown = LiveRig(other), at_frame(pose, 0)
+    on_rig = world(other, live.pose(shown)) * other.scale
+    for name in ("LeftUpLeg", "RightLeg", "LeftFoot", "RightToeBase"):
+        there = places[other.name][0, JOINT_NAMES.index(name)]
+        lifted = on_rig[other.place(name)] - there
+        assert np.allclose(lifted, live._lift, atol=0.02), name
+
+
+def at_frame(motion: Motion, frame: int) -> Shown:
+    """A live character in the pose of a frame."""
+    rotations, places = motion.local_rotations[frame], motion_kinematics(motion)[1][frame]
+    nothing = np.zeros(4, np.float32)
+    return Shown(1, 0, 0, False, False, False, nothing, 0.0, motion.root_positions[frame], rotations, places)
 
 
 def test_json_frames_have_the_rig(

@@ -24,7 +24,7 @@ from motionkit.motion.rig_pose import up_turn
 from motionkit.motion.rotations import quat_identity, quat_inverse, quat_multiply, quat_normalize, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
 
-_THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
+THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
 
 
 def to_rig(motion: Motion, rig: Rig, contacts: Array | None = None, clip: Motion | None = None) -> Motion:
@@ -95,8 +95,8 @@ def on_body(motion: Motion, rig: Rig) -> Motion:
     rotations = rotations[:, carriers]
     body = rig_body(rig)
     share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)
-    middle = positions[:, _THIGHS].mean(axis=1) * share
-    socket = body.offsets[_THIGHS].mean(axis=0)
+    middle = positions[:, THIGHS].mean(axis=1) * share
+    socket = body.offsets[THIGHS].mean(axis=0)
     roots = middle - quat_rotate(rotations[:, 0], np.broadcast_to(socket, middle.shape))
     return Motion(body, to_local(rotations), roots.astype(np.float32), motion.fps)
 

@@ -7,17 +7,45 @@ from typing import Any
 
 import numpy as np
 
+from motionkit.arrays import Array
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig, stance_part
-from motionkit.motion.skeleton import STANDING_HEIGHTS
-from motionkit.motion.to_rig import from_body, rig_body, standing_height
+from motionkit.motion.rotations import quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, canonical_skeleton
+from motionkit.motion.to_rig import THIGHS, from_body, rig_body, standing_height
 from motionkit.play.frames import Shown, rounded
+
+# Median height in cm of ankles in the training recordings while heel and toe are in contact.
+STANDING_ANKLE = 7.6
+_TOES = [JOINT_NAMES.index(f"{side}ToeBase") for side in ("Left", "Right")]
 
 
 def with_rig(model: MotionModel, rig: Rig) -> MotionModel:
     """The model with the body of a rig among its characters, by the rig's name: its feet are held live, too."""
-    return replace(model, characters=model.characters | {rig.name: rig_body(rig).offsets})
+    body = rig_body(rig)
+    offsets = body.offsets.copy()
+    offsets[body.children(0)] += _raised(body)
+    return replace(model, characters=model.characters | {rig.name: offsets})
+
+
+def _raised(body: Skeleton) -> Array:
+    """What with_rig adds (3,), in cm, to the offsets of all joints at the hips of a body.
+
+    A live character has the hips of the canonical body. The hips of a rig may be as high as its thighs, and its ankles
+    higher above its toes; feet would stand in the air then, or in the floor.
+    """
+    usual = canonical_skeleton()
+    return usual.offsets[THIGHS].mean(axis=0) - body.offsets[THIGHS].mean(axis=0) + _ankles_higher(body)
+
+
+def _ankles_higher(body: Skeleton) -> Array:
+    """How much higher the ankles of a body stand than those of the canonical body, as an offset (3,) in cm.
+
+    Lower ones are left to the height correction, which raises them, and to foot locks, which pitch the feet.
+    """
+    depth = float((canonical_skeleton().offsets - body.offsets)[_TOES, 1].mean())
+    return np.array([0.0, max(depth, 0.0), 0.0], np.float32)
 
 
 class LiveRig:
@@ -26,8 +54,10 @@ class LiveRig:
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.body = rig_body(rig)
-        # Live feet stand where those of the canonical body do; those of the rig stand higher or lower.
-        usual = STANDING_HEIGHTS[stance_part(rig.joints) == "ToeBase"]
+        self._raised = _raised(self.body)
+        # Live toes stand where those of the canonical body do; the feet of the rig stand higher or lower.
+        toes = stance_part(rig.joints) == "ToeBase"
+        usual = STANDING_HEIGHTS[1] if toes else STANDING_ANKLE + float(_ankles_higher(self.body)[1])
         self._lift = np.array([0.0, standing_height(rig, usual) - usual, 0.0], np.float32)
 
     def told(self) -> dict[str, Any]:
@@ -42,7 +72,8 @@ class LiveRig:
 
     def pose(self, one: Shown) -> dict[str, Any]:
         """One character on the rig: local rotations (J, 4) and positions (J, 3), in the rig's unit and axes."""
-        body = Motion(self.body, one.rotations[None], one.root[None] + self._lift, 60.0)
+        hips = one.root + quat_rotate(one.rotations[0], self._raised) + self._lift
+        body = Motion(self.body, one.rotations[None], hips[None], 60.0)
         made = from_body(body, self.rig)
         places = made.skeleton.offsets.copy() if made.local_positions is None else made.local_positions[0]
         places[0] = made.root_positions[0]
