@@ -7,10 +7,10 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.data.phases import NO_PHASE, PhaseRule, mirror_phases, phase_rules, phase_track, turns_over
 from motionkit.features.encode import encode_motion
-from motionkit.features.layout import DEFAULT_LAYOUT
+from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
-from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES, canonical_skeleton
 
 
 def rolled(degrees: float, frames: int = 40) -> Array:
@@ -85,3 +85,19 @@ def test_jumps_have_one_phase_each():
 
 def test_one_who_hardly_moves_has_no_phase():
     assert phase_rules([(rolled(20.0), np.zeros(40, np.int16))], DEFAULT_LAYOUT) == {}
+
+
+def test_strides_of_a_run_are_no_jumps() -> None:
+    """A clip of one stride, the loop of a run, was taken for a jump, so that no velocity steered it."""
+    features = strikes(right=False, count=1, hop=True)
+    ahead = [
+        i
+        for i, column in enumerate(feature_layout(DEFAULT_LAYOUT).columns)
+        if column.block == "joint_positions" and column.component == 2 and column.joint in FOOT_JOINTS[:2]
+    ]
+    clips = [
+        (features, np.zeros(len(features), np.int16)),
+        (features.copy(), np.ones(len(features), np.int16)),
+    ]
+    clips[1][0][:, ahead] += 60.0
+    assert [rule.event for rule in phase_rules(clips, DEFAULT_LAYOUT).values()] == ["jump"]

@@ -180,6 +180,18 @@ def test_whole_clips_are_held_out_where_the_labels_do_not_say(tmp_path: Path) ->
     )
 
 
+def test_all_clips_train_if_none_is_to_be_held_out(tmp_path: Path) -> None:
+    """A type with one clip then trains on it and on its mirror image, not on one of the two."""
+    (tmp_path / "clips").mkdir()
+    for i in range(4):
+        write_bvh(tmp_path / "clips" / f"walk_{i}.bvh", make_walk(40, phase=float(i)))
+    write_bvh(tmp_path / "clips" / "idle.bvh", make_idle(40))
+    preprocess(
+        [tmp_path / "clips"], tmp_path / "out", PreprocessOptions(jobs=1, validation=False, test=False)
+    )
+    assert [clip.split for clip in Dataset(tmp_path / "out").clips] == ["train"] * 10
+
+
 def test_validation_is_held_out_file_by_file_and_type_by_type(tmp_path: Path) -> None:
     (tmp_path / "clips").mkdir()
     rows = ["file,start_frame,end_frame,type,split"]

@@ -80,6 +80,12 @@ SHOWN_SKIPS = 20
     show_default=True,
     help="Hold out a tenth of the training files of types with at least four, to choose settings on.",
 )
+@click.option(
+    "--test/--no-test",
+    default=True,
+    show_default=True,
+    help="Hold out about a sixth of the clips of each type to evaluate on, or its mirror image if it has one clip.",
+)
 @json_option
 def command(
     data: tuple[Path, ...],
@@ -95,6 +101,7 @@ def command(
     references: str,
     strict: bool,
     validation: bool,
+    test: bool,
     as_json: bool,
 ) -> None:
     """Turn BVH files and folders of them (DATA) into a dataset for training.
@@ -109,7 +116,7 @@ def command(
 
     rotations = reference_rotations(references, layout)
     options = PreprocessOptions(
-        labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth, rotations, validation
+        labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth, rotations, validation, test
     )
     with progress_bar() as bar:
         tasks: dict[str, Any] = {}

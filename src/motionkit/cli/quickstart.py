@@ -125,8 +125,8 @@ def _preprocess(data: Path, folder: Path) -> Dataset:
                 tasks[stage] = bar.add_task(stage, total=total)
             bar.update(tasks[stage], completed=done)
 
-        # A folder of some dozen clips has none to spare for choosing settings.
-        report = preprocess([data], folder, PreprocessOptions(validation=False), show)
+        # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
+        report = preprocess([data], folder, PreprocessOptions(validation=False, test=False), show)
     remark(f"{folder}: {report.clips} clips, {report.seconds / 60:.1f} minutes, {len(report.types)} types")
     return Dataset(folder)
 

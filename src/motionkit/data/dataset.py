@@ -124,24 +124,27 @@ class Dataset:
             check_range(self._path(name), name, self._arrays[name], most=most)
 
     def append(
-        self, types: Sequence[str], recordings: Sequence[ClipData], phase_seconds: Mapping[str, float]
+        self,
+        types: Sequence[str],
+        recordings: Sequence[ClipData],
+        phase_seconds: Mapping[str, float],
+        bodies: Sequence[int] | None = None,
     ) -> None:
-        """Add new types with training clips on the canonical body, in memory; the folder stays as it is.
+        """Add new types, or training clips of known ones, in memory; the folder stays as it is.
 
         Args:
             types: names that the dataset does not have; their ids count on from its own.
             recordings: clips that follow each other; their reference poses are not kept.
             phase_seconds: length of a performance of the new types, 0 for those without a phase.
+            bodies: of each recording, an index into bodies; the canonical body by default.
         """
         self.types = (*self.types, *types)
-        body = canonical_skeleton().offsets
-        known = [i for i, offsets in enumerate(self.bodies) if np.allclose(offsets, body)]
-        if not known:
-            self.bodies = (*self.bodies, body)
+        if bodies is None:
+            bodies = [self._canonical_body()] * len(recordings)
         start = len(self._arrays["types"])
-        for number, data in enumerate(recordings):
+        for number, (data, body) in enumerate(zip(recordings, bodies, strict=True)):
             name, frames = f"{self.types[int(data.types[0])]} {number}", len(data.types)
-            clip = Clip(name, start, frames, "train", "", known[0] if known else len(self.bodies) - 1)
+            clip = Clip(name, start, frames, "train", "", body)
             self.clips, start = (*self.clips, clip), start + frames
         for name, rows in self._arrays.items():
             added = np.concatenate([getattr(data, name) for data in recordings]).astype(rows.dtype)
@@ -153,6 +156,14 @@ class Dataset:
         }
         for name in ("sided_types", "mirrored_type_ids", "pose_embedding"):
             self.__dict__.pop(name, None)
+
+    def _canonical_body(self) -> int:
+        """The index of the canonical body, which is added if no clip has it."""
+        body = canonical_skeleton().offsets
+        known = [i for i, offsets in enumerate(self.bodies) if np.allclose(offsets, body)]
+        if not known:
+            self.bodies = (*self.bodies, body)
+        return known[0] if known else len(self.bodies) - 1
 
     def _path(self, name: str) -> Path:
         return self.folder / f"{name}.npy"

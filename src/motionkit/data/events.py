@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,6 +20,9 @@ PUNCH_SPEED = 220.0  # of the hand away from its shoulder
 PUNCH_REACH = 0.85  # of the arm's length, at the end of a punch
 AIR = 4.0  # height of all toes and ankles above their standing heights
 AIR_FRAMES = 10
+STRIDE = (
+    40.0  # from one foot to the other, along the way, in the flights of a run: 46 to 72, of jumps 2 to 26
+)
 LONGEST_LIFT = 60  # most frames between leaving the ground and the height of a kick
 BEFORE = {"kick": 8, "punch": 18, "jump": 20}  # frames added before and after the event
 AFTER = {"kick": 6, "punch": 18, "jump": 15}
@@ -28,11 +31,17 @@ _STANDING = np.array([10.0, 4.1, 10.0, 4.1])  # ankle and toe joints, left and r
 
 @dataclass(frozen=True)
 class Event:
-    """Frames start to end (exclusive) of a kick, punch or jump; right is the side of a kick or punch."""
+    """Frames start to end (exclusive) of a kick, punch or jump.
+
+    Attributes:
+        right: the side of a kick or punch.
+        stride: whether the feet are as far apart as in a run while both are in the air.
+    """
 
     start: int
     end: int
     right: bool = False
+    stride: bool = False
 
 
 def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]]:
@@ -105,4 +114,9 @@ def _punches(positions: np.ndarray) -> list[Event]:
 def _jumps(positions: np.ndarray) -> list[Event]:
     clearance = positions[:, FOOT_JOINTS, 1] - _STANDING
     flights = [run for run in _runs(clearance.min(axis=1) > AIR) if run[1] - run[0] >= AIR_FRAMES]
-    return [_event("jump", start, end, len(positions)) for start, end in flights]
+    ahead = positions[:, FOOT_JOINTS, 2]
+    apart = np.abs(ahead[:, 0] - ahead[:, 2])
+    return [
+        replace(_event("jump", start, end, len(positions)), stride=bool(apart[start:end].mean() > STRIDE))
+        for start, end in flights
+    ]

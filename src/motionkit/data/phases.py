@@ -89,6 +89,8 @@ def _rule(stretches: list[_Stretch]) -> PhaseRule | None:
         found = [e for s in stretches for e in s.events[event]]
         lengths = [e.end - e.start for e in found]
         share = np.mean([bool(s.events[event]) for s in stretches])
+        if 2 * sum(e.stride for e in found) > len(found):  # running, which a clip of one stride does not show
+            continue
         if not found or sum(lengths) < _COVER * sum(frames) or share < _SHARE:
             continue
         if np.mean(frames) < _SHORT and len(found) >= _SEVERAL * len(stretches):

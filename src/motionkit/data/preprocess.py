@@ -71,6 +71,7 @@ class PreprocessOptions:
     smooth: bool = True
     reference_rotations: Array | None = None
     validation: bool = True
+    test: bool = True
 
 
 @dataclass
@@ -294,9 +295,9 @@ def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, le
 
 
 def _decide_splits(
-    prepared: list[_Prepared], mirror: bool, twin_types: Mapping[str, str]
+    prepared: list[_Prepared], mirror: bool, twin_types: Mapping[str, str], test: bool
 ) -> dict[tuple[int, int], str]:
-    """Choose a split for each (file, run) without one; whole clips of each type are held out for testing.
+    """Choose a split for each (file, run) without one; with test, whole clips of each type are held out for testing.
 
     A type with a single clip gets "mirror": the clip is for training and its mirror image for testing, or, for about
     half of such clips, the reverse (paper section 3). The mirror image of a one-sided type has another type, so its
@@ -309,6 +310,8 @@ def _decide_splits(
                 longest = max(spans, key=lambda s: s[1] - s[0])
                 open_runs[longest[2]].append((i, r))
     out: dict[tuple[int, int], str] = {}
+    if not test:
+        return {key: "train" for keys in open_runs.values() for key in keys}
     for kind in sorted(open_runs):
         keys = sorted(open_runs[kind], key=lambda k: _hashed(f"{prepared[k[0]].report.name}{k[1]}"))
         if len(keys) == 1:
@@ -365,7 +368,7 @@ def _pass_two(
     reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     twin_types = mirrored_types(types, _all_poses(prepared))
-    splits = _decide_splits(prepared, options.mirror, twin_types)
+    splits = _decide_splits(prepared, options.mirror, twin_types, options.test)
     if options.validation:
         _hold_out_validation(prepared, splits)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)

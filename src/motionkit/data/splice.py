@@ -35,14 +35,28 @@ SEARCH = 24  # frames at the end of the first and the start of the second clip t
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
+class Piece:
+    """A stretch of a clip, to be joined to others.
+
+    Attributes:
+        motion: its T frames in the world.
+        ground: (T, 3) root x, z (cm) and heading (radians).
+        positions, velocities: (T, 23, 3) of the joints in the heading frame of each frame.
+        types, phases, reference: as in ClipData.
+    """
+
     motion: Motion
     ground: Array
-    positions: Array  # (T, 23, 3) in the heading frame of each frame
+    positions: Array
     velocities: Array
     types: Array
     phases: Array
     reference: Array
+
+    def cut(self, end: int) -> Piece:
+        """The frames before end."""
+        arrays = {name: value[:end] for name, value in vars(self).items() if name != "motion"}
+        return Piece(self.motion.cut(0, end), **arrays)
 
 
 def splice_clips(
@@ -60,18 +74,20 @@ def splice_clips(
         pick: returns a random number below its argument; selects one of the best joins.
     """
     clip, start, end = first
-    a = _piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
+    a = cut_piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
     clip, start, end = second
-    b = _piece(dataset, clip, start, min(end, start + HEAD + SEARCH))
+    b = cut_piece(dataset, clip, start, min(end, start + HEAD + SEARCH))
     i, j = _best_join(a, b, pick)
     a_start, b_end = max(0, i - TAIL), min(len(b.motion), j + HEAD)
-    joined = _join(a, b, i, j, decay)
+    joined = join_pieces(a, b, i, j, decay).motion
     motion = Motion(
         a.motion.skeleton,
         quat_continuous(
-            np.concatenate([a.motion.local_rotations[a_start : i + 1], joined[0][: b_end - j - 1]])
+            np.concatenate(
+                [a.motion.local_rotations[a_start : i + 1], joined.local_rotations[: b_end - j - 1]]
+            )
         ),
-        np.concatenate([a.motion.root_positions[a_start : i + 1], joined[1][: b_end - j - 1]]),
+        np.concatenate([a.motion.root_positions[a_start : i + 1], joined.root_positions[: b_end - j - 1]]),
         dataset.fps,
     )
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
@@ -82,7 +98,8 @@ def splice_clips(
     return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
 
 
-def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
+def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
+    """Frames start to end (exclusive) of a clip."""
     data = dataset.read(clip, start, end)
     motion = decode_motion(
         data.features,
@@ -97,7 +114,7 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
     turn = quat_from_yaw(-data.ground[:, 2])[:, None]
     velocities = np.diff(positions, axis=0, prepend=positions[:1]) * dataset.fps
     velocities[0] = velocities[1]
-    return _Piece(
+    return Piece(
         motion,
         data.ground,
         quat_rotate(turn, positions - origin[:, None]),
@@ -108,7 +125,7 @@ def _piece(dataset: Dataset, clip: Clip, start: int, end: int) -> _Piece:
     )
 
 
-def _best_join(a: _Piece, b: _Piece, pick: Callable[[int], int]) -> tuple[int, int]:
+def _best_join(a: Piece, b: Piece, pick: Callable[[int], int]) -> tuple[int, int]:
     """Frames (i of a, j of b) with similar poses and velocities: one of the three best pairs."""
     ends = (
         np.arange(max(8, len(a.motion) - SEARCH), len(a.motion) - 2)
@@ -116,6 +133,14 @@ def _best_join(a: _Piece, b: _Piece, pick: Callable[[int], int]) -> tuple[int, i
         else np.array([len(a.motion) - 2])
     )
     starts = np.arange(1, max(2, min(SEARCH, len(b.motion) - 8)))
+    cost = join_cost(a, b, ends, starts).reshape(-1)
+    best = np.argsort(cost, kind="stable")[:3]
+    chosen = int(best[pick(len(best))])
+    return int(ends[chosen // len(starts)]), int(starts[chosen % len(starts)])
+
+
+def join_cost(a: Piece, b: Piece, ends: Array, starts: Array) -> Array:
+    """How far poses and velocities of frames ends (E,) of a are from those of frames starts (S,) of b: (E, S) in cm."""
     # Velocities are weighted by the distance they cover in a tenth of a second.
     before, after = (
         np.concatenate([piece.positions[frames], 0.1 * piece.velocities[frames]], axis=1).reshape(
@@ -123,14 +148,14 @@ def _best_join(a: _Piece, b: _Piece, pick: Callable[[int], int]) -> tuple[int, i
         )
         for piece, frames in ((a, ends), (b, starts))
     )
-    cost = np.linalg.norm(before[:, None] - after, axis=-1).reshape(-1)
-    best = np.argsort(cost, kind="stable")[:3]
-    chosen = int(best[pick(len(best))])
-    return int(ends[chosen // len(starts)]), int(starts[chosen % len(starts)])
+    return np.linalg.norm(before[:, None] - after, axis=-1)
 
 
-def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Array, Array]:
-    """Frames j + 1 onwards of b, continuing frame i of a: rotations (T, 23, 4), root positions (T, 3)."""
+def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
+    """Frames j + 1 onwards of b, moved and turned so that they continue frame i of a.
+
+    The difference in pose and velocity at the join decays over so many frames.
+    """
     turn = a.ground[i, 2] - b.ground[j, 2]
     yaw = quat_from_yaw(turn)
     rotations = b.motion.local_rotations.copy()
@@ -153,7 +178,16 @@ def _join(a: _Piece, b: _Piece, i: int, j: int, decay: int) -> tuple[Array, Arra
     root_offset = a.motion.root_positions[i] - root[j]
     root_speed = (a.motion.root_positions[i] - a.motion.root_positions[i - 1]) - (root[j] - root[j - 1])
     root_out = root[j + 1 :] + offset_weight[:, None] * root_offset + velocity_weight[:, None] * root_speed
-    return rotations_out, root_out
+    way = rotate_ground(turn, b.ground[j + 1 :, :2] - b.ground[j, :2]) + a.ground[i, :2]
+    return Piece(
+        Motion(b.motion.skeleton, rotations_out, root_out, b.motion.fps),
+        np.concatenate([way, b.ground[j + 1 :, 2:] + turn], axis=1),
+        b.positions[j + 1 :],
+        b.velocities[j + 1 :],
+        b.types[j + 1 :],
+        b.phases[j + 1 :],
+        b.reference[j + 1 :],
+    )
 
 
 def _decay_curves(time: Array, decay: float) -> tuple[Array, Array]:

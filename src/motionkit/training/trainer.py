@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from torch.nn.parallel import DistributedDataParallel
 
 from motionkit.data.dataset import Dataset
+from motionkit.data.repeat import repeat_short_types
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.features.layout import FEATURE_COUNT
@@ -260,8 +261,10 @@ class TrainingRun:
             )
         begun_from = None if options.init is None else open_model(options.init)
         self.kept: dict[str, MotionType] = {}
+        self.repeated: tuple[str, ...] = ()
         if begun_from is not None:
             check_start(dataset, begun_from)
+            self.repeated = repeat_short_types(dataset)
             if options.sampler.kept_share:
                 names = keep_types(dataset, begun_from, options.seed)
                 self.kept = {name: begun_from.types[name] for name in names}
@@ -344,6 +347,8 @@ class TrainingRun:
         self.folder.mkdir(parents=True, exist_ok=True)
         self.output.parent.mkdir(parents=True, exist_ok=True)  # fails now, not after hours
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
+        if self.repeated:
+            self._note(f"recordings of {', '.join(self.repeated)} repeated: they are few and short")
         self.sampler.make_splices(lambda share: self._emit("prepare", share=share))
         self._note(f"{len(self.sampler.splices)} spliced transitions")
         if self._block is not None:
