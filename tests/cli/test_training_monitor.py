@@ -9,6 +9,7 @@ import pytest
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview, duration
 from motionkit.data.amounts import small_types, type_amounts
 from motionkit.data.dataset import Dataset
+from motionkit.data.repeat import FEW_SECONDS
 from motionkit.motion.bvh import write_bvh
 from motionkit.training.presets import train_options
 from motionkit.training.trainer import TrainEvent
@@ -26,17 +27,26 @@ def test_lines_say_how_far_how_fast_and_how_long(capsys, tmp_path: Path) -> None
     monitor(replace(STEP, kind="log", step=21, seconds=42.0, share=0.21))
     lines = capsys.readouterr().err.splitlines()
     assert lines[:3] == [f"making spliced transitions: {percent} %" for percent in (0, 50, 90)]
-    assert lines[3] == "step 21 of 100, 21%, 0.53 steps/s, 2.6 min left: gauss 2.000 total 3.000".replace(
+    assert lines[3] == "step 21 of 100, 21%, 0.50 steps/s, 2.6 min left: gauss 2.000 total 3.000".replace(
         "2.6", "3"
     )
     assert len(lines) == 4
+
+
+def test_the_first_line_has_no_rate_and_losses_can_be_left_out(capsys, tmp_path: Path) -> None:
+    monitor = TrainingMonitor(False, train_options("tiny", steps=100), None, tmp_path, losses=False)
+    monitor(replace(STEP, kind="log"))
+    monitor(replace(STEP, kind="log", step=2, seconds=4.0, share=0.02))
+    assert capsys.readouterr().err.splitlines() == [
+        "step 1 of 100, 1%", "step 2 of 100, 2%, 0.50 steps/s, 3 min left"
+    ]  # fmt: skip
 
 
 def test_the_rate_of_a_resumed_run_is_that_since_it_went_on(capsys, tmp_path: Path) -> None:
     monitor = TrainingMonitor(False, train_options("tiny", minutes=10), None, tmp_path)
     monitor(replace(STEP, step=1001, seconds=300.0, share=0.5))
     monitor(replace(STEP, kind="log", step=1041, seconds=320.0, share=0.53))
-    assert "step 1041, 53%, 2.05 steps/s, 284 s left".replace("284 s", "5 min") in capsys.readouterr().err
+    assert "step 1041, 53%, 2.00 steps/s, 284 s left".replace("284 s", "5 min") in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("seconds", "words"), [(5, "5 s"), (200, "3 min"), (9000, "2.5 h")])
@@ -86,4 +96,4 @@ def test_types_with_little_to_learn_from_are_named(dataset: Dataset) -> None:
     lines = small_types(dataset)
     for kind, amount in amounts.items():
         mine = [line for line in lines if line.startswith(repr(kind))]
-        assert len(mine) == (amount.clips < 2 or amount.seconds < 1.0), kind
+        assert len(mine) == (amount.clips < 2 or amount.seconds < FEW_SECONDS), kind

@@ -44,6 +44,21 @@ def test_seeds_are_beginnings_of_training_stretches_of_the_type(dataset: Dataset
             assert any(begins(dataset, clip, kind, seed.features) for clip in dataset.select("train"))
 
 
+def test_a_type_without_training_clips_has_no_references(tmp_path: Path) -> None:
+    """It once ended a run that was over."""
+    (tmp_path / "clips").mkdir()
+    for name in ("go", "stay"):
+        write_bvh(tmp_path / "clips" / f"{name}.bvh", make_walk(60))
+    (tmp_path / "clips" / "labels.csv").write_text(
+        "file,start_frame,end_frame,type,split\ngo.bvh,0,-1,go,train\nstay.bvh,0,-1,stay,test\n", "utf-8"
+    )
+    preprocess([tmp_path / "clips"], tmp_path / "data", PreprocessOptions(jobs=1))
+    dataset = Dataset(tmp_path / "data")
+    network = PartTransformer(preset("tiny"), ControlLayout(dataset.types).size)
+    model = bundle_model(network.weights(), dataset, {})
+    assert model.types["go"].reference_clips and not model.types["stay"].reference_clips
+
+
 def begins(dataset: Dataset, clip: Clip, kind: str, features: Array) -> bool:
     mine = np.flatnonzero(dataset.clip_types(clip) == dataset.types.index(kind))
     if len(mine) == 0:

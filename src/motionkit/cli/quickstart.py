@@ -72,6 +72,11 @@ def command(
     dataset = _preprocess(data, target / "dataset")
     model, finished = _train(dataset, target / MODEL, minutes, steps, add, device, seed, as_json)
     if not finished:
+        flag = " --add" if add else ""
+        remark(
+            f"{target / MODEL} is the model so far; go on with: "
+            f'motionkit train "{target / "dataset"}" -o "{target / MODEL}"{flag} --resume'
+        )
         sys.exit(STOPPED)
     pictures = _show(model, dataset, target)
     verdicts = _judge(model, dataset, target)
@@ -159,7 +164,7 @@ def _train(
         score_minutes=1e6,  # the verdict comes afterwards
         score_seconds=0.0,
     )
-    monitor = TrainingMonitor(quiet, options, None, output.parent)
+    monitor = TrainingMonitor(quiet, options, None, output.parent, losses=False)
     with monitor:
         result = train(dataset.folder, output, options, device=device, on_event=monitor)
     return load_model(output), result.finished

@@ -39,8 +39,13 @@ class TrainingMonitor:
         preview: Path | None,
         samples: Path,
         warnings: Sequence[str] = (),
+        losses: bool = True,
     ) -> None:
-        """warnings are printed when training begins, so that a run that cannot begin says only why."""
+        """warnings are printed when training begins, so that a run that cannot begin says only why.
+
+        losses=False leaves out the terms of the loss, which say little to someone who has not trained a network.
+        """
+        self.losses = losses
         self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
         self.preview, self.samples = preview, samples
         self.first_process = os.environ.get("RANK", "0") == "0"
@@ -85,12 +90,12 @@ class TrainingMonitor:
         elif event.kind == "score":
             self.console.print(score_table(event))
         elif event.kind in ("step", "log"):
-            self.began = self.began or (event.step - 1, event.seconds)
+            self.began = self.began or (event.step, event.seconds)
             if self.live is not None:
                 self.live.update(self._status(event))
             elif event.kind == "log":
-                losses = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
-                self.console.print(f"{self._way(event)}: {losses}")
+                terms = " ".join(f"{name} {value:.3f}" for name, value in event.losses.items())
+                self.console.print(f"{self._way(event)}: {terms}" if self.losses else self._way(event))
 
     def _stop(self, event: TrainEvent) -> None:
         """Say that a signal was heard. It may have interrupted a print, so this goes past Python's buffers."""
@@ -109,16 +114,20 @@ class TrainingMonitor:
         """How far the run is, how fast it goes, and how long it will take."""
         total = f" of {self.steps}" if self.steps else ""
         step, seconds = self.began or (0, 0.0)
-        rate = (event.step - step) / max(event.seconds - seconds, 1e-6)
         left = event.seconds * (1.0 - event.share) / max(event.share, 1e-6)
+        way = f"step {event.step}{total}, {event.share:.0%}"
+        if event.seconds <= seconds:  # nothing to tell the speed from yet
+            return way
+        rate = (event.step - step) / (event.seconds - seconds)
         speed = f"{rate:.2f} steps/s" if rate < 10 else f"{rate:.0f} steps/s"
-        return f"step {event.step}{total}, {event.share:.0%}, {speed}, {duration(left)} left"
+        return f"{way}, {speed}, {duration(left)} left"
 
     def _status(self, event: TrainEvent) -> Any:
         from rich.console import Group
 
-        losses = ", ".join(f"{name} {value:.2f}" for name, value in event.losses.items())
-        lines = [f"{_bar(event.share)} {self._way(event)}", losses]
+        lines = [f"{_bar(event.share)} {self._way(event)}"]
+        if self.losses:
+            lines.append(", ".join(f"{name} {value:.2f}" for name, value in event.losses.items()))
         return Group(*lines, *([self.stopping] if self.stopping else []))
 
     def _grow(self, event: TrainEvent) -> None:

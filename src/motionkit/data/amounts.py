@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.data.dataset import Dataset
-
-LEAST_SECONDS = 1.0  # of all training clips of a type
+from motionkit.data.repeat import FEW_SECONDS, LEAST_FRAMES
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,17 @@ def type_amounts(dataset: Dataset) -> list[TypeAmount]:
 
 
 def small_types(dataset: Dataset) -> list[str]:
-    """A line for each type that is hard to learn: without training clips, with one clip, or with less than a second."""
+    """A line for each type that is hard to learn: without training clips, with one clip, or with a few seconds."""
     lines = []
     for amount in type_amounts(dataset):
         if amount.clips == 0:
             lines.append(f"{amount.type!r} has no training clip, only held-out ones; it cannot be learnt")
-        elif amount.seconds < LEAST_SECONDS:
+        elif amount.seconds < LEAST_FRAMES / dataset.fps:
+            lines.append(
+                f"{amount.type!r} has {amount.seconds:.1f} s of motion, expected at least "
+                f"{LEAST_FRAMES / dataset.fps:g} s to learn from"
+            )
+        elif amount.seconds < FEW_SECONDS:
             lines.append(
                 f"{amount.type!r} has {amount.seconds:.1f} s of motion to learn from; give it more clips"
             )

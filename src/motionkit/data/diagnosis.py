@@ -17,6 +17,8 @@ from motionkit.data.cleaning import clean
 from motionkit.data.events import jumps_of
 from motionkit.data.glitches import find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources
+from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
+from motionkit.data.repeat import LEAST_FRAMES
 from motionkit.errors import MotionkitError
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
@@ -207,8 +209,12 @@ def _type_facts(kind: str, shown: dict[str, list[_Shown]]) -> TypeFacts:
         warnings.append("all its clips are held out, so that there is none to learn from")
     elif len(mine) == 1:
         warnings.append("one clip only, which will be memorized; give it several")
-    if seconds < 1.0:
-        warnings.append(f"{seconds:.1f} s in all, too short to learn from")
+    if seconds < LEAST_FRAMES / FPS:
+        warnings.append(f"{seconds:.1f} s in all, expected at least {LEAST_FRAMES / FPS:g} s to learn from")
+    elif seconds < REPEATED_BELOW:
+        warnings.append(
+            f"{seconds:.1f} s in all; training repeats steps and poses, but more would be learnt better"
+        )
     elif seconds < FEW_SECONDS:
         warnings.append(f"{seconds:.1f} s in all; more would be learnt better")
     grounded = [stretch.clip for stretch in mine if not stretch.flies]

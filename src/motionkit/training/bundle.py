@@ -146,7 +146,7 @@ def start_poses_of(dataset: Dataset, kind: str) -> list[StartPose]:
 
 
 def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
-    """Reference clips of a type: performances the longest first, others from many recordings.
+    """Reference clips of a type: performances the longest first, others from many recordings; none without clips.
 
     Of types made of strikes or jumps those parts come first that show most of them, of others those that move
     about as much as the type does in the mean: recordings begin and end with standing.
@@ -172,6 +172,8 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
                     whole.phases[first:last],
                 )
                 found.append((clip.name, reference_clip))
+    if not found:
+        return []
     found = _not_too_short(found, fps)
     if kind in dataset.phase_events:
         # Of a performance all frames are in its phase: the longest shows most.
