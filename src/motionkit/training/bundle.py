@@ -37,7 +37,7 @@ GAIT = SamplingPreset(1.0, velocity_blend=0.2, slip_correction=0.15, noise_scale
 STANDING = replace(GAIT, noise_scale=0.7)
 PERFORMANCE = SamplingPreset(1.6, velocity_blend=0.6, slip_correction=0.2, noise_scale=0.2)
 STRIKE = SamplingPreset(1.6, velocity_blend=0.45, slip_correction=0.3, noise_scale=0.2)
-JUMP = SamplingPreset(2.0, velocity_blend=0.4, slip_correction=0.2, noise_scale=0.2)
+JUMP = SamplingPreset(1.6, velocity_blend=0.2, slip_correction=0.2, noise_scale=0.2)
 OTHER = SamplingPreset(1.75, velocity_blend=0.47, slip_correction=0.45, noise_scale=0.2)
 
 
