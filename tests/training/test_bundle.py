@@ -197,7 +197,7 @@ def test_sharp_types_follow_references_more(tiny_model: MotionModel) -> None:
         sampling_preset(kind, event)
         for kind, event in ((gait, None), (other, "kick"), (other, "jump"), (other, ""), (other, None))
     )
-    gains = [p.reference_gain for p in (steered, kicking, cartwheel, dance, jumping)]
+    gains = [p.reference_gain for p in (steered, kicking, jumping, cartwheel, dance)]
     assert gains == sorted(gains) and gains[0] == 1.0 < gains[1] and gains[-2] < gains[-1]
     blends = [p.velocity_blend for p in (steered, jumping, kicking, dance, cartwheel)]
     assert blends == sorted(blends) and 0.0 < blends[0]

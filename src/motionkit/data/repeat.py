@@ -21,7 +21,7 @@ from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous
 
-FEW_SECONDS = 6.0  # types with less in all are repeated
+FEW_SECONDS = 2.5  # types with less in all are repeated; of longer ones the joins do more harm than good
 REPEATED_SECONDS = 10.0  # length of a repeated recording
 LEAST_FRAMES = 24  # of a recording that can be repeated; shorter ones show no cycle
 LEAST_CYCLE = 0.5  # share of the recording that a cycle has at least
