@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import canonical_skeleton
+from synthetic_motions import make_walk
 
 ORDERS = ["".join(order) for order in itertools.permutations("XYZ")]
 
@@ -151,3 +153,11 @@ def test_offsets_may_differ_by_batch() -> None:
         skeleton.parents,
     )
     assert np.allclose(positions[1], 2 * positions[0])
+
+
+def test_a_turned_motion_turns_about_the_vertical_axis() -> None:
+    motion = make_walk(20)
+    places, turned = motion_kinematics(motion)[1], motion_kinematics(motion.turned(math.pi / 2))[1]
+    assert np.allclose(
+        turned, np.stack([places[..., 2], places[..., 1], -places[..., 0]], axis=-1), atol=1e-3
+    )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -24,8 +25,10 @@ if TYPE_CHECKING:
     from motionkit.data.dataset import Dataset
     from motionkit.evaluation.quick import TypeVerdict
     from motionkit.models.model import MotionModel
+    from motionkit.motion.motion import Motion
 
 SHOWN_SECONDS = 5.0  # of each type, on page and sheet
+TRAVELS = 100.0  # cm from beginning to end; what goes less far stays as it is
 MODEL = "model.safetensors"
 
 
@@ -132,7 +135,8 @@ def _preprocess(data: Path, folder: Path) -> Dataset:
 
         # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
         report = preprocess([data], folder, PreprocessOptions(validation=False, test=False), show)
-    remark(f"{folder}: {report.clips} clips, {report.seconds / 60:.1f} minutes, {len(report.types)} types")
+    clips = sum(file.clips for file in report.files)  # without mirror images
+    remark(f"{folder}: {clips} clips, {report.seconds / 60:.1f} minutes, {len(report.types)} types")
     return Dataset(folder)
 
 
@@ -180,7 +184,7 @@ def _show(model: MotionModel, dataset: Dataset, folder: Path) -> list[Path]:
         motions = []
         for name in names:
             seconds = max(SHOWN_SECONDS, model.phase_seconds(name))
-            motions.append(synthesize(f"{name}:{seconds:g}", model=model).motion)
+            motions.append(_straight_ahead(synthesize(f"{name}:{seconds:g}", model=model).motion))
             bar.advance(task)
     out = []
     for path in (folder / "motions.html", folder / "motions.png"):
@@ -189,6 +193,12 @@ def _show(model: MotionModel, dataset: Dataset, folder: Path) -> list[Path]:
         write_view(path, *motions, names=names)
         out.append(path)
     return out
+
+
+def _straight_ahead(motion: Motion) -> Motion:
+    """The motion turned so that it goes along z: on a page side by side, figures then stand near each other."""
+    x, _, z = (motion.root_positions[-1] - motion.root_positions[0]).tolist()
+    return motion.turned(-math.atan2(x, z)) if math.hypot(x, z) > TRAVELS else motion
 
 
 def _judge(model: MotionModel, dataset: Dataset, folder: Path) -> list[TypeVerdict]:

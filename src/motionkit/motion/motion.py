@@ -8,7 +8,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.motion.rotations import quat_continuous, quat_slerp
+from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_multiply, quat_rotate, quat_slerp
 from motionkit.motion.skeleton import Skeleton
 
 
@@ -65,6 +65,14 @@ class Motion:
             root_positions=self.root_positions * factor,
             local_positions=local,
         )
+
+    def turned(self, angle: float) -> Motion:
+        """The same motion turned about the vertical axis through the origin, in radians."""
+        turn = quat_from_yaw(np.array(angle, self.local_rotations.dtype))
+        local = self.local_rotations.copy()
+        local[:, 0] = quat_multiply(np.broadcast_to(turn, local[:, 0].shape), local[:, 0])
+        roots = quat_rotate(np.broadcast_to(turn, local[:, 0].shape), self.root_positions)
+        return replace(self, local_rotations=local, root_positions=roots.astype(self.root_positions.dtype))
 
 
 def longest_seconds(fps: float) -> float:
