@@ -182,6 +182,27 @@ def test_a_strike_takes_its_own_time(tiny_model: MotionModel) -> None:
     assert driver.performing is None
 
 
+def test_the_choice_picks_the_recordings_of_a_wish(tiny_model: MotionModel) -> None:
+    chance = np.random.default_rng(1)
+    clips = [
+        ReferenceClip(
+            chance.standard_normal((330, EMBEDDING_COUNT), np.float32),
+            np.zeros((300, 3), np.float32),
+            np.full((300,), -1.0, np.float32),
+        )
+        for _ in range(3)
+    ]
+    model = with_clips(tiny_model, {"running": clips})
+
+    def shown(choice: int) -> Array:
+        driver = Driver(model, "idle", choice=choice)
+        driver.set_wish(Wish(None, type="running"))
+        return np.concatenate([asked.reference for asked in play(driver, 30)[0]])
+
+    assert np.array_equal(shown(1), shown(1))
+    assert not np.array_equal(shown(1), shown(2))
+
+
 def test_a_path_is_followed_as_follow_path_does_and_then_it_stands(tiny_model: MotionModel) -> None:
     path = shape_path("line", 2.0, ["walking", "running"], 1.5)
     driver, follower = Driver(tiny_model, "walking"), PathFollower(tiny_model, path)

@@ -5,7 +5,7 @@ import json
 import socket
 import struct
 import threading
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,8 +15,8 @@ from websockets.sync.client import ClientConnection, connect
 
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import Skeleton
+from motionkit.play.figures import standing_rig
 from motionkit.play.limits import Limits
-from motionkit.play.page import load_page
 from motionkit.play.server import Addresses, PlayServer, ServerOptions
 from motionkit.play.session import Session
 from view.conftest import browser, open_page  # noqa: F401
@@ -80,18 +80,18 @@ def running(server: PlayServer) -> Iterator[Running]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def one_page_for_all() -> Iterator[None]:
-    """Make the page of the same bodies once: it takes a server a part of a second for each body."""
-    made: dict[tuple, bytes] = {}
+def one_figure_for_all() -> Iterator[None]:
+    """Make the figure of the same body once: it takes every server a part of a second."""
+    made: dict[bytes, dict[str, Any]] = {}
 
-    def load(bodies: Mapping[str, Skeleton], chosen: str = "default") -> bytes:
-        key = (chosen, *((name, body.offsets.tobytes()) for name, body in bodies.items()))
+    def make(body: Skeleton) -> dict[str, Any]:
+        key = body.offsets.tobytes()
         if key not in made:
-            made[key] = load_page(bodies, chosen)
+            made[key] = standing_rig(body)
         return made[key]
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("motionkit.play.server.load_page", load)
+        patch.setattr("motionkit.play.figures.standing_rig", make)
         yield
 
 

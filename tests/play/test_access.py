@@ -57,7 +57,7 @@ def test_the_address_holds_a_token_where_others_can_connect(everywhere: Running,
 
 def test_the_page_asks_for_the_token(everywhere: Running) -> None:
     token = everywhere.addresses.token
-    for path in ("/", "/?token=", "/?token=wrong", f"/?tokens={token}", "/?token=%ff"):
+    for path in ("/", "/?token=", "/?token=wrong", f"/?tokens={token}", "/?token=%ff", "/figures/0"):
         status, headers, body = ask(everywhere, path)
         assert status == 403 and "set-cookie" not in headers and token not in body.decode()
     status, headers, body = ask(everywhere, f"/?token={token}")
@@ -65,6 +65,7 @@ def test_the_page_asks_for_the_token(everywhere: Running) -> None:
     assert "HttpOnly; SameSite=Strict" in headers["set-cookie"]
     cookie = headers["set-cookie"].partition(";")[0]
     assert ask(everywhere, "/", Cookie=cookie)[0] == 200
+    assert ask(everywhere, "/figures/0", Cookie=cookie)[0] == 200
     assert ask(everywhere, "/", Cookie=f"{cookie}x")[0] == 403
 
 

@@ -414,6 +414,25 @@ def test_a_recording_is_downloaded_and_is_a_motion(page: Page, tmp_path: Path) -
     download.value.save_as(file)
     motion = bvh_to_motion(read_bvh(file))
     assert len(motion.skeleton) == 23 and len(motion) >= 45 and motion.fps == 60
+    assert "BVH again" in page.locator("#hint").inner_text()
+
+
+def test_the_page_names_the_format_of_recordings(page: Page) -> None:
+    names = page.evaluate(
+        """() => {
+          const { listeners, hello } = motionkit.link, character = motionkit.chosen;
+          const names = ["usda", "bvh"].map((format) => {
+            listeners.hello({ ...hello, recording_format: format });
+            return motionkit.recordButton.title;
+          });
+          const url = URL.createObjectURL(new Blob(["glTF"]));
+          listeners.event({ event: "recorded", character, url, format: "glb", frames: 1, seconds: 1 });
+          const link = document.querySelector("#hint a");
+          return [...names, link.textContent, link.download];
+        }"""
+    )
+    assert "download as USDA" in names[0] and "download as BVH" in names[1]
+    assert names[2:] == ["GLB again", "motionkit-recording.glb"]
 
 
 def test_two_clients_see_each_other_and_steer_their_own(page: Page, join: Callable[..., Page]) -> None:

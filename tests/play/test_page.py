@@ -2,8 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from motionkit.motion.skeleton import canonical_skeleton
-from motionkit.play.page import host_allowed, known_names, load_page, origin_allowed
+from motionkit.play.page import figure_number, host_allowed, known_names, origin_allowed
 
 
 @pytest.mark.parametrize(
@@ -56,13 +55,17 @@ def test_origins(origin: str | None, allowed: bool) -> None:
     assert origin_allowed(origin, "localhost:8642") == allowed
 
 
-def test_there_is_a_page() -> None:
-    assert load_page({"default": canonical_skeleton()}).lower().startswith(b"<!doctype html>")
-
-
-def test_only_the_chosen_body_has_a_fine_mesh() -> None:
-    body = canonical_skeleton()
-    sizes = [
-        len(load_page({"default": body, "other": body}, chosen)) for chosen in ("default", "other", "none")
-    ]
-    assert sizes[0] == pytest.approx(sizes[1], rel=0.01) and sizes[0] - sizes[2] > 5e4
+@pytest.mark.parametrize(
+    ("path", "number"),
+    [
+        ("/figures/0", 0),
+        ("/figures/28", 28),
+        ("/figures/", None),
+        ("/figures/-1", None),
+        ("/figures/0/", None),
+        ("/figures/00000", None),
+        ("/figures/../0", None),
+    ],
+)
+def test_figures(path: str, number: int | None) -> None:
+    assert figure_number(path) == number

@@ -55,6 +55,20 @@ def test_everyone_gets_a_character_and_takes_it_away_again(session: Session) -> 
     assert again.id not in (one.id, two.id)
 
 
+def test_characters_pick_recordings_by_their_ids(tiny_model: MotionModel) -> None:
+    def choices() -> list[int]:
+        session = Session(tiny_model)
+        one = session.join(1)
+        assert one is not None
+        session.leave(1)
+        some = [session.add(1) for _ in range(3)]
+        some[0].reset()
+        assert [character.driver.choice for character in some] == [character.id for character in some]
+        return [character.driver.choice for character in some]
+
+    assert choices() == choices() and len(set(choices())) == 3
+
+
 def test_who_comes_after_another_has_nothing_of_it(session: Session, tiny_model: MotionModel) -> None:
     one = session.join(1)
     assert one is not None

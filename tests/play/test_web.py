@@ -27,6 +27,7 @@ from motionkit.inference.character import CharacterStream
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.rotations import quat_angle
+from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.play.client import Client, TooManyMessages
 from motionkit.play.frames import WorldFrame
 from motionkit.play.limits import Limits
@@ -413,6 +414,23 @@ def test_a_client_that_takes_nothing_in_is_closed(serve: Callable, monkeypatch: 
         assert server.ask(lambda: server.server.live.clients) == {}
 
 
+def test_figures_of_bodies_are_made_when_asked_for(serve: Callable, tiny_model: MotionModel) -> None:
+    bodies = {"default": canonical_skeleton().offsets, "taller": 1.2 * canonical_skeleton().offsets}
+    server = serve(model=replace(tiny_model, characters=bodies))
+    figures = server.server._figures
+    assert list(server.ask(lambda: figures._made)) == [0], "that of the default body is begun"
+    statures = []
+    for number in (0, 1, 1):
+        status, headers, body = get(server, f"/figures/{number}")
+        assert (status, headers["content-type"]) == (200, "application/json")
+        statures.append(json.loads(body)["stature"])
+    assert statures[1] / statures[0] == pytest.approx(1.2, abs=1e-3) and statures[1] == statures[2]
+    for path in ("/figures/2", "/figures/9999", "/figures/x", "/figures/"):
+        assert get(server, path)[0] == 404
+    headless = serve(page=False)
+    assert get(headless, "/figures/0")[0] == 404 and not headless.server._figures._made
+
+
 def test_a_recording_on_a_users_rig(serve: Callable, web: Callable, tmp_path: Path) -> None:
     write_bvh(tmp_path / "my.bvh", renamed(walk(2), FAMILIES["unreal"]).scaled(0.01))
     server = serve(rig=read_rig(tmp_path / "my.bvh"))
@@ -431,6 +449,7 @@ def test_a_recording_on_a_users_rig(serve: Callable, web: Callable, tmp_path: Pa
 def test_a_recording_in_another_format(serve: Callable, web: Callable) -> None:
     server = serve(recording_format="usda")
     client = web(server)
+    assert client.hello["recording_format"] == "usda"
     mine = client.hello["character"]
     for asked, ending, content, begin in (
         ({}, "usda", "text/plain; charset=utf-8", b"#usda 1.0"),
@@ -440,6 +459,7 @@ def test_a_recording_in_another_format(serve: Callable, web: Callable) -> None:
         client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
         client.ask(do="record", on=False, **asked)
         event = client.until("recorded")
+        assert event["format"] == ending
         status, headers, body = get(server, event["url"])
         assert (status, headers["content-type"]) == (200, content) and body.startswith(begin)
         assert headers["content-disposition"] == f'attachment; filename="motionkit-recording.{ending}"'

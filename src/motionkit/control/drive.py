@@ -77,14 +77,21 @@ class Driver:
     """
 
     def __init__(
-        self, model: MotionModel, kind: str | None = None, options: DriveOptions | None = None
+        self,
+        model: MotionModel,
+        kind: str | None = None,
+        options: DriveOptions | None = None,
+        choice: int = 0,
     ) -> None:
-        """kind is the type of the frames the character starts from; by default that of one who stands."""
-        self.model, self.options = model, options or DriveOptions()
+        """kind is the type of the frames the character starts from; by default that of one who stands.
+
+        choice picks among the recordings of what is wished for: two characters with the same one dance alike.
+        """
+        self.model, self.options, self.choice = model, options or DriveOptions(), choice
         self.wish = Wish()
         self.type = kind or steered_type(model, (0.0, 0.0), None)
         self.steering = Steering(model.fps, self.options.steering)
-        self._player, self._played = ReferencePlayer(model), ""
+        self._player, self._played = ReferencePlayer(model, choice), ""
         self._follower: PathFollower | None = None
         self._performance: _Performance | None = None
         self._waiting: tuple[str, float, int] | None = None
@@ -96,7 +103,8 @@ class Driver:
         if wish.type is not None:
             self.model.type_id(wish.type)
         if wish.path is not self.wish.path:
-            self._follower = None if wish.path is None else PathFollower(self.model, wish.path)
+            path = wish.path
+            self._follower = None if path is None else PathFollower(self.model, path, self.choice)
         self.wish = wish
 
     def perform(self, kind: str, seconds: float = DEFAULT_SECONDS, choice: int = 0) -> None:
@@ -144,7 +152,7 @@ class Driver:
         self._performance = None
         held = self.wish.type
         if self._waiting is None and self._follower is None and held and self.model.phase_seconds(held):
-            self._waiting = (held, DEFAULT_SECONDS, 0)
+            self._waiting = (held, DEFAULT_SECONDS, self.choice)
         if self._waiting is None:
             return
         kind, seconds, choice = self._waiting

@@ -10,7 +10,7 @@ from motionkit.errors import MotionkitError
 from motionkit.export.page_model import page_model
 from motionkit.files import atomic_write
 from motionkit.models.model import MotionModel
-from motionkit.play.page import standing_rig
+from motionkit.play.figures import standing_rig
 from motionkit.view.viewer import fill_page, page_asset
 
 

@@ -86,7 +86,8 @@ class Live:
         character = self.session.join(client.number)
         self.clients[client.number] = client
         rig = {} if self._live_rig is None else {"rig": self._live_rig.told()}
-        client.tell(self.session.hello(client.number, character) | rig)
+        recordings = {"recording_format": self.recording_format}
+        client.tell(self.session.hello(client.number, character) | recordings | rig)
         if self.pacer.behind:
             client.tell(self.pace_event())
         self._changed = True
@@ -171,6 +172,7 @@ class Live:
                 "event": "recorded",
                 "character": recorded.character,
                 "url": f"/recordings/{self.recordings.add(data, format)}",
+                "format": format,
                 "frames": len(recorded.motion),
                 "seconds": recorded.motion.seconds,
             }

@@ -1,26 +1,18 @@
-"""HTTP responses: the page and recordings. No request path is ever used as a file name."""
+"""HTTP requests: who may ask, and for what. No request path is ever used as a file name."""
 
 from __future__ import annotations
 
 import ipaddress
 import re
 import socket
-from collections.abc import Collection, Mapping
-from typing import Any
+from collections.abc import Collection
 
-import numpy as np
-
-from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_identity
-from motionkit.motion.skeleton import Skeleton
 from motionkit.play.recording import Recordings
-from motionkit.view.figure_data import CM, rig_data
-from motionkit.view.flesh import COARSE_STEP, STEP
-from motionkit.view.viewer import fill_page
 
 LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _HOST = re.compile(r"(?:\[([0-9A-Fa-f:.]+)\]|([^\s:;\[\]]+))(?::\d{1,5})?")
 _RECORDING = re.compile(r"/recordings/([A-Za-z0-9_-]{1,64}\.([a-z]{3,4}))")
+_FIGURE = re.compile(r"/figures/(\d{1,4})")
 _CONTENT = {
     "bvh": "text/plain; charset=utf-8",
     "glb": "model/gltf-binary",
@@ -28,25 +20,6 @@ _CONTENT = {
     "usda": "text/plain; charset=utf-8",
     "csv": "text/csv; charset=utf-8",
 }
-
-
-def load_page(bodies: Mapping[str, Skeleton], chosen: str = "default") -> bytes:
-    """The page with the figures of all bodies, as served.
-
-    The meshes of all but the chosen one are coarse: thirty fine ones take ten seconds to make.
-    """
-    rigs = {
-        name: standing_rig(skeleton, STEP if name == chosen else COARSE_STEP)
-        for name, skeleton in bodies.items()
-    }
-    return fill_page("play.html", {"bodies": rigs}).encode()
-
-
-def standing_rig(skeleton: Skeleton, step: float = STEP) -> dict[str, Any]:
-    """The figure of a body (in cm), made from it at rest, for a page; step as in rig_data."""
-    turns = quat_identity((1, len(skeleton)))
-    motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
-    return rig_data(motion.scaled(CM), step=step)
 
 
 def policy(host: str) -> str:
@@ -105,3 +78,9 @@ def find_recording(path: str, recordings: Recordings) -> tuple[bytes, str, str] 
     if match is None or found is None:
         return None
     return found, _CONTENT.get(match[2], "application/octet-stream"), f"motionkit-recording.{match[2]}"
+
+
+def figure_number(path: str) -> int | None:
+    """The number of the body whose figure a request path names, or None."""
+    match = _FIGURE.fullmatch(path)
+    return None if match is None else int(match[1])

@@ -29,20 +29,22 @@ from motionkit.files import parse_json
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig import Rig
 from motionkit.play.client import Client, TooManyMessages
+from motionkit.play.figures import Figures
 from motionkit.play.frames import WorldFrame
 from motionkit.play.live import Live, error_event
 from motionkit.play.page import (
+    figure_number,
     find_recording,
     host_allowed,
     is_loopback,
     known_names,
-    load_page,
     origin_allowed,
     policy,
 )
 from motionkit.play.requests import ProtocolError
 from motionkit.play.session import Session
 from motionkit.play.vmc import VmcBody, osc_bundles
+from motionkit.view.viewer import page_asset
 
 SOCKET_PATH = "/live"
 CLOSE_SECONDS = 1.0  # time for clients to close when the server ends
@@ -95,9 +97,10 @@ class PlayServer:
     def __init__(self, session: Session, options: ServerOptions) -> None:
         self.options = options
         self.live = Live(session, rig=(options.rig, options.clip), recording_format=options.recording_format)
-        model = session.model
-        bodies = {name: model.character(name) for name in model.characters}
-        self._page = load_page(bodies, session.body) if options.page else None
+        self._page = page_asset("play.html").encode() if options.page else None
+        names = list(session.model.characters)
+        self._figures = Figures([session.model.character(name) for name in names])
+        self._first_figure = names.index(session.body)
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
@@ -120,6 +123,8 @@ class PlayServer:
                     loop.add_signal_handler(number, stop.set)
                     open_.callback(loop.remove_signal_handler, number)
             addresses = await self._open(open_)
+            if self.options.page:
+                self._figures.begin(self._first_figure)
             clock = loop.create_task(self.live.run())
             open_.push_async_callback(_cancelled, clock)
             if ready is not None:
@@ -169,15 +174,15 @@ class PlayServer:
 
     # ---- HTTP ----
 
-    def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
+    async def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
         """The response to GET, or to HEAD (the same without a body)."""
         assert isinstance(connection, _Connection)
-        response = self._answer(request)
+        response = await self._answer(request)
         if connection.method != b"HEAD":
             return response
         return _method_refused() if response is None else replace(response, body=b"")
 
-    def _answer(self, request: HttpRequest) -> Response | None:
+    async def _answer(self, request: HttpRequest) -> Response | None:
         """The response to an HTTP request, None if a WebSocket may be opened."""
         try:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
@@ -197,6 +202,13 @@ class PlayServer:
             if self.token is not None:  # the page needs it to open its socket
                 headers["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             return _response(HTTPStatus.OK, self._page, "text/html; charset=utf-8", headers)
+        number = figure_number(path)
+        if number is not None and self._page is not None:
+            if not self._knows_token(request, query):
+                return _token_missing()
+            figure = await self._figures.get(number)
+            if figure is not None:
+                return _response(HTTPStatus.OK, figure, "application/json")
         recording = find_recording(path, self.live.recordings)
         if recording is not None:
             data, content, name = recording

@@ -54,7 +54,7 @@ class Character:
     def _start(self, body: str, place: tuple[float, float, float]) -> None:
         kind = model_first_type(self.model)
         self.stream.reset(0, body, kind, place)
-        self.driver = Driver(self.model, kind)
+        self.driver = Driver(self.model, kind, choice=self.id)
         self.body = body
 
     def reset(self) -> None:

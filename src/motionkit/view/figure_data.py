@@ -29,7 +29,6 @@ from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
 from motionkit.motion.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
-from motionkit.view.flesh import STEP
 from motionkit.view.surface import SHADES
 
 CM = 0.01
@@ -99,18 +98,17 @@ def figure_data(shown: Shown) -> dict[str, Any]:
     }
 
 
-def rig_data(motion: Motion, figure: Figure | None = None, step: float = STEP) -> dict[str, Any]:
+def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
     """The rig and body of a motion in metres with Y up, for the page.
 
     Args:
         motion: in metres with Y up.
         figure: its motion_figure, computed if None.
-        step: about the length of the mesh's edges, m.
     """
     figure = figure or motion_figure(motion)
     skeleton = motion.skeleton
     bones = [joint for _, joint in figure.bones if joint < len(skeleton)]
-    surface, pose = make_body(motion, figure, step)
+    surface, pose = make_body(motion, figure)
     turns = matrix_to_quat(pose.rotations)
     return {
         "joints": list(skeleton.names),

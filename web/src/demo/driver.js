@@ -14,7 +14,7 @@ export class Driver {
   /** @param {object} model of readModel @param {number} choice picks among recordings */
   constructor(model, choice = 0) {
     const type = typeNumber(model, model.start.type);
-    Object.assign(this, { model, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
+    Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
     Object.assign(this, { follower: null, performance: null, waiting: null });
     this.weights = free(model, type).weights;
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
@@ -66,7 +66,7 @@ export class Driver {
     this.performance = null;
     const { model } = this;
     const held = this.wish.type === null ? -1 : typeNumber(model, this.wish.type);
-    if (!this.waiting && !this.follower && held >= 0 && model.types[held].seconds) this.waiting = [held, DEFAULT_SECONDS, 0];
+    if (!this.waiting && !this.follower && held >= 0 && model.types[held].seconds) this.waiting = [held, DEFAULT_SECONDS, this.choice];
     if (!this.waiting) return;
     const [type, seconds, choice] = this.waiting;
     this.waiting = null;

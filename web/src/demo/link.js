@@ -11,9 +11,12 @@ const LIMITS = { messages_per_second: 120, path_points: 500 };
 const KEPT = ["wish", "perform", "path", "stroll", "noise", "reset", "remove", "add"]; // what a link replays
 
 export class LocalLink {
-  /** @param {{hello: Function, event: Function, frame: Function}} listeners */
-  constructor(listeners) {
-    Object.assign(this, { listeners, seq: 0, replayed: [], stepMs: 0, behind: false });
+  /**
+   * @param {{hello: Function, event: Function, frame: Function}} listeners
+   * @param {object} bodies figures by name
+   */
+  constructor(listeners, bodies) {
+    Object.assign(this, { listeners, bodies, seq: 0, replayed: [], stepMs: 0, behind: false });
   }
 
   /** Begins: what is to be replayed are [frame, request] of a link. */
@@ -24,13 +27,18 @@ export class LocalLink {
     this.replayed = [...replayed];
     this.period = 1 / model.fps;
     this.hello = {
-      client: CLIENT, character: 1, fps: model.fps, limits: LIMITS, characters: this.#told(), bodies: [{ name: "default" }],
+      client: CLIENT, character: 1, fps: model.fps, limits: LIMITS, recording_format: "bvh", characters: this.#told(), bodies: [{ name: "default" }],
       types: model.types.map(({ name, gait, seconds }) => ({ name, speed: gait?.speed ?? 0, facing: gait?.facing ?? 0, seconds })),
       steered: model.types.filter(({ steered }) => steered).map(({ name }) => name),
     };
     this.#replay();
     this.before = this.after = this.#step();
     this.listeners.hello(this.hello);
+  }
+
+  /** The figure of a body. */
+  async figure(name) {
+    return this.bodies[name];
   }
 
   /** Whether requests of a link are still to come. */
@@ -117,7 +125,7 @@ export class LocalLink {
     const { fps, skeleton } = this.model;
     const url = addressOf(bvhText(skeleton, recorded, fps));
     const others = { glb: async (figure) => addressOf(await glbBytes(figure, recorded, fps)) };
-    this.listeners.event({ event: "recorded", character, url, others, seconds: recorded.length / fps });
+    this.listeners.event({ event: "recorded", character, url, format: "bvh", others, seconds: recorded.length / fps });
   }
 
   // Says so once the machine makes fewer frames than are due, and once it keeps up again.

@@ -46,8 +46,8 @@ async function begin(play) {
   if ("serviceWorker" in navigator) await navigator.serviceWorker.register("sw.js");
 }
 
-const data = JSON.parse(document.getElementById("data").textContent);
-if (open(() => new Play(data, (listeners) => new LocalLink(listeners), tools))) {
+const { bodies } = JSON.parse(document.getElementById("data").textContent);
+if (open(() => new Play((listeners) => new LocalLink(listeners, bodies), tools))) {
   begin(window.motionkit).catch((error) => {
     notice.hidden = false;
     notice.textContent = location.protocol === "file:" ? "Browsers load models from servers only: run `python -m http.server` in this folder, and open the address it says." : `The model cannot be loaded: ${error.message}.`;

@@ -34,6 +34,18 @@ export class Link {
     return this.seq;
   }
 
+  /** The figure of a body; asked for until the server answers or the connection is a new one. */
+  async figure(name) {
+    const { hello } = this;
+    const number = hello.bodies.findIndex((body) => body.name === name);
+    while (hello === this.hello) {
+      const answer = await fetch(`/figures/${number}`).catch(() => null);
+      if (answer?.ok) return answer.json();
+      await new Promise((done) => setTimeout(done, AGAIN));
+    }
+    throw new Error("the connection was lost");
+  }
+
   #event(event) {
     if (event.event === "pong") this.delay = (performance.now() - event.stamp) / 2;
     else if (event.event === "hello") {

@@ -4,7 +4,6 @@ import { Link } from "./link.js";
 import { Play, open } from "./play.js";
 
 const scheme = location.protocol === "https:" ? "wss" : "ws";
-const data = JSON.parse(document.getElementById("data").textContent);
-if (open(() => new Play(data, (listeners) => new Link(`${scheme}://${location.host}/live`, listeners)))) {
+if (open(() => new Play((listeners) => new Link(`${scheme}://${location.host}/live`, listeners)))) {
   document.documentElement.dataset.ready = "true";
 }

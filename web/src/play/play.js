@@ -24,12 +24,11 @@ const $ = (id) => document.getElementById(id);
 
 export class Play {
   /**
-   * @param {{bodies: object}} data figures by body
    * @param {(listeners: object) => object} connect makes the link to a session: that of link.js, or one like it
    * @param {(play: Play) => Node[]} tools more buttons
    */
-  constructor(data, connect, tools = () => []) {
-    Object.assign(this, { data, tools });
+  constructor(connect, tools = () => []) {
+    this.tools = tools;
     this.rigs = new Map();
     this.stage = new Stage($("scene"));
     this.labels = new Labels($("labels"), this.stage);
@@ -78,6 +77,7 @@ export class Play {
 
   #hello(hello) {
     for (const id of [...this.characters.keys()]) this.#remove(id);
+    this.rigs.clear(); // it may be another server
     Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
     this.behind = null;
     this.#pace();
@@ -117,25 +117,26 @@ export class Play {
     const mine = told.filter((one) => one.owner === this.hello.client).map((one) => one.id);
     if (!mine.includes(this.chosen)) this.chosen = mine[0] ?? null;
     for (const id of [...this.characters.keys()]) if (!this.told.has(id)) this.#remove(id);
-    for (const one of told) this.#show(one, mine.indexOf(one.id));
     this.mine = mine;
+    for (const { id, body } of told) this.#show(id, body);
     this.#who();
   }
 
-  async #show({ id, body, owner }, place) {
-    const known = this.characters.get(id);
+  async #show(id, body) {
+    const rig = await this.#rig(body).catch(() => null);
+    if (!rig || this.told.get(id)?.body !== body) return; // overtaken
+    const place = this.mine.indexOf(id);
     const color = place < 0 ? OTHERS : COLORS[place % COLORS.length];
+    const known = this.characters.get(id);
     if (known?.body === body) {
       if (known.color !== color) known.figure.color = new Color((known.color = color));
       return;
     }
-    const rig = await this.#rig(body);
-    if (this.told.get(id)?.body !== body || this.characters.get(id)?.body === body) return; // overtaken
     this.#remove(id);
     const figure = new Figure(rig, new Color(color), this.stage.plain);
     figure.visible = false; // until its first frame
     this.stage.scene.add(figure);
-    this.characters.set(id, { id, body, owner, color, figure, rig, pose: new Pose(rig.count) });
+    this.characters.set(id, { id, body, owner: this.told.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
   }
 
   #remove(id) {
@@ -148,7 +149,7 @@ export class Play {
   }
 
   #rig(body) {
-    if (!this.rigs.has(body)) this.rigs.set(body, Rig.from(this.data.bodies[body] ?? this.data.bodies.default));
+    if (!this.rigs.has(body)) this.rigs.set(body, this.link.figure(body).then(Rig.from));
     return this.rigs.get(body);
   }
 
@@ -479,7 +480,7 @@ export class Play {
     const draw = toggle("Draw path", "Draw on the ground with mouse or finger, and it is followed (P)", this.drawing, (on) => this.#setDrawing(on));
     const face = toggle("Face ahead", "Look where the camera looks, whichever way it goes (V)", this.facing, (on) => (this.facing = on));
     const info = toggle("Figures", "Measurements (I)", !$("figures").hidden, (on) => ($("figures").hidden = !on));
-    this.recordButton = button("Record", "Record, and download as BVH when it ends (O)", () => this.record());
+    this.recordButton = button("Record", `Record, and download as ${this.hello.recording_format.toUpperCase()} when it ends (O)`, () => this.record());
     const noise = element("input", { type: "range", min: "0", max: "1", step: "0.05", value: "0.05", title: "How much chance there is in the motion" });
     noise.setAttribute("aria-label", "Noise");
     noise.oninput = () => this.link.ask("noise", { character: this.chosen, kind: "correlated", temperature: Number(noise.value) });
@@ -576,9 +577,9 @@ export class Play {
   }
 
   // Downloads a recording; others are what makes its address in other formats, by their endings.
-  #save({ character, url, seconds, others = {} }) {
+  #save({ character, url, format, seconds, others = {} }) {
     const name = (ending) => `motionkit-recording.${ending}`;
-    const link = element("a", { href: url, download: name("bvh") }, "BVH again");
+    const link = element("a", { href: url, download: name(format) }, `${format.toUpperCase()} again`);
     const more = Object.entries(others).flatMap(([ending, make]) => {
       const other = element("a", { href: "#", download: name(ending) }, `as ${ending.toUpperCase()}`);
       other.onclick = async (event) => {

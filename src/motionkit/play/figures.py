@@ -1,0 +1,52 @@
+"""The figures of bodies for the page, made when a page first asks for one."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import Skeleton
+from motionkit.view.figure_data import CM, rig_data
+
+
+def standing_rig(skeleton: Skeleton) -> dict[str, Any]:
+    """The figure of a body (in cm), made from it at rest, for a page."""
+    turns = quat_identity((1, len(skeleton)))
+    motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
+    return rig_data(motion.scaled(CM))
+
+
+class Figures:
+    """Figures as JSON, each made once in a thread of its own, while frames go on: a mesh takes about half a second."""
+
+    def __init__(self, bodies: Sequence[Skeleton]) -> None:
+        self._bodies = bodies
+        self._made: dict[int, asyncio.Task[bytes]] = {}
+        self._one = asyncio.Semaphore(1)
+
+    def begin(self, number: int) -> asyncio.Task[bytes] | None:
+        """Begin a figure unless it was begun before; None if there is no such body."""
+        if not 0 <= number < len(self._bodies):
+            return None
+        if number not in self._made:
+            self._made[number] = asyncio.get_running_loop().create_task(self._make(number))
+        return self._made[number]
+
+    async def get(self, number: int) -> bytes | None:
+        """The figure of a body by its place among all; None if there is no such body."""
+        task = self.begin(number)
+        return None if task is None else await asyncio.shield(task)  # others may wait for it, too
+
+    async def _make(self, number: int) -> bytes:
+        async with self._one:
+            return await asyncio.to_thread(_figure_text, self._bodies[number])
+
+
+def _figure_text(skeleton: Skeleton) -> bytes:
+    return json.dumps(standing_rig(skeleton), separators=(",", ":")).encode()
