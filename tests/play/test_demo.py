@@ -134,27 +134,41 @@ def stored_weights(weights: StepWeights) -> StepWeights:
     )
 
 
-PATH = [[0.0, 0.0], [60.0, 90.0], [0.0, 190.0], [-90.0, 150.0]]
-# Frame, and what is asked for from then on: a path, a run, a cartwheel on the way, a dance, a punch in it, standing.
-ASKED: list[tuple[int, str, Any]] = [
-    (0, "path", PATH),
-    (170, "wish", {"velocity": [210, -180], "facing": None, "type": None}),
-    (240, "perform", ["cartwheel", 7]),
-    (380, "wish", {"velocity": None, "facing": None, "type": "dance-salsa"}),
-    (460, "perform", ["punching", 3]),
-    (560, "wish", {"velocity": [0, 0], "facing": 1.5, "type": None}),
+PATH = [{"points": [[0, 0], [60, 90], [0, 190], [-90, 150]], "type": "walking"}]
+# A stop within a walk, a dance that finds its way among recordings, a cartwheel, a run at a speed.
+TYPES_ON_A_PATH = [
+    {"points": [[0, 0], [30, 80]], "type": "walking", "stop": 0.6},
+    {"points": [[40, 150]], "type": "walking"},
+    {"points": [[0, 210], [-60, 230]], "type": "dance-salsa"},
+    {"points": [[-90, 280], [-90, 480]], "type": "cartwheel"},
+    {"points": [[0, 900]], "type": "running", "speed": 250},
 ]
-IN_THE_PAGE = """([noise, asked, frames]) => {
+# Frame, and what is asked for from then on.
+ASKED: dict[str, list[tuple[int, str, Any]]] = {
+    "wishes": [
+        (0, "path", PATH),
+        (170, "wish", {"velocity": [210, -180], "facing": None, "type": None}),
+        (240, "perform", ["cartwheel", 7]),
+        (380, "wish", {"velocity": None, "facing": None, "type": "dance-salsa"}),
+        (460, "perform", ["punching", 3]),
+        (560, "wish", {"velocity": [0, 0], "facing": 1.5, "type": None}),
+    ],
+    "types on a path": [
+        (20, "path", TYPES_ON_A_PATH),
+        (520, "wish", {"velocity": [60, -40], "facing": None, "type": "dance-indian"}),
+    ],
+}
+IN_THE_PAGE = """([noise, asked, frames, choice]) => {
   const { world } = motionkit.link, { body, driver } = world.characters.values().next().value;
   const numbers = new Float32Array(Uint8Array.from(atob(noise), (letter) => letter.charCodeAt(0)).buffer);
   let at = 0;
   const one = new body.constructor(world.kernel, 19, (out) => out.set(numbers.subarray(at, (at += out.length))));
   one.start([0, 0, 0]);
-  const wishes = new driver.constructor(world.model), out = [];
+  const wishes = new driver.constructor(world.model, choice), out = [];
   for (let frame = 0; frame < frames; frame++) {
     for (const [when, what, how] of asked) {
       if (when !== frame) continue;
-      if (what === "path") wishes.follow(how, one.ground);
+      if (what === "path") wishes.follow(how);
       else if (what === "wish") wishes.set(how);
       else wishes.perform(...how);
     }
@@ -165,8 +179,8 @@ IN_THE_PAGE = """([noise, asked, frames]) => {
 }"""
 
 
-def made_in_numpy(noise: Floats) -> Array:
-    """Joint positions (T, 23, 3) of what is ASKED by the Driver, in numpy alone."""
+def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int) -> Array:
+    """Joint positions (T, 23, 3) of what is asked of a Driver, in numpy alone."""
     model = load_bundled_model()
     stream = CharacterStream(model, 1, compiled=False)
     stream.state.network = NetworkStep(stored_weights(pack(model.network)), 1)
@@ -175,11 +189,12 @@ def made_in_numpy(noise: Floats) -> Array:
     kind = model_first_type(model)
     start = stream.model.types[kind].start_poses[0]
     stream.state.start(start.features[None], start.contacts[None], stream._weights(kind))
-    driver, places = Driver(model, kind), []
+    driver, places = Driver(model, kind, choice=choice), []
     for frame in range(FRAMES):
-        for _, what, how in (each for each in ASKED if each[0] == frame):
+        for _, what, how in (each for each in asked if each[0] == frame):
             if what == "path":
-                driver.set_wish(Wish(path=make_path([PathPart(np.array(how), "walking")])))
+                parts = [PathPart(**{**part, "points": np.array(part["points"])}) for part in how]
+                driver.set_wish(Wish(path=make_path(parts)))
             elif what == "wish":
                 velocity = None if how["velocity"] is None else tuple(how["velocity"])
                 driver.set_wish(Wish(velocity, how["facing"], how["type"]))
@@ -189,16 +204,16 @@ def made_in_numpy(noise: Floats) -> Array:
     return np.stack(places)
 
 
-def test_the_page_makes_the_motion_of_numpy(page: Page) -> None:
-    noise = np.random.default_rng(8).standard_normal((FRAMES + 1, 276), np.float32)
+@pytest.mark.parametrize(("asked", "choice", "seed"), [("wishes", 0, 8), ("types on a path", 5, 1)])
+def test_the_page_makes_the_motion_of_numpy(page: Page, asked: str, choice: int, seed: int) -> None:
+    noise = np.random.default_rng(seed).standard_normal((FRAMES + 1, 276), np.float32)
     words = base64.b64encode(noise.astype("<f4").tobytes()).decode()
-    made = np.array(page.evaluate(IN_THE_PAGE, [words, [list(each) for each in ASKED], FRAMES])).reshape(
-        FRAMES, 23, 3
-    )
-    expected = made_in_numpy(noise)
-    apart = np.linalg.norm(made - expected, axis=-1).max()
+    told = [words, [list(each) for each in ASKED[asked]], FRAMES, choice]
+    made = np.array(page.evaluate(IN_THE_PAGE, told)).reshape(FRAMES, 23, 3)
+    expected = made_in_numpy(noise, ASKED[asked], choice)
+    apart = np.linalg.norm(made - expected, axis=-1).max(axis=-1)
     assert np.ptp(expected[:, 0], axis=0).max() > 300.0, "it goes somewhere"
-    assert apart < 1e-3, f"{apart} cm"
+    assert apart.max() < 1e-3, f"{apart.max()} cm, first at frame {np.flatnonzero(apart > 1e-3)[0]}"
 
 
 def test_python_draws_the_same_clips(page: Page) -> None:
@@ -317,6 +332,49 @@ def test_a_drawn_path_is_followed(visit: Callable[..., Page]) -> None:
     page.close()
 
 
+def test_a_path_has_a_type_and_stops(page: Page) -> None:
+    places, shown = page.evaluate(
+        """() => {
+          const { world } = motionkit.link, again = new world.constructor(world.kernel, 3), places = [], shown = [];
+          again.obey({ do: "path", points: [[0, 60], [0, 260], [0, 460]], type: "dance-salsa", speed: 80, stops: [[1, 1.5]] });
+          for (let frame = 0; frame < 900; frame++) {
+            const one = again.step().shown.get(1);
+            places.push([one.root[0], one.root[2]]);
+            shown.push(again.model.types[one.type].name);
+          }
+          return [places, shown];
+        }"""  # noqa: E501
+    )
+    track = np.array(places)
+    speeds = 6.0 * np.linalg.norm(track[10:] - track[:-10], axis=1)  # cm/s, over a sixth of a second
+    still = (speeds < 20.0) & (np.linalg.norm(track[:-10] - [0, 260], axis=1) < 40.0)
+    assert still.sum() > 45, "it stands where the path stops"
+    assert np.linalg.norm(track[-1] - [0, 460]) < 60.0 and shown[-1] == "idle"
+    assert shown.count("dance-salsa") > 200
+
+
+def test_the_hand_rests_where_a_drawn_path_is_to_stop(page: Page) -> None:
+    page.evaluate("motionkit.stage.look(motionkit.stage.controls.target.clone(), 0.5, 1.0, 7)")
+    page.keyboard.press("p")
+    page.get_by_label("Type on the path").select_option("running")
+    box = page.locator("#scene").bounding_box()
+    assert box is not None
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.55
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for n in range(1, 7):
+        page.mouse.move(x - 14 * n, y - 4 * n)
+    page.wait_for_function("motionkit.ribbon.children.length > 0", timeout=PATIENCE)
+    page.mouse.move(x - 120, y + 20)
+    page.mouse.move(x - 140, y + 40)
+    page.mouse.up()
+    page.keyboard.press("p")
+    asked = page.evaluate("motionkit.link.world.done.findLast(([, asked]) => asked.do === 'path')[1]")
+    assert asked["type"] == "running"
+    assert all(0 < number < len(asked["points"]) and seconds == 2 for number, seconds in asked["stops"])
+    assert asked["stops"]
+
+
 def test_a_recording_is_the_motion_that_was_shown(page: Page, tmp_path: Path) -> None:
     with page.expect_download(timeout=PATIENCE) as download:
         page.evaluate("motionkit.record()")
@@ -353,6 +411,10 @@ def test_a_link_that_says_nonsense_changes_nothing(page: Page) -> None:
             [{ do: "perform" }, "motion type"],
             [{ do: "path", points: [[0, 0], [1e12, 0]] }, "500 m"],
             [{ do: "path", points: [[0, 0], ["x", 0]] }, "points"],
+            [{ do: "path", points: [[0, 0], [0, 90]], type: "flying" }, "flying"],
+            [{ do: "path", points: [[0, 0], [0, 90]], speed: -1 }, "speed"],
+            [{ do: "path", points: [[0, 0], [0, 90]], stops: [[2, 1]] }, "stops"],
+            [{ do: "path", points: [[0, 0], [0, 90]], stops: [[1, 0]] }, "stops"],
             [{ do: "noise", temperature: NaN }, "temperature"], [{ do: "leave" }, "cannot do leave"],
             [{ do: "reset", character: 99 }, "no character 99"],
           ].filter(([asked, said]) => {

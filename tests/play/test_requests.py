@@ -20,13 +20,14 @@ def test_defaults_of_a_wish() -> None:
 def test_every_field_is_read() -> None:
     asked = parse_request(
         '{"do": "path", "character": 2, "points": [[0, 1.5], [3, 4]], "type": "walking", "speed": 120,'
-        ' "seq": 4294967295}'
+        ' "stops": [[1, 2]], "seq": 4294967295}'
     )
     assert asked.fields == {
         "character": 2,
         "points": [(0.0, 1.5), (3.0, 4.0)],
         "type": "walking",
         "speed": 120.0,
+        "stops": [(1, 2.0)],
         "seq": 2**32 - 1,
     }
     assert parse_request('{"do": "wish", "velocity": null}').fields["velocity"] is None
@@ -63,6 +64,17 @@ def test_every_field_is_read() -> None:
         ('{"do": "noise", "kind": "pink"}', "kind: expected one of mean, sample, correlated, found 'pink'"),
         ('{"do": "path", "points": [[0, 0]]}', "points: expected 2 to 2000 points"),
         ('{"do": "path", "points": [[0, 0], [0]]}', "points: expected two numbers"),
+        ('{"do": "path", "points": [[0, 0], [0, 9]], "stops": [1]}', "stops: expected at most 100 stops"),
+        (
+            '{"do": "path", "points": [[0, 0], [0, 9]], "stops": [[1, 0]]}',
+            "stops: expected a number from 0.1",
+        ),
+        (
+            '{"do": "path", "points": [[0, 0], [0, 9]], "stops": [[0, 1]]}',
+            "stops: expected numbers of points",
+        ),
+        ('{"do": "path", "points": [[0, 0], [0, 9]], "stops": [[2, 1], [2, 1]]}', "stops: expected numbers"),
+        ('{"do": "path", "points": [[0, 0], [0, 9]], "stops": [[0.5, 1]]}', "stops: expected a whole number"),
     ],
 )
 def test_what_is_no_request(text: str, said: str) -> None:

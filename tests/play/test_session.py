@@ -169,9 +169,28 @@ def test_a_path_that_begins_elsewhere_is_led_up_to(session: Session) -> None:
     assert path.length == pytest.approx(500.0, abs=4.0)
 
 
+def test_a_path_with_stops_is_made_of_parts(session: Session) -> None:
+    character = session.join(1)
+    assert character is not None
+    ask(
+        session, 1, "path", points=[[0, 0], [0, 100], [0, 200], [50, 300]], stops=[[1, 2.0], [3, 1]], speed=90
+    )
+    path = character.driver.wish.path
+    assert path is not None
+    assert [(part.points.tolist(), part.speed, part.stop) for part in path.parts] == [
+        ([[0, 0], [0, 100]], 90.0, 2.0),
+        ([[0, 200], [50, 300]], 90.0, 1.0),
+    ]
+    assert [place for place, _ in path.stops] == pytest.approx([100.0, path.length], abs=2.1)
+    ask(session, 1, "path", points=[[300, 0], [300, 200]], stops=[[1, 2.0]])
+    path = character.driver.wish.path
+    assert path is not None and len(path.parts) == 1 and path.parts[0].stop == 2.0
+
+
 @pytest.mark.parametrize(
     ("request_", "said"),
     [
+        ({"do": "path", "points": [[0, 0], [0, 90]], "stops": [[2, 1]]}, "stops at points 1 to 1, found 2"),
         ({"do": "wish", "type": "flying"}, "unknown motion type 'flying'"),
         ({"do": "perform", "type": "walkin"}, "did you mean 'walking'"),
         ({"do": "path", "points": [[0, 0], [0, 1]]}, "expected at least 4 cm"),
@@ -322,7 +341,9 @@ def random_request(generator: random.Random, types: tuple[str, ...]) -> Request:
         return Request("perform", {**fields, "type": generator.choice(types), "seconds": 1.0, "seq": 1})
     if pick < 0.85:
         points = [(generator.uniform(-400, 400), generator.uniform(-400, 400)) for _ in range(9)]
-        return Request("path", {**fields, "points": points, "type": kind, "speed": None, "seq": 2})
+        stops = [(generator.randrange(1, 9), 0.5)]
+        asked = {"points": points, "type": kind, "speed": None, "stops": stops, "seq": 2}
+        return Request("path", {**fields, **asked})
     if pick < 0.9:
         noise = {"kind": generator.choice(["mean", "sample", "correlated"]), "temperature": 1.0}
         return Request("noise", {**fields, **noise})

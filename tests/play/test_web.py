@@ -414,7 +414,9 @@ def test_a_client_that_takes_nothing_in_is_closed(serve: Callable, monkeypatch: 
         assert server.ask(lambda: server.server.live.clients) == {}
 
 
-def test_figures_of_bodies_are_made_when_asked_for(serve: Callable, tiny_model: MotionModel) -> None:
+def test_figures_of_bodies_are_made_when_asked_for(
+    serve: Callable, tiny_model: MotionModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bodies = {"default": canonical_skeleton().offsets, "taller": 1.2 * canonical_skeleton().offsets}
     server = serve(model=replace(tiny_model, characters=bodies))
     figures = server.server._figures
@@ -425,6 +427,9 @@ def test_figures_of_bodies_are_made_when_asked_for(serve: Callable, tiny_model: 
         assert (status, headers["content-type"]) == (200, "application/json")
         statures.append(json.loads(body)["stature"])
     assert statures[1] / statures[0] == pytest.approx(1.2, abs=1e-3) and statures[1] == statures[2]
+    monkeypatch.setattr("motionkit.play.figures.WAIT_SECONDS", 0.0)
+    figures._made.clear()
+    assert get(server, "/figures/1")[0] == 202, "who asks is not kept waiting"
     for path in ("/figures/2", "/figures/9999", "/figures/x", "/figures/"):
         assert get(server, path)[0] == 404
     headless = serve(page=False)

@@ -2,8 +2,8 @@
 around them.
 
 The file is a header in JSON, its length as 4 bytes before it, and arrays, deflated one by one. Before that their bytes
-are sorted: the low ones of all 16-bit numbers, then the high ones. Reference poses are columns, and differences from
-frame to frame, as half floats whose bits are taken for whole numbers. Both make them smaller.
+are sorted: the lowest ones of all numbers, then the next ones. Poses and places of reference clips are columns, and
+differences from frame to frame of floats whose bits are taken for whole numbers. Both make them smaller.
 """
 
 from __future__ import annotations
@@ -11,11 +11,13 @@ from __future__ import annotations
 import json
 import struct
 import zlib
+from collections import Counter
 from typing import Any
 
 import numpy as np
 
 from motionkit.arrays import Array, spans
+from motionkit.control.motion_index import MotionIndex
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.character import model_first_type
@@ -28,7 +30,7 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip
 from motionkit.motion.skeleton import Skeleton
 
-FORMAT = "motionkit-page-1"
+FORMAT = "motionkit-page-2"
 
 
 def page_model(model: MotionModel) -> bytes:
@@ -43,13 +45,13 @@ def page_model(model: MotionModel) -> bytes:
     clips = _shown_clips(model)
     floats = {
         **_frame_arrays(model),
-        "ground": _joined([clip.ground for clip in clips if clip.performed], 3),
         "phases": _joined([clip.phases for clip in clips if _phased(clip)], 1),
     }
     stored: dict[str, tuple[str, bytes]] = {
         "shared": ("u1", _sorted_bytes(image.shared)),
         "own": ("u1", _sorted_bytes(image.own)),
-        "poses": ("f2", _sorted_bytes(_differences(_joined([clip.poses for clip in clips], 24)))),
+        "poses": ("d2", _differences(_joined([clip.poses for clip in clips], 24), 2)),
+        "ground": ("d4", _differences(_joined([clip.ground for clip in clips], 3), 4)),
         **{name: ("f4", _sorted_bytes(array.astype("<f4").tobytes())) for name, array in floats.items()},
     }
     for name, (kind, data) in stored.items():
@@ -119,30 +121,9 @@ def _skeleton(skeleton: Skeleton) -> dict[str, Any]:
 
 def _types(model: MotionModel) -> list[dict[str, Any]]:
     """Every type with its reference clips, which count on through the arrays in the same order."""
-    player = ReferencePlayer(model)
-    poses = phases = ground = 0
+    player, rows = ReferencePlayer(model), Counter[str]()
     out = []
     for name, kind in model.types.items():
-        clips = []
-        entries = (
-            {id(clip): frames for clip, frames in player.entry_frames(_clips(kind))} if _clips(kind) else {}
-        )
-        for clip in _clips(kind):
-            flags = np.zeros(len(clip), bool)
-            flags[entries.get(id(clip), [])] = True
-            clips.append(
-                {
-                    "frames": len(clip),
-                    "rows": len(clip.poses),
-                    "poses": poses,
-                    "phases": phases if _phased(clip) else None,
-                    "ground": ground if clip.performed else None,
-                    "entries": spans(flags),
-                }
-            )
-            poses += len(clip.poses)
-            phases += len(clip) if _phased(clip) else 0
-            ground += len(clip) if clip.performed else 0
         gait = kind.gait
         out.append(
             {
@@ -151,10 +132,42 @@ def _types(model: MotionModel) -> list[dict[str, Any]]:
                 "seconds": model.phase_seconds(name),
                 "steered": kind.steered,
                 "performed": kind.performed,
+                "phased": kind.has_phase,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,
-                "clips": clips,
+                "clips": _clip_entries(_clips(kind), player, rows),
             }
         )
+    return out
+
+
+def _clip_entries(
+    clips: tuple[ReferenceClip, ...], player: ReferencePlayer, rows: Counter[str]
+) -> list[dict[str, Any]]:
+    """The clips of a type: where their rows begin in the arrays, and which frames may be entered.
+
+    rows counts those of the clips before in each array, and is moved on.
+    """
+    if not clips:
+        return []
+    entries = {id(clip): frames for clip, frames in player.entry_frames(clips)}
+    index = MotionIndex(clips)
+    out = []
+    for clip, first in zip(clips, index.first, strict=True):
+        entered = np.zeros(len(clip), bool)
+        entered[entries.get(id(clip), [])] = True
+        out.append(
+            {
+                "frames": len(clip),
+                "rows": len(clip.poses),
+                "poses": rows["poses"],
+                "phases": rows["phases"] if _phased(clip) else None,
+                "ground": rows["ground"],
+                "performed": clip.performed,
+                "entries": spans(entered),
+                "moves": spans(index.moves[first : first + len(clip)]),
+            }
+        )
+        rows.update(poses=len(clip.poses), phases=len(clip) * _phased(clip), ground=len(clip))
     return out
 
 
@@ -175,12 +188,14 @@ def _joined(arrays: list[Array], columns: int) -> Array:
     return np.concatenate(arrays) if arrays else np.zeros((0, columns), np.float32)
 
 
-def _differences(values: Array) -> bytes:
-    """Rows as half floats, column by column, each the difference of its bits from those before it."""
-    bits = np.ascontiguousarray(values.astype("<f2").T).view("<u2").astype(np.int64)
-    return (np.diff(bits, axis=1, prepend=0) & 0xFFFF).astype("<u2").tobytes()
+def _differences(values: Array, width: int) -> bytes:
+    """Rows as floats of 2 or 4 bytes, column by column: the difference of their bits from those before, sorted."""
+    bits = np.ascontiguousarray(values.astype(f"<f{width}").T).view(f"<u{width}").astype(np.int64)
+    steps = np.diff(bits, axis=1, prepend=0) & ((1 << 8 * width) - 1)
+    return _sorted_bytes(steps.astype(f"<u{width}").tobytes(), width)
 
 
-def _sorted_bytes(data: bytes) -> bytes:
-    pairs = np.frombuffer(data + bytes(len(data) % 2), np.uint8).reshape(-1, 2)
-    return pairs.T.tobytes()
+def _sorted_bytes(data: bytes, width: int = 2) -> bytes:
+    """The first bytes of all numbers of so many bytes, then the second ones, and so on."""
+    rows = np.frombuffer(data + bytes(-len(data) % width), np.uint8).reshape(-1, width)
+    return rows.T.tobytes()

@@ -14,6 +14,8 @@ from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import Skeleton
 from motionkit.view.figure_data import CM, rig_data
 
+WAIT_SECONDS = 3.0  # for a figure; a connection may take ten to be answered
+
 
 def standing_rig(skeleton: Skeleton) -> dict[str, Any]:
     """The figure of a body (in cm), made from it at rest, for a page."""
@@ -39,9 +41,12 @@ class Figures:
         return self._made[number]
 
     async def get(self, number: int) -> bytes | None:
-        """The figure of a body by its place among all; None if there is no such body."""
+        """The figure of a body by its place among all; nothing if it takes long, None if there is no such body."""
         task = self.begin(number)
-        return None if task is None else await asyncio.shield(task)  # others may wait for it, too
+        if task is None:
+            return None
+        await asyncio.wait([task], timeout=WAIT_SECONDS)
+        return task.result() if task.done() else b""
 
     async def _make(self, number: int) -> bytes:
         async with self._one:

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
+from motionkit.control.path import MAX_STOP
 from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
 from motionkit.inference.rollout import NOISE_KINDS
@@ -18,6 +20,7 @@ MAX_COUNT = 2**32 - 1
 MAX_NAME = 100  # characters of a type or body name
 MAX_TEMPERATURE = 2.0
 MAX_SECONDS = 60.0  # of a performance
+MAX_STOPS = 100  # of a path
 
 
 class ProtocolError(MotionkitError):
@@ -94,6 +97,17 @@ def _points(value: Any) -> list[tuple[float, float]]:
     return [point(each) for each in value]
 
 
+def _stops(value: Any) -> list[tuple[int, float]]:
+    seconds = _number(0.1, MAX_STOP)
+    pairs = isinstance(value, list) and all(isinstance(each, list) and len(each) == 2 for each in value)
+    if not pairs or len(value) > MAX_STOPS:
+        raise ValueError(f"at most {MAX_STOPS} stops [number of a point, seconds]")
+    stops = [(_count(number), seconds(stay)) for number, stay in value]
+    if any(after <= before for before, after in pairwise([0, *(number for number, _ in stops)])):
+        raise ValueError("numbers of points that rise, after that of the first point, 0")
+    return stops
+
+
 def _or_null(check: Check) -> Check:
     return lambda value: None if value is None else check(value)
 
@@ -121,6 +135,7 @@ REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
         "points": (_points, _REQUIRED),
         "type": (_or_null(_name), None),
         "speed": (_or_null(_number(5.0, MAX_SPEED)), None),
+        "stops": (_stops, ()),
         **_SEQ,
     },
     "add": {"body": (_name, "default")},

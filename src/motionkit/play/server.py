@@ -207,8 +207,10 @@ class PlayServer:
             if not self._knows_token(request, query):
                 return _token_missing()
             figure = await self._figures.get(number)
-            if figure is not None:
+            if figure:
                 return _response(HTTPStatus.OK, figure, "application/json")
+            if figure is not None:
+                return _response(HTTPStatus.ACCEPTED, "the figure is being made; ask again")
         recording = find_recording(path, self.live.recordings)
         if recording is not None:
             data, content, name = recording

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -71,15 +71,30 @@ class Character:
         self.noise = noise
         self.stream.state.noise = noise
 
-    def follow(self, points: list[tuple[float, float]], kind: str | None, speed: float | None) -> None:
-        """Follow a drawn path; raises ControlError if it is invalid."""
+    def follow(
+        self,
+        points: list[tuple[float, float]],
+        kind: str | None,
+        speed: float | None,
+        stops: Sequence[tuple[int, float]] = (),
+    ) -> None:
+        """Follow a drawn path, with stops of so many seconds at some points; raises ControlError if it is invalid."""
+        if stops and stops[-1][0] >= len(points):
+            raise ControlError(f"expected stops at points 1 to {len(points) - 1}, found {stops[-1][0]}")
         x, z = self.stream.ground[0, :2].tolist()
-        if math.dist(points[0], (x, z)) > PATH_JOINS_WITHIN:
-            points = [(x, z), *points]
+        way = [(x, z)] if math.dist(points[0], (x, z)) > PATH_JOINS_WITHIN else []
         if kind is None:
             kind = steered_type(self.model, (0.0, 100.0 if speed is None else speed), None)
-        path = make_path([PathPart(np.array(points, np.float64), kind, speed)])
-        self.driver.set_wish(Wish(path=path))
+        ends = [(len(way) + number, seconds) for number, seconds in stops]
+        points = way + points
+        if not ends or ends[-1][0] < len(points) - 1:
+            ends.append((len(points) - 1, 0.0))
+        begins = [0, *(number + 1 for number, _ in ends)]
+        parts = [
+            PathPart(np.array(points[begin : end + 1], np.float64), kind, speed, stop)
+            for begin, (end, stop) in zip(begins, ends, strict=False)
+        ]
+        self.driver.set_wish(Wish(path=make_path(parts)))
 
     def step(self, number: int) -> Shown:
         """The next frame; the character is reset if its positions are not finite."""
@@ -235,7 +250,7 @@ class Session:
                 character.driver.perform(fields["type"], fields["seconds"], self.number)
             case "path":
                 self._check_path(fields["points"])
-                character.follow(fields["points"], fields["type"], fields["speed"])
+                character.follow(fields["points"], fields["type"], fields["speed"], fields["stops"])
             case "remove":
                 self._free(character)
             case "body":

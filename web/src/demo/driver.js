@@ -1,13 +1,11 @@
 // A user's wishes as the controls of every frame: Python's Driver (control/drive.py).
-//
-// Types that are shown rather than steered go their own way here; a velocity is for gaits.
 
 import { free, typeNumber } from "./kernel.js";
 import { Follower, Path } from "./path.js";
 import { Player } from "./player.js";
 import { STANDS_BELOW, Springs, steeredType } from "./springs.js";
 
-const [BLEND, AFTER_EVENT, DEFAULT_SECONDS, JOINS_WITHIN] = [12, 10, 2, 30];
+const [BLEND, AFTER_EVENT, DEFAULT_SECONDS] = [12, 10, 2];
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
 
 export class Driver {
@@ -27,15 +25,11 @@ export class Driver {
     this.follower = null;
   }
 
-  /** Follows points [x, z] in cm from where the body is, in a gait or one that suits the speed (cm/s, null for any). */
-  follow(points, ground, type = null, speed = null) {
-    this.#known(type);
-    const [x, z] = ground;
-    const far = Math.hypot(points[0][0] - x, points[0][1] - z) > JOINS_WITHIN;
-    const gait = type === null ? steeredType(this.model, [0, speed ?? 100], null) : typeNumber(this.model, type);
-    const path = new Path(far ? [[x, z], ...points] : points);
+  /** Follows a path of parts as Path takes them; at its end the character stands. */
+  follow(parts) {
+    parts.forEach(({ type }) => this.#known(type));
+    this.follower = new Follower(this.model, new Path(parts), this.choice);
     this.wish = NOTHING;
-    this.follower = new Follower(this.model, path, gait, speed);
   }
 
   /** Shows a type once, then goes back to the wish. One waits until the present one is over. */
@@ -86,15 +80,21 @@ export class Driver {
     const { model, wish } = this;
     const { velocity } = wish;
     const kind = wish.type === null ? steeredType(model, velocity ?? [0, 0], wish.facing) : typeNumber(model, wish.type);
-    if (velocity === null || !model.types[kind].steered) {
-      if (kind !== this.played) this.player.begin(kind);
-      this.played = kind;
-      return [kind, { ...this.player.play(1)[0], trajectory: null }];
-    }
+    if (velocity === null) return this.#recorded(kind);
     let { facing } = wish;
     if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
+    const trajectory = this.springs.trajectory(velocity, facing);
+    if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
-    return [kind, { ...free(model, kind), trajectory: this.springs.trajectory(velocity, facing) }];
+    return [kind, { ...free(model, kind), trajectory }];
+  }
+
+  // A type with its reference clips, for as long as it is wished.
+  #recorded(kind, trajectory = null) {
+    if (kind !== this.played) this.player.begin(kind);
+    this.played = kind;
+    const [asked] = this.player.play(1, trajectory);
+    return [kind, trajectory ? asked : { ...asked, trajectory: null }];
   }
 
   // A path has a target of its own, so that leaving it blends.

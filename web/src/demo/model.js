@@ -1,16 +1,16 @@
 // Reads the model file that page_model.py writes: a header, and deflated arrays whose bytes are sorted.
 
-const COLUMNS = 24; // of a pose
+const COLUMNS = { poses: 24, ground: 3 };
 
 /** The header of the file, and its arrays by name: bytes as Uint8Array, numbers as Float32Array. */
 export async function readModel(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const model = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
-  const read = async ([name, entry]) => {
-    const packed = new Uint8Array(buffer, 4 + length + entry.from, entry.to - entry.from);
-    const bytes = unsorted(await inflated(packed));
-    if (entry.type === "f4") return [name, new Float32Array(bytes.buffer)];
-    return [name, entry.type === "f2" ? poses(new Uint16Array(bytes.buffer)) : bytes];
+  const read = async ([name, { type, from, to }]) => {
+    const bytes = await inflated(new Uint8Array(buffer, 4 + length + from, to - from));
+    if (type === "d2") return [name, summed(new Uint16Array(unsorted(bytes, 2).buffer), COLUMNS[name], halves())];
+    if (type === "d4") return [name, summed(new Uint32Array(unsorted(bytes, 4).buffer), COLUMNS[name])];
+    return [name, type === "f4" ? new Float32Array(unsorted(bytes, 2).buffer) : unsorted(bytes, 2)];
   };
   model.arrays = Object.fromEntries(await Promise.all(Object.entries(model.arrays).map(read)));
   return model;
@@ -21,27 +21,25 @@ async function inflated(bytes) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// Low bytes of all pairs, then the high ones, as pairs again.
-function unsorted(bytes) {
-  const half = bytes.length / 2;
+// The first bytes of all numbers of so many bytes, then the second ones and so on, as numbers again.
+function unsorted(bytes, width) {
+  const count = bytes.length / width;
   const out = new Uint8Array(bytes.length);
-  for (let i = 0; i < half; i++) {
-    out[2 * i] = bytes[i];
-    out[2 * i + 1] = bytes[half + i];
-  }
+  for (let k = 0; k < width; k++) for (let i = 0; i < count; i++) out[width * i + k] = bytes[k * count + i];
   return out;
 }
 
-// Columns of differences of the bits of half floats, as rows of numbers.
-function poses(steps) {
-  const rows = steps.length / COLUMNS;
+// Columns of differences of the bits of floats, as rows of numbers; halves are the numbers of bits, of floats of 16.
+function summed(steps, columns, halves = null) {
+  const rows = steps.length / columns;
   const out = new Float32Array(steps.length);
-  const numbers = halves();
-  for (let column = 0; column < COLUMNS; column++) {
-    let bits = 0;
+  const bits = new Uint32Array(out.buffer);
+  for (let column = 0; column < columns; column++) {
+    let sum = 0;
     for (let row = 0; row < rows; row++) {
-      bits = (bits + steps[column * rows + row]) & 0xffff;
-      out[row * COLUMNS + column] = numbers[bits];
+      sum = (sum + steps[column * rows + row]) | 0;
+      if (halves) out[row * columns + column] = halves[sum & 0xffff];
+      else bits[row * columns + column] = sum;
     }
   }
   return out;

@@ -1,40 +1,64 @@
-// A path of one gait and the controls that follow it, as Python's Path2D and PathFollower (control/path.py, follow.py).
+// Paths and the controls that follow them, as Python's Path2D and PathFollower (control/path.py, control/follow.py).
 
-import { free } from "./kernel.js";
-import { TRAJECTORY } from "./springs.js";
+import { free, typeNumber } from "./kernel.js";
+import { Player } from "./player.js";
+import { TRAJECTORY, stands } from "./springs.js";
 
 const SPACING = 2; // cm between the points of a path
-const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED] = [30, 60, 20, 130];
+const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
+const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
-/** Points [x, z] in cm resampled evenly, with their directions. */
+/** Points resampled evenly, with their directions and the parts they belong to. */
 export class Path {
-  constructor(corners) {
+  /** @param {{points: number[][], type: string, speed?: number | null, stop?: number}[]} parts points [x, z] in cm, end to end */
+  constructor(parts) {
+    const corners = [];
+    const ends = [];
+    let total = 0;
+    let previous = [];
+    parts.forEach(({ points, type }, n) => {
+      const all = [...previous, ...points];
+      const steps = all.slice(1).map((point, i) => apart(point, all[i]));
+      const length = steps.reduce((sum, step) => sum + step, 0);
+      if (length < 2 * SPACING) throw new Error(`part ${n + 1} of the path (${type}) is ${length.toFixed(1)} cm long, expected at least 4 cm`);
+      corners.push(...(n ? [] : all.slice(0, 1)), ...all.slice(1).filter((_, i) => steps[i] > 1e-6));
+      ends.push((total += length));
+      previous = all.slice(-1);
+    });
     const arcs = [0];
-    const kept = corners.slice(0, 1);
-    for (const corner of corners.slice(1)) {
-      const step = Math.hypot(corner[0] - kept.at(-1)[0], corner[1] - kept.at(-1)[1]);
-      if (step <= 1e-6) continue;
-      kept.push(corner);
-      arcs.push(arcs.at(-1) + step);
-    }
-    const total = arcs.at(-1);
-    if (total < 2 * SPACING) throw new Error(`the path is ${total.toFixed(1)} cm long, expected at least 4 cm`);
+    for (let n = 1; n < corners.length; n++) arcs.push(arcs[n - 1] + apart(corners[n], corners[n - 1]));
     const count = Math.max(3, Math.trunc(total / SPACING) + 1);
     let right = 1;
     const exact = Array.from({ length: count }, (_, n) => {
-      while (right < arcs.length - 1 && arcs[right] < Math.min(n * SPACING, total)) right += 1;
+      while (right < arcs.length - 1 && arcs[right] < Math.min(n * SPACING, arcs.at(-1))) right += 1;
       const share = Math.max(0, Math.min(1, (n * SPACING - arcs[right - 1]) / (arcs[right] - arcs[right - 1])));
-      return [0, 1].map((k) => kept[right - 1][k] * (1 - share) + kept[right][k] * share);
+      return [0, 1].map((k) => corners[right - 1][k] * (1 - share) + corners[right][k] * share);
     });
+    this.parts = parts;
     this.points = exact.map((point) => point.map(Math.fround));
     this.tangents = exact.map((_, n) => {
       const [a, b] = [exact[Math.max(n - 1, 0)], exact[Math.min(n + 1, count - 1)]];
       return unit(b[0] - a[0], b[1] - a[1]).map(Math.fround);
     });
+    this.part = exact.map((_, n) => Math.min(ends.filter((end) => end < n * SPACING).length, parts.length - 1));
   }
 
   get length() {
     return (this.points.length - 1) * SPACING;
+  }
+
+  /** Where to stand still and for how long: [arc in cm, seconds], in the order of the path. */
+  get stops() {
+    return this.parts
+      .map(({ stop }, n) => [Math.min((this.part.lastIndexOf(n) + 1) * SPACING, this.length), stop])
+      .filter(([, stop]) => stop);
+  }
+
+  /** The number of the point nearest to an arc length; of two as near, the even one, as numpy rounds. */
+  nearest(arc) {
+    const place = arc / SPACING;
+    const even = 2 * Math.round(place / 2);
+    return Math.max(0, Math.min(this.points.length - 1, Math.abs(place - even) === 0.5 ? even : Math.round(place)));
   }
 
   /** The point and the direction at an arc length; straight on beyond the ends. */
@@ -51,33 +75,102 @@ export class Path {
   }
 }
 
+const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+
 const unit = (x, z) => {
   const size = Math.max(Math.hypot(x, z), 1e-12);
   return [x / size, z / size];
 };
 
 export class Follower {
-  /** @param {object} model of readModel @param {Path} path @param {number} type a gait @param {number | null} speed in cm/s */
-  constructor(model, path, type, speed = null) {
-    const { gait } = model.types[type];
-    Object.assign(this, { model, path, type, arc: 0, speed: Math.max(SLOWEST, speed ?? gait?.speed ?? DEFAULT_SPEED), facing: gait?.facing ?? 0 });
+  /** @param {object} model of readModel @param {Path} path @param {number} choice picks among recordings */
+  constructor(model, path, choice = 0) {
+    const numbers = path.parts.map(({ type }) => typeNumber(model, type));
+    const stand = model.types.reduce((least, type, n) => (stands(type) && !(model.types[least]?.gait.speed <= type.gait.speed) ? n : least), -1);
+    Object.assign(this, { model, path, stand, arc: 0, stops: path.stops, stood: null, entered: -1, player: new Player(model, choice, 0) });
+    this.types = path.part.map((part) => numbers[part]);
+    this.facings = path.part.map((part) => model.types[numbers[part]].gait?.facing ?? 0);
+    this.speeds = this.#profile(numbers);
   }
 
   /** Controls for a body at [x, z, heading]. */
   controls([x, z, heading]) {
+    const { model, path } = this;
     this.arc = this.#nearest(x, z);
+    const standing = this.#standing();
     const trajectory = new Float32Array(24);
-    TRAJECTORY.forEach((frames, n) => {
-      const [point, tangent] = this.path.at(this.arc + (this.speed * frames) / this.model.fps);
+    this.#ahead().forEach((arc, n) => {
+      const [point, tangent] = path.at(arc);
       trajectory.set(turned(-heading, point[0] - x, point[1] - z), 2 * n);
-      trajectory.set(turned(-heading - this.facing, ...tangent), 12 + 2 * n);
+      trajectory.set(turned(-heading - this.facings[path.nearest(arc)], ...tangent), 12 + 2 * n);
     });
-    // On a path the trajectory comes first, wherever the feet stand.
-    return { ...free(this.model, this.type), trajectory, slip: 0 };
+    const at = path.nearest(this.arc);
+    const [part, type] = [path.part[at], this.types[at]];
+    const weights = this.#weights(standing);
+    // On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
+    if (model.types[type].steered || standing) {
+      this.entered = part;
+      return { ...free(model, type), weights, trajectory, slip: 0 };
+    }
+    if (part !== this.entered) this.player.begin(type);
+    this.entered = part;
+    return { ...this.player.play(1, trajectory)[0], weights, trajectory, slip: 0 };
   }
 
   get arrived() {
     return this.arc >= this.path.length - SPACING;
+  }
+
+  // The share of standing still: it comes and goes over half a blend around a stop.
+  #standing() {
+    if (!this.stops.length) return 0;
+    const [place, seconds] = this.stops[0];
+    if (this.stood === null) {
+      if (this.arc < place - ARRIVED) return 0;
+      this.stood = 0;
+    }
+    this.stood += 1;
+    const [left, half] = [Math.round(seconds * this.model.fps) - this.stood, TYPE_BLEND / 2];
+    if (left >= 0) return Math.min(this.stood, left, half) / half;
+    this.stood = null;
+    this.stops.shift();
+    return 0;
+  }
+
+  // Arc lengths at the frames of a trajectory, at the speeds of the path.
+  #ahead() {
+    const end = this.stops.length ? this.stops[0][0] : Infinity;
+    let [arc, frame] = [this.arc, 0];
+    return TRAJECTORY.map((wanted) => {
+      for (; frame < wanted; frame += STEP) arc = Math.min(arc + (this.speeds[this.path.nearest(arc)] * STEP) / this.model.fps, Math.max(end, this.arc));
+      return Math.fround(arc);
+    });
+  }
+
+  // Type weights: the mean over half a blend behind and ahead, and standing.
+  #weights(standing) {
+    const { arc, path, types, stand } = this;
+    const reach = (this.speeds[path.nearest(arc)] * TYPE_BLEND) / 2 / this.model.fps;
+    const weights = new Float32Array(this.model.types.length);
+    for (let n = 0; n < BLEND_SAMPLES; n++) weights[types[path.nearest(arc - reach + (n * 2 * reach) / (BLEND_SAMPLES - 1))]] += 1 / BLEND_SAMPLES;
+    if (!standing || stand < 0) return weights;
+    for (let n = 0; n < weights.length; n++) weights[n] *= 1 - standing;
+    weights[stand] += standing;
+    return weights;
+  }
+
+  // The speed at each point, which changes no faster than bodies brake and start, to each stop.
+  #profile(numbers) {
+    const { model, path } = this;
+    const asked = path.parts.map(({ speed }, n) => Math.max(SLOWEST, Math.fround(speed ?? model.types[numbers[n]].gait?.speed ?? DEFAULT_SPEED)));
+    const speeds = path.part.map((part) => asked[part]);
+    for (const [place] of this.stops) speeds[path.nearest(place)] = CREEP;
+    // The square of the speed changes evenly along the way: no point's is more than so much above another's.
+    const rise = 2 * ACCELERATION * SPACING;
+    const squares = speeds.map((speed) => speed * speed);
+    for (let n = 1; n < squares.length; n++) squares[n] = Math.min(squares[n], squares[n - 1] + rise);
+    for (let n = squares.length - 2; n >= 0; n--) squares[n] = Math.min(squares[n], squares[n + 1] + rise);
+    return Float32Array.from(squares, Math.sqrt);
   }
 
   // The arc of the nearest point, sought near the last, so that a path that crosses itself is not cut short.

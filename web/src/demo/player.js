@@ -1,6 +1,7 @@
-// Plays reference clips of a type, as Python's ReferencePlayer (control/reference_player.py) does without a trajectory.
+// Plays reference clips of a type, as Python's ReferencePlayer (control/reference_player.py).
 
 import { free } from "./kernel.js";
+import { MotionIndex, squared } from "./matching.js";
 import { PythonRandom } from "./random.js";
 import { TRAJECTORY } from "./springs.js";
 
@@ -8,25 +9,32 @@ const WIDTH = 24; // of a pose
 const OFFSETS = [5, 15, 30]; // frames ahead of the poses that are shown
 const STATE = [0, 5, 15, 30]; // frames ago
 const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, BLEND, SUITED] = [24, 200, 20, 15, 2];
+const [RECONSIDERED, CLEARLY, OWN_SHARE] = [20, 0.4, 0.5];
 
 export class Player {
-  /** @param {object} model of readModel @param {number} choice the same choice plays the same */
-  constructor(model, choice = 0) {
-    Object.assign(this, { model, random: new PythonRandom(choice), choice, type: -1, clip: null, at: 0, left: null, played: new Map() });
+  /**
+   * @param {object} model of readModel
+   * @param {number} choice the same choice plays the same
+   * @param {number} ownShare of the recorded trajectory in one that is asked for
+   */
+  constructor(model, choice = 0, ownShare = OWN_SHARE) {
+    Object.assign(this, { model, random: new PythonRandom(choice), choice, ownShare, type: -1, clip: null, at: 0, left: null });
+    Object.assign(this, { played: new Map(), indices: new Map(), since: 0 });
   }
 
-  /** Changes to a type by its number. */
-  begin(type) {
+  /** Changes to a type by its number; the frame entered suits the trajectory, if one is given. */
+  begin(type, trajectory = null) {
     const near = this.clip && this.#state(this.clip, Math.min(this.at, this.clip.frames - 1));
     const count = type === this.type ? CANDIDATES_WITHIN : CANDIDATES;
     const [left, leftAt] = [this.clip, this.at];
-    Object.assign(this, { type, clip: null, at: 0, left: null });
+    Object.assign(this, { type, clip: null, at: 0, left: null, since: 0 });
     const { clips, performed } = this.model.types[type];
     if (!clips.length) return;
     if (performed) this.clip = this.#performance(clips, near);
+    else if (trajectory && near) [this.clip, this.at] = this.#index().nearest(near, trajectory, RECONSIDERED);
     else [this.clip, this.at] = this.#drawn(clips, count, near);
     // A performance begins without a blend: its phase and trajectory do not wait for the reference.
-    if (left && this.clip.ground === null) this.left = [left, leftAt, this.at];
+    if (left && !this.clip.performed) this.left = [left, leftAt, this.at];
   }
 
   /** Frames from here to the end of the next strike or jump, zero if none comes. */
@@ -42,29 +50,51 @@ export class Player {
     return end - this.at;
   }
 
-  /** Controls of so many coming frames; at the end of a clip another one is entered. */
-  play(frames) {
+  /** Controls of so many coming frames; at the end of a clip another one is entered. A trajectory is asked for in all of them. */
+  play(frames, trajectory = null) {
     const out = [];
     while (out.length < frames) {
+      const { phased } = this.model.types[this.type];
       if (this.clip && this.at >= this.clip.frames) {
         const left = this.clip;
-        this.begin(this.type);
-        if (left.ground !== null) {
-          this.#between(left, Math.min(PAUSE, frames - out.length), out);
+        this.begin(this.type, phased ? null : trajectory);
+        if (left.performed) {
+          this.#between(left, Math.min(PAUSE, frames - out.length), trajectory, out);
           continue;
         }
+      } else if (trajectory && this.since >= RECONSIDERED) {
+        this.since = 0;
+        if (this.clip && !phased) this.#reconsider(trajectory);
       }
-      out.push(this.#frame());
+      out.push(this.#frame(trajectory));
       if (this.clip) this.#playedOf(this.clip)[this.at] = 1;
       this.at += 1;
+      this.since += 1;
     }
     return out;
   }
 
-  #frame() {
+  // Jumps to a frame that suits the trajectory clearly better.
+  #reconsider(trajectory) {
+    const { clip, at } = this;
+    const found = this.#index().nearest(this.#state(clip, at), trajectory, RECONSIDERED, [clip, at], CLEARLY);
+    if (found[0] === clip && found[1] === at) return;
+    this.left = [clip, at, found[1]];
+    [this.clip, this.at] = found;
+  }
+
+  #index() {
+    if (!this.indices.has(this.type)) {
+      const index = new MotionIndex(this.model.types[this.type].clips, (clip, at) => this.#state(clip, at), (clip, at) => this.#trajectory(clip, at));
+      this.indices.set(this.type, index);
+    }
+    return this.indices.get(this.type);
+  }
+
+  #frame(wanted) {
     const { clip, model, at } = this;
     const asked = free(model, this.type);
-    if (!clip) return { ...asked, phase: this.#clock() };
+    if (!clip) return { ...asked, phase: this.#clock(), trajectory: wanted };
     let reference = this.#shown(clip, at);
     if (this.left) {
       // The clip that was left plays on while it fades into this one.
@@ -73,17 +103,22 @@ export class Player {
       reference = mixed(before, reference, Math.min((at - entered) / BLEND, 1));
     }
     const phase = clip.phases === null ? -1 : model.arrays.phases[clip.phases + at];
-    const trajectory = clip.ground === null ? null : this.#trajectory(clip, at);
-    return { ...asked, reference, gain: model.types[this.type].gain, phase, trajectory };
+    return { ...asked, reference, gain: model.types[this.type].gain, phase, trajectory: this.#shownTrajectory(clip, at, wanted) };
+  }
+
+  // The recorded trajectory, and the one that is asked for; null for none.
+  #shownTrajectory(clip, at, wanted) {
+    if (!wanted) return clip.performed ? this.#trajectory(clip, at) : null;
+    return this.ownShare ? mixed(wanted, this.#trajectory(clip, at), this.ownShare) : wanted;
   }
 
   // From the end of a performance to the beginning of the next.
-  #between(left, frames, out) {
+  #between(left, frames, wanted, out) {
     const { clip } = this;
     for (let n = 1; n <= frames; n++) {
       const share = n / PAUSE;
       const reference = mixed(this.#shown(left, left.frames - 1), this.#shown(clip, 0), share);
-      const trajectory = mixed(this.#trajectory(left, left.frames - 1), this.#trajectory(clip, 0), share);
+      const trajectory = wanted ?? mixed(this.#trajectory(left, left.frames - 1), this.#trajectory(clip, 0), share);
       out.push({ ...free(this.model, this.type), reference, gain: this.model.types[this.type].gain, trajectory });
     }
   }
@@ -135,7 +170,7 @@ export class Player {
   #performance(clips, near) {
     let suited = clips;
     if (near) {
-      const costs = clips.map((clip) => distance(this.#state(clip, 0), near));
+      const costs = clips.map((clip) => squared(this.#state(clip, 0), near));
       const most = 1 + SUITED * Math.min(...costs);
       suited = clips.filter((_, n) => costs[n] <= most);
     }
@@ -154,7 +189,7 @@ export class Player {
     const [clip, all] = this.random.choice(found, found.map(([, frames]) => frames.length));
     const frames = this.random.sample(all, Math.min(count, all.length));
     if (!near) return [clip, frames[0]];
-    const costs = frames.map((at) => distance(this.#state(clip, at), near));
+    const costs = frames.map((at) => squared(this.#state(clip, at), near));
     return [clip, frames[costs.indexOf(Math.min(...costs))]];
   }
 
@@ -178,9 +213,3 @@ export class Player {
 const range = (from, to) => Array.from({ length: to - from }, (_, n) => from + n);
 
 const mixed = (a, b, share) => a.map((value, n) => value + share * (b[n] - value));
-
-function distance(a, b) {
-  let sum = 0;
-  for (let n = 0; n < a.length; n++) sum += (a[n] - b[n]) ** 2;
-  return sum;
-}

@@ -5,10 +5,12 @@
 import { Character } from "./kernel.js";
 import { Driver } from "./driver.js";
 import { normals } from "./random.js";
+import { steeredType } from "./springs.js";
 
 const BETWEEN = 120; // cm between the places of characters
 const TEMPERATURE = 0.05;
 const LIKELY = 0.5;
+const JOINS_WITHIN = 30; // cm; a path that begins further away gets a line from the character to its start
 const LONGEST_PATH = 50_000; // cm
 export const MOST = 20; // characters
 
@@ -28,8 +30,8 @@ export class World {
     if (asked.do === "add") this.#add();
     else if (asked.do === "wish") one.driver.set(asked);
     else if (asked.do === "perform") one.driver.perform(asked.type, this.frame);
-    else if (asked.do === "path") one.driver.follow(asked.points, one.body.ground);
-    else if (asked.do === "stroll") one.driver.follow(figureEight(250, 12), one.body.ground);
+    else if (asked.do === "path") one.driver.follow(this.#parts(asked, one.body.ground));
+    else if (asked.do === "stroll") one.driver.follow(this.#parts({ points: figureEight(250, 12) }, one.body.ground));
     else if (asked.do === "noise") one.body.temperature = one.temperature = asked.temperature;
     else if (asked.do === "reset") this.#start(one);
     else if (asked.do === "remove") this.characters.delete(number);
@@ -65,6 +67,16 @@ export class World {
     return { shown, arrived };
   }
 
+  // The path that is asked for, of a body at [x, z]: a way to where it begins, and a part up to each stop.
+  #parts({ points, type = null, speed = null, stops = [] }, [x, z]) {
+    const { model } = this;
+    const kind = type ?? model.types[steeredType(model, [0, speed ?? 100], null)].name;
+    const all = Math.hypot(points[0][0] - x, points[0][1] - z) > JOINS_WITHIN ? [[x, z], ...points] : points;
+    const ends = stops.map(([at, stop]) => [at + all.length - points.length, stop]);
+    if (ends.at(-1)?.[0] !== all.length - 1) ends.push([all.length - 1, 0]);
+    return ends.map(([end, stop], n) => ({ points: all.slice(n ? ends[n - 1][0] + 1 : 0, end + 1), type: kind, speed, stop }));
+  }
+
   #add() {
     const { characters, kernel } = this;
     if (characters.size >= MOST) throw new Error(`there is room for ${MOST} characters`);
@@ -88,15 +100,23 @@ export class World {
 
 const finite = (value, count) => Array.isArray(value) && value.length === count && value.every(Number.isFinite);
 
-function check({ do: what, velocity, facing, type, points, temperature }) {
+function check({ do: what, velocity, facing, type, points, speed, stops, temperature }) {
   if (what === "wish" && !(velocity === null || finite(velocity, 2))) throw new Error("expected a velocity [x, z] or null");
   if (what === "wish" && !(facing === null || Number.isFinite(facing))) throw new Error("expected a facing or null");
   if (what === "perform" && typeof type !== "string") throw new Error("expected a motion type");
   if (what === "noise" && !(temperature >= 0 && temperature <= 2)) throw new Error("expected a temperature from 0 to 2");
   if (what !== "path") return;
   if (!Array.isArray(points) || points.length < 2 || !points.every((point) => finite(point, 2))) throw new Error("expected points [x, z]");
+  if (!(speed === undefined || speed === null || (speed >= 5 && speed <= 1000))) throw new Error("expected a speed from 5 to 1000 cm/s");
+  if (stops !== undefined) checkStops(stops, points.length);
   const steps = points.slice(1).map(([x, z], n) => Math.hypot(x - points[n][0], z - points[n][1]));
   if (Math.hypot(...points[0]) + steps.reduce((sum, step) => sum + step, 0) > LONGEST_PATH) throw new Error("the path is longer than 500 m");
+}
+
+function checkStops(stops, count) {
+  const isStop = (stop, n) =>
+    finite(stop, 2) && Number.isInteger(stop[0]) && stop[0] > (n ? stops[n - 1][0] : 0) && stop[0] < count && stop[1] >= 0.1 && stop[1] <= 600;
+  if (!Array.isArray(stops) || !stops.every(isStop)) throw new Error("expected stops [number of a point, seconds], in the order of the path");
 }
 
 /** Points [x, z] of a figure eight from the origin towards +Z, so many times around. */

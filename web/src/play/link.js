@@ -40,8 +40,8 @@ export class Link {
     const number = hello.bodies.findIndex((body) => body.name === name);
     while (hello === this.hello) {
       const answer = await fetch(`/figures/${number}`).catch(() => null);
-      if (answer?.ok) return answer.json();
-      await new Promise((done) => setTimeout(done, AGAIN));
+      if (answer?.status === 200) return answer.json();
+      if (answer?.status !== 202) await new Promise((done) => setTimeout(done, AGAIN)); // not one that is being made
     }
     throw new Error("the connection was lost");
   }

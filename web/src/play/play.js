@@ -1,12 +1,13 @@
 // The page of `motionkit play`, and of `motionkit demo`: shows a session's characters and steers one's own.
 
-import { Color, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
+import { CircleGeometry, Color, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
 import { button, element, fillHelp, initialTheme, toggle } from "../lib/dom.js";
 import { Chase, Figure, Labels, Pose, Ribbon, Rig, Sheets, Stage, Steering, ThumbStick } from "../lib/scene.js";
 
 const CM = 0.01;
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227"];
 const OTHERS = "#8d97a8";
+const PATH_COLOR = "#f5c542";
 // Letters for types people look for first; the others have numbers only.
 const LETTERS = {
   cartwheel: "c", kicking: "k", punching: "u", "jumping-b": "j", backflip: "b", "dance-salsa": "x", handspring: "h",
@@ -18,6 +19,8 @@ const FASTEST_WALK = 200; // cm/s
 const SLOWEST = 40; // cm/s a stick gives at least
 const TURNED = 0.03; // radians the way must change before the server is told
 const PATH_STEP = 0.08; // metres between the points of a drawn path
+const REST = 700; // ms that the hand rests where the path is to stop
+const STOP = 2; // seconds
 const SPARE = 1.25; // of the server's limit of messages, left to other requests
 const EYE = 0.8;
 const $ = (id) => document.getElementById(id);
@@ -323,14 +326,18 @@ export class Play {
     this.#who();
   }
 
-  /** Sends points [x, z] in metres as a path. */
-  followPath(points) {
+  /** Sends points [x, z] in metres as a path, with the numbers of the points to stop at. */
+  followPath(points, stops = []) {
     if (points.length < 2 || this.chosen === null) return;
-    const most = this.hello.limits.path_points;
-    const kept = points.length <= most ? points : Array.from({ length: most }, (_, n) => points[Math.round((n * (points.length - 1)) / (most - 1))]);
+    const share = Math.max(1, (points.length - 1) / (this.hello.limits.path_points - 1));
+    const kept = Array.from({ length: Math.floor((points.length - 1) / share) + 1 }, (_, n) => points[Math.round(n * share)]);
+    const numbers = new Set(stops.map((at) => Math.min(kept.length - 1, Math.max(1, Math.round(at / share)))));
     this.touched ??= performance.now();
     this.watch();
-    this.#ask("path", { character: this.chosen, points: kept.map(([x, z]) => [x / CM, z / CM]) });
+    this.#ask("path", {
+      character: this.chosen, points: kept.map(([x, z]) => [x / CM, z / CM]), type: this.pathType?.value || null,
+      stops: [...numbers].sort((a, b) => a - b).map((at) => [at, STOP]),
+    });
   }
 
   /** Asks for nothing until the user wants something: the character is on its way already. */
@@ -343,7 +350,7 @@ export class Play {
   #forgetPath() {
     this.pathOf = null;
     this.ribbon?.removeFromParent();
-    this.ribbon?.geometry.dispose();
+    for (const { geometry } of this.ribbon ? [this.ribbon, ...this.ribbon.children] : []) geometry.dispose();
     this.ribbon = null;
     this.stage.invalidate();
   }
@@ -359,7 +366,19 @@ export class Play {
       const hit = ray.ray.intersectPlane(floor, new Vector3());
       return hit && hit.distanceTo(this.stage.controls.target) < 60 ? [hit.x, hit.z] : null;
     };
-    let points = null;
+    let [points, stops, resting] = [null, [], 0];
+    const rest = () => {
+      clearTimeout(resting);
+      resting = setTimeout(() => {
+        const at = points.length - 1;
+        if (at < 2 || stops.includes(at)) return;
+        stops.push(at);
+        const mark = new Mesh(new CircleGeometry(0.11, 24).rotateX(-Math.PI / 2), new MeshBasicMaterial({ color: PATH_COLOR, depthWrite: false }));
+        mark.position.set(points[at][0], 0.005, points[at][1]);
+        this.ribbon.add(mark);
+        this.stage.invalidate();
+      }, REST);
+    };
     canvas.addEventListener("pointerdown", (event) => {
       if (!this.drawing || event.button !== 0) return;
       const first = spot(event);
@@ -367,8 +386,8 @@ export class Play {
       event.stopImmediatePropagation();
       canvas.setPointerCapture(event.pointerId);
       this.#forgetPath();
-      points = [first];
-      this.ribbon = new Ribbon(new Float32Array(first), "#f5c542", { width: 0.06, opacity: 0.85 });
+      [points, stops] = [[first], []];
+      this.ribbon = new Ribbon(new Float32Array(first), PATH_COLOR, { width: 0.06, opacity: 0.85 });
       this.stage.scene.add(this.ribbon);
     }, { capture: true });
     canvas.addEventListener("pointermove", (event) => {
@@ -378,16 +397,18 @@ export class Play {
       points.push(next);
       this.ribbon.points = points.flat();
       this.stage.invalidate();
+      rest();
     });
     const end = (event) => {
       if (!points) return;
+      clearTimeout(resting);
       const drawn = points;
       points = null;
       this.touched = event.timeStamp;
       if (drawn.length < 3) {
         this.#forgetPath();
         this.say("Draw a longer path.");
-      } else this.followPath(drawn);
+      } else this.followPath(drawn, stops);
     };
     canvas.addEventListener("pointerup", end);
     canvas.addEventListener("pointercancel", end);
@@ -398,6 +419,7 @@ export class Play {
     if (on) this.sheets.show(null); // there must be ground to draw on
     this.stage.controls.enabled = !on;
     $("scene").classList.toggle("drawing", on);
+    this.pathType.parentNode.hidden = !on;
     this.#hint();
   }
 
@@ -478,6 +500,9 @@ export class Play {
 
   #tools() {
     const draw = toggle("Draw path", "Draw on the ground with mouse or finger, and it is followed (P)", this.drawing, (on) => this.#setDrawing(on));
+    this.pathType = element("select", { title: "How to go along the path" }, new Option("on foot", ""), ...this.hello.types.map(({ name }) => new Option(name)));
+    this.pathType.setAttribute("aria-label", "Type on the path");
+    this.pathType.onchange = () => this.pathType.blur();
     const face = toggle("Face ahead", "Look where the camera looks, whichever way it goes (V)", this.facing, (on) => (this.facing = on));
     const info = toggle("Figures", "Measurements (I)", !$("figures").hidden, (on) => ($("figures").hidden = !on));
     this.recordButton = button("Record", `Record, and download as ${this.hello.recording_format.toUpperCase()} when it ends (O)`, () => this.record());
@@ -500,7 +525,7 @@ export class Play {
       Escape: () => this.drawing && draw.flip(), "?": () => $("help").showModal(), Backspace: () => this.#restart(),
     };
     $("tools").replaceChildren(
-      this.bodies, element("label", {}, "Noise", noise), draw.node, face.node, this.recordButton, ...this.tools(this), info.node,
+      this.bodies, element("label", {}, "Noise", noise), draw.node, element("label", { hidden: !this.drawing }, "Path", this.pathType), face.node, this.recordButton, ...this.tools(this), info.node,
       button("Start anew", "Back to where it first stood (Backspace)", () => this.#restart(), "⟲"),
       button("Theme", "Dark or light (T)", theme, "◐"),
       button("Help", "Keyboard (?)", () => $("help").showModal(), "?"),
@@ -605,7 +630,7 @@ export class Play {
 
   #hint() {
     const text = this.drawing
-      ? "Draw on the ground with mouse or finger. Esc or Draw path ends drawing."
+      ? "Draw on the ground with mouse or finger; rest a moment where the path is to stop. Esc or Draw path ends drawing."
       : matchMedia("(pointer: coarse)").matches
         ? "Push the stick to go, past its rim to run; drag elsewhere to look around"
         : "W A S D to go, Shift faster, drag to look around, ? for all keys";
