@@ -58,6 +58,16 @@ def test_recorded_gaits_close_without_a_seam(name: str) -> None:
     assert np.linalg.norm(after - before, axis=-1).mean(axis=1).max() < loop.difference
 
 
+def test_a_cycle_stays_in_its_place_unless_asked_to_the_origin() -> None:
+    walk = turned(make_walk(300), 2.0)
+    walk = replace(walk, root_positions=walk.root_positions + np.array([300.0, 0.0, -200.0], np.float32))
+    loop, moved = make_loop(walk), make_loop(walk, from_origin=True)
+    assert np.abs(loop.motion.root_positions[0] - walk.root_positions[loop.start]).max() < 2.0
+    assert np.abs(moved.motion.root_positions[0, [0, 2]]).max() < 4.0
+    assert moved.motion.root_positions[-1, 2] > 80.0 > 20.0 > abs(moved.motion.root_positions[-1, 0])
+    assert moved.seam.distance < 0.01 and moved.seam.speed == pytest.approx(loop.seam.speed, abs=0.5)
+
+
 def test_played_twice_a_loop_moves_on_as_within(tmp_path: Path) -> None:
     """Speeds of joints over the seam, in a clip of two cycles, are no larger than elsewhere."""
     loop = make_loop(read_motion(DATA / "16_45.bvh")).motion

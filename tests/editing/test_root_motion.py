@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.editing.root_motion import in_place, with_ground_root
+from motionkit.editing.root_motion import at_origin, ground_track, in_place, with_ground_root
 from motionkit.editing.upright import Upright
 from motionkit.errors import SkeletonError
 from motionkit.export.formats import read_motion, write_motion
@@ -48,6 +48,18 @@ def test_a_ground_root_moves_no_joint(clip: Motion) -> None:
     facing = heading_angles(motion_kinematics(canonical_motion(clip))[1], clip.fps)
     if clip.skeleton.names[0] == "Hips" and abs(float(np.unwrap(turns[:, 1])[0] - facing[0])) < 6.0:
         assert np.abs(np.sin(turns[:, 1] - facing)).max() < 0.02
+
+
+def test_at_the_origin_the_same_motion_begins_there_and_faces_z(clip: Motion) -> None:
+    before, made = Upright.of(clip), at_origin(clip)
+    after = Upright.of(made)
+    way = ground_track(after)
+    assert np.abs(way[0, :2]).max() < 0.01
+    if before.canonical is not None:
+        assert abs(np.sin(way[:, 2]).mean()) < 1e-3 < np.cos(way[:, 2]).mean()
+    assert np.abs(after.facing_positions - before.facing_positions).max() < 0.01
+    again = Upright.of(at_origin(made))
+    assert np.abs(again.positions - after.positions).max() < 0.05
 
 
 def test_in_place_the_hips_stay_over_the_origin(clip: Motion) -> None:

@@ -19,11 +19,22 @@ from motionkit.cli.showing import view_option, write_and_open
     type=click.FloatRange(0.1, 3600),
     help="Length in seconds, met by the nearest good cycle; by default the shortest cycle.",
 )
+@click.option(
+    "--at-origin",
+    is_flag=True,
+    help="Begin at the origin and face +Z; by default the cycle keeps the place and the heading of CLIP.",
+)
 @root_options
 @view_option
 @json_option
 def command(
-    clip: Path, output: Path | None, seconds: float | None, root_motion: RootMotion, view: bool, as_json: bool
+    clip: Path,
+    output: Path | None,
+    seconds: float | None,
+    at_origin: bool,
+    root_motion: RootMotion,
+    view: bool,
+    as_json: bool,
 ) -> None:
     """Cut the best cycle out of CLIP, a motion of any rig, and close it: its last frame meets its first.
 
@@ -40,7 +51,7 @@ def command(
     check_outputs([target, page_file] if view else [target], [clip])
     source = read_clip(clip)
     try:
-        loop = make_loop(source.motion, seconds)
+        loop = make_loop(source.motion, seconds, from_origin=at_origin)
     except MotionkitError as error:
         raise MotionkitError(f"{clip}: {error}") from None
     made = root_motion.applied(loop.motion, cyclic=True)

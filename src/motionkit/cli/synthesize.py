@@ -60,7 +60,7 @@ LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
     "--loop",
     "loops",
     is_flag=True,
-    help="Write one closed cycle of a gait or dance, of about --seconds.",
+    help="Write one closed cycle of a gait or dance, of about --seconds, from the origin, facing +Z.",
 )
 @click.option(
     "--keys",
@@ -194,7 +194,7 @@ def _looped(result: SynthesisResult, seconds: float | None) -> tuple[SynthesisRe
     from motionkit.control.script import TypePart
     from motionkit.editing.loop import make_loop
 
-    cycles = [make_loop(one.motion, seconds) for one in result.motions]
+    cycles = [make_loop(one.motion, seconds, from_origin=True) for one in result.motions]
     motions = tuple(
         replace(one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.motion.seconds),))
         for one, cycle in zip(result.motions, cycles, strict=True)

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array, distances_between
+from motionkit.editing.root_motion import at_origin
 from motionkit.editing.upright import Upright
 from motionkit.errors import MotionkitError
 from motionkit.motion.kinematics import motion_kinematics
@@ -79,11 +80,12 @@ class Loop:
     difference: float
 
 
-def make_loop(motion: Motion, seconds: float | None = None) -> Loop:
+def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = False) -> Loop:
     """The best cycle of a motion of any rig, closed.
 
     Args:
         seconds: wished length; by default the shortest cycle that is as good as any.
+        from_origin: whether it begins at the origin and faces +Z, rather than where the motion is in that frame.
 
     Raises:
         MotionkitError: the motion never repeats.
@@ -91,6 +93,8 @@ def make_loop(motion: Motion, seconds: float | None = None) -> Loop:
     upright = Upright.of(motion)
     start, end, difference = find_cycle(upright, seconds)
     closed = _closed(upright, start, end)
+    if from_origin:
+        closed = at_origin(closed, cyclic=True)
     return Loop(upright.back(closed), start, end, seam(closed), difference)
 
 

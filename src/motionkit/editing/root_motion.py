@@ -1,4 +1,4 @@
-"""Root motion: a clip in place, or with a root bone on the floor that carries the way.
+"""Root motion: a clip in place, at the origin, or with a root bone on the floor that carries the way.
 
 Engines move a character by the root bone of its clips, or by themselves while the clip plays in place.
 """
@@ -14,7 +14,13 @@ from motionkit.arrays import Array
 from motionkit.editing.upright import Upright, relative_rotation
 from motionkit.errors import SkeletonError
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_continuous, quat_from_yaw, quat_inverse, quat_rotate
+from motionkit.motion.rotations import (
+    quat_continuous,
+    quat_from_yaw,
+    quat_inverse,
+    quat_multiply,
+    quat_rotate,
+)
 from motionkit.motion.skeleton import Skeleton
 
 ROOT = "Root"  # name of the bone on the floor
@@ -63,6 +69,23 @@ def in_place(motion: Motion, cyclic: bool = False) -> Motion:
     roots = upright.motion.root_positions.copy()
     roots[:, [0, 2]] -= way.astype(roots.dtype)
     return upright.back(replace(upright.motion, root_positions=roots))
+
+
+def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
+    """The motion moved and turned: its way begins at the origin, and on average it faces +Z.
+
+    A rig that is not human has no heading, and is only moved.
+    """
+    upright = Upright.of(motion)
+    source = upright.motion
+    way = ground_track(upright, cyclic)
+    facing = math.atan2(np.sin(way[:, 2]).mean(), np.cos(way[:, 2]).mean())
+    turn = quat_from_yaw(np.array(-facing, np.float32))
+    start = np.array([way[0, 0], 0.0, way[0, 1]], np.float32)
+    rotations = source.local_rotations.copy()
+    rotations[:, 0] = quat_continuous(quat_multiply(turn, rotations[:, 0])[:, None])[:, 0]
+    roots = quat_rotate(turn, source.root_positions - start).astype(source.root_positions.dtype)
+    return upright.back(replace(source, local_rotations=rotations, root_positions=roots))
 
 
 def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
