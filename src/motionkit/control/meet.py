@@ -17,6 +17,7 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.control.keys import Key, smoothed_step, travel_direction
 from motionkit.errors import ControlError
+from motionkit.features.contacts import CONTACT_HEIGHTS
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.heading import heading_angles
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS, reference_signal
@@ -39,9 +40,10 @@ from motionkit.motion.rotations import (
     rotate_ground,
     wrap_angle,
 )
-from motionkit.motion.skeleton import JOINT_NAMES, leg_length
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES, leg_length
 
 SHOWN_SECONDS = 0.6  # a key's pose is among the references so long before and after it
+AFTER = 70  # frames of a recording that are known after a key: those it is shown for, and what references look ahead
 REACH_SECONDS = 0.6  # what remains in the pose is spread over so long before and after a key
 TURN_SECONDS = 1.0  # a facing asked for is turned to within so long
 STANDING = 30.0  # cm/s; slower ways do not say where to face
@@ -49,6 +51,7 @@ LONGEST_STRETCH = 4.0  # s that a recorded stretch may take to a key
 # cm, cm and radians by which the way of a stretch may be off for a cost of 1, that of an embedding's value off by 1.
 TRAVEL_SCALES = np.array([15.0, 15.0, 0.3])
 AHEAD = 35.0  # cm that points of joints lie before the hips, where a key does not say
+FLOOR_FADE = 6.0  # cm above the height of recorded contacts at which predicted ones count no more
 SOLVED = 1.0  # cm; a joint that stays further from its point is out of reach
 
 
@@ -62,11 +65,20 @@ class Beginning:
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Reference poses (N, 24) for the frames first to end, with their gain."""
+    """What a recording does in the frames first to end, the frame before the motion being -1.
+
+    Attributes:
+        poses: (N + M, 24) embeddings, and those of the frames after the key, which references look ahead at.
+        phases: (N,) of a performance, strike or jump.
+        ground: (N, 3) place in cm and heading in radians, where the recording was made.
+        gain: of the poses as references.
+    """
 
     first: int
     end: int
     poses: Array
+    phases: Array
+    ground: Array
     gain: float
 
 
@@ -78,19 +90,24 @@ def matched_stretches(
     The pose before is that of the beginning or of the key before, if that is at most LONGEST_STRETCH away.
     """
     out = []
-    before: tuple[int, Array] | None = (0, begin.poses[0])
+    before: tuple[int, Array] | None = (-1, begin.poses[0])
     for key in keys:
         at = round(key.seconds * model.fps)
         if key.pose is not None and before is not None and 0 < at - before[0] <= LONGEST_STRETCH * model.fps:
             kind = model.types[model.type_names[int(types[min((before[0] + at) // 2, len(types) - 1)])]]
             travel = None
             if way is not None and key.position is not None:
-                start = begin.ground if before[0] == 0 else way[min(before[0], len(way) - 1)]
+                start = begin.ground if before[0] < 0 else way[min(before[0], len(way) - 1)]
                 travel = _travel(np.asarray(start, np.float64)[None], way[min(at, len(way) - 1)][None])[0]
             found = _stretch(kind, before[1], key.pose.embedding, at - before[0], travel)
             if found is not None:
-                out.append(Stretch(before[0], at, found, kind.preset.reference_gain))
+                out.append(Stretch(before[0], at, *found, kind.preset.reference_gain))
         before = None if key.pose is None else (at, key.pose.embedding)
+    for stretch, after in reversed(list(pairwise(out))):
+        if after.first == stretch.end:
+            stretch.poses[len(stretch.phases) :] = after.poses[
+                1 : len(stretch.poses) - len(stretch.phases) + 1
+            ]
     return out
 
 
@@ -100,11 +117,16 @@ def _travel(start: Array, end: Array) -> Array:
     return np.concatenate([away, wrap_angle(end[:, 2:3] - start[:, 2:3])], axis=1)
 
 
-def _stretch(kind: MotionType, start: Array, end: Array, frames: int, travel: Array | None) -> Array | None:
-    """Embeddings of the recorded frames of a type that lead most nearly from one pose to another in so many frames.
+def _stretch(
+    kind: MotionType, start: Array, end: Array, frames: int, travel: Array | None
+) -> tuple[Array, Array, Array] | None:
+    """The recorded frames of a type that lead most nearly from one pose to another in so many frames.
 
     Args:
         travel: (3,) the way in that time, which the recording should go too: cm and radians; None for any.
+
+    Returns:
+        Their embeddings (frames + 1 + AFTER, 24), phases (frames + 1,) and ground (frames + 1, 3).
     """
     best, found = np.inf, None
     for clip in kind.reference_clips:
@@ -121,11 +143,39 @@ def _stretch(kind: MotionType, start: Array, end: Array, frames: int, travel: Ar
             cost += np.square(off).sum(-1)
         at = int(cost.argmin())
         if cost[at] < best:
-            # What differs at both ends is spread over the stretch.
-            share = (np.arange(frames + 1) / frames)[:, None]
-            gap = lerp(start - poses[at], end - poses[at + frames], share)
-            best, found = float(cost[at]), (poses[at : at + frames + 1] + gap).astype(np.float32)
+            # What differs at both ends is spread over the stretch, and fades after it.
+            share = np.minimum(np.arange(frames + 1 + AFTER) / frames, 1.0)[:, None]
+            left = smoothed_step(1.0 - np.maximum(np.arange(-frames, AFTER + 1), 0) / AFTER)[:, None]
+            gap = lerp(start - poses[at], end - poses[at + frames], share) * left
+            shown = poses[np.minimum(at + np.arange(len(gap)), len(poses) - 1)] + gap
+            rows = slice(at, at + frames + 1)
+            best, found = float(cost[at]), (shown.astype(np.float32), clip.phases[rows], clip.ground[rows])
     return found
+
+
+def recorded_way(way: Array, stretches: Sequence[Stretch], begin: Array) -> Array:
+    """The way (T, 3) with the ways of recordings where they lead to keys.
+
+    A body that is thrown about goes and faces as recorded, not along a curve. What a recording's way is off at its end
+    is spread evenly.
+
+    Args:
+        begin: (3,) the place before the first frame.
+    """
+    out = way.copy()
+    for stretch in stretches:
+        if stretch.end >= len(way):
+            continue
+        start = begin.astype(np.float64) if stretch.first < 0 else way[stretch.first]
+        gone = _travel(
+            np.repeat(stretch.ground[:1].astype(np.float64), len(stretch.ground), axis=0), stretch.ground
+        )
+        made = start + np.concatenate([rotate_ground(start[2], gone[:, :2]), gone[:, 2:]], axis=1)
+        gap = way[stretch.end] - made[-1]
+        gap[2] = wrap_angle(gap[2:])[0]
+        made += np.linspace(0.0, 1.0, len(made))[:, None] * gap
+        out[max(stretch.first, 0) : stretch.end + 1] = made[max(-stretch.first, 0) :]
+    return out
 
 
 class KeyedController:
@@ -144,24 +194,40 @@ class KeyedController:
         self.model, self.base, self.keys = model, base, keys
         self.way = planned_way(keys, begin.ground, model.fps, share)
         self.stretches = matched_stretches(model, keys, begin, types, self.way)
+        if self.way is not None:
+            self.way = recorded_way(self.way, self.stretches, begin.ground)
         steered = {model.type_id(name) for name, kind in model.types.items() if kind.steered}
         self.steered = np.array([i in steered for i in range(len(model.types))], np.float32)
+        met = {stretch.end for stretch in self.stretches}
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
-        self.poses = poses
+        self.poses = [pose for pose in poses if pose[0] not in met]
 
     def __call__(self, frame: int, ground: Array) -> Controls:
         asked = self.base(frame, ground)
         if self.way is not None and frame < len(self.way):
             asked = self._led(asked, frame, ground)
-        if not self.poses or not self.model.uses_references:
+        if not self.model.uses_references:
             return asked
-        for stretch in self.stretches:
-            if stretch.first <= frame < stretch.end:
-                count = len(ground)
-                shown = reference_signal(stretch.poses, np.array([frame - stretch.first]))
-                gain = np.full(count, stretch.gain, np.float32)
-                asked = replace(asked, reference=np.repeat(shown, count, axis=0), reference_gain=gain)
-        return self._shown(asked, frame)
+        now = [stretch for stretch in self.stretches if stretch.first <= frame]
+        return self._shown(self._recorded(asked, now[-1], frame) if now else asked, frame)
+
+    def _recorded(self, asked: Controls, stretch: Stretch, frame: int) -> Controls:
+        """The same with a stretch as reference, which goes on after its key for a while and fades."""
+        past = max(0, frame - stretch.end) / (SHOWN_SECONDS * self.model.fps)
+        share = float(smoothed_step(np.array(1.0 - past)))
+        if share <= 0.0:
+            return asked
+        shown = reference_signal(stretch.poses, np.array([frame - stretch.first]))
+        known, gain = asked.reference_gain[:, None] > 0.0, asked.reference_gain
+        asked = replace(
+            asked,
+            reference=lerp(np.where(known, asked.reference, shown), shown, share).astype(np.float32),
+            reference_gain=lerp(gain, np.full_like(gain, stretch.gain), share).astype(np.float32),
+        )
+        if frame >= stretch.end:
+            return asked
+        # Of what the base plays the phase is another one, which would hold back or hurry the body.
+        return replace(asked, phase=np.full_like(asked.phase, stretch.phases[frame - stretch.first]))
 
     def _led(self, asked: Controls, frame: int, ground: Array) -> Controls:
         """The same with the planned way as trajectory; gaits follow it without recordings."""
@@ -182,7 +248,7 @@ class KeyedController:
         ).with_mask(1.0)
 
     def _shown(self, asked: Controls, frame: int) -> Controls:
-        """The same with the keys' poses among the reference poses."""
+        """The same with the poses of keys that no recording leads to among the reference poses."""
         reference, gain = asked.reference.copy(), asked.reference_gain.copy()
         wide = SHOWN_SECONDS * self.model.fps
         preset = max(kind.preset.reference_gain for kind in self.model.types.values())
@@ -269,15 +335,29 @@ def meet_keys(
         ControlError: a joint is out of reach of the body where its key has it.
     """
     goals = [_reached(motion, key) for key in keys]
-    moved = _over_the_ground(motion, keys, goals)
-    if ik:
-        moved = lock_feet(moved, contacts)
+    moved = _joined(_over_the_ground(motion, keys, goals), keys, before)
+    # Locks are of the feet as they are joined; what they move at the joints is joined once more, and is small.
+    return _joined(lock_feet(moved, _near_floor(moved, contacts)), keys, before) if ik else moved
+
+
+def _joined(motion: Motion, keys: Sequence[Key], before: Motion | None) -> Motion:
+    """The motion bent so that it goes on from the frames before, and takes the pose of every key."""
     if before is not None and len(before) > 1:
-        moved = _continued(moved, before, round(keys[0].seconds * motion.fps))
+        motion = _continued(motion, before, round(keys[0].seconds * motion.fps))
     for number, key in enumerate(keys):
         around = [keys[i].seconds for i in (number - 1, number + 1) if 0 <= i < len(keys)]
-        moved = _posed(moved, key, [0.0, *around] if number == 0 else around)
-    return moved
+        motion = _posed(motion, key, [0.0, *around] if number == 0 else around)
+    return motion
+
+
+def _near_floor(motion: Motion, contacts: Array) -> Array:
+    """Contacts (T, 4) of those parts of feet that are near the floor.
+
+    Predicted ones belong to the pose before it was bent: a foot that is still in the air would be torn down.
+    """
+    heights = motion_kinematics(motion)[1][:, list(FOOT_JOINTS), 1]
+    away = (heights - np.array(CONTACT_HEIGHTS)) / FLOOR_FADE
+    return contacts * np.clip(1.0 - away, 0.0, 1.0).astype(contacts.dtype)
 
 
 def _frame(motion: Motion, key: Key) -> int:
