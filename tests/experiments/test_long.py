@@ -69,6 +69,10 @@ def test_it_begins_in_the_longest_stretch_of_a_type(paper_data: Dataset) -> None
 def test_a_dataset_without_a_dance_is_refused(paper_data: Dataset) -> None:
     with pytest.raises(DatasetError, match="no test clip of"):
         long_types(paper_data)
+    kind = a_tested_type(paper_data)
+    assert long_types(paper_data, [kind]) == [kind]
+    with pytest.raises(DatasetError, match="no test clip of flying"):
+        long_types(paper_data, [kind, "flying"])
 
 
 def test_a_roll_out_is_measured_in_four_parts_and_repeats(

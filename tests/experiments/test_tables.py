@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 
 from motionkit.errors import MotionkitError
+from motionkit.experiments.claims import claims_table, verdict
 from motionkit.experiments.page import Extras, page
 from motionkit.experiments.scenes import SCENES, read_scenes
 from motionkit.experiments.study import ASPECTS, write_study
@@ -234,3 +235,54 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
     (tmp_path / "old.json").write_text('{"model": "old", "scenes": []}')
     with pytest.raises(MotionkitError, match=r"old\.json: not the results of all scenes"):
         read_scenes(tmp_path)
+
+
+# ---- the paper's claims ----
+
+
+def test_a_claim_needs_a_difference_of_twice_the_spread() -> None:
+    low, truth = Column("afs", "AFS", "low", 3), Figure(50.0, 0.0, 1)
+    mine, near, far = Figure(1.0, 0.1, 3), Figure(1.15, 0.1, 3), Figure(1.3, 0.1, 3)
+    assert verdict(low, mine, near, None).startswith("cannot be said: within")
+    assert verdict(low, mine, far, None) == "agrees" and verdict(low, far, mine, None) == "does not agree"
+    assert verdict(low, mine, Figure(1.3, 0.0, 1), None) == "agrees", "one seed is judged by TPTN's spread"
+    assert verdict(low, Figure(1.0, 0.0, 1), Figure(9.0, 0.0, 1), None) == "cannot be said: one seed"
+    moving = Column("bm-euler", "BM", "truth", 1)
+    assert verdict(moving, Figure(48.0, 0.5, 3), Figure(56.0, 0.5, 3), truth) == "agrees"
+
+
+def test_the_page_has_a_verdict_on_each_claim_that_was_run() -> None:
+    rows = {row[0]: row for row in claims_table(RESULTS, "claims").rows}
+    assert len(rows) == 2  # of EBTN and FPTN-R
+    one = rows["two parts move more like the recordings than the whole body"]
+    # 12.1 is nearer to the recorded 50 than 10.1.
+    assert one[2:] == ("82.162 against 79.207", "10.1 ± 0.1 against 12.1 ± 0.1", "does not agree")
+    assert rows["two parts move more like them than four that share the root"][-1] == "agrees"
+    still = [result("L2 Loss", "losses", 0, 2.0), *(result("TPTN", "tptn", s, 90.0 + s) for s in range(3))]
+    (moved,) = claims_table(still, "claims").rows
+    assert moved[0] == "L2 losses smooth too much" and moved[-1] == "agrees", "less, if not farther from 50"
+    assert "## What is learnt" in page(RESULTS) and "| does not agree |" in page(RESULTS)
+
+
+def test_the_page_names_networks_that_look_at_nothing() -> None:
+    def looking(name: str, gain: float) -> dict[str, Any]:
+        return result(name, "parts", 0, 5.0) | {"derivatives": {"trajectory": 1.0, "features": gain}}
+
+    text = page([looking("TPTN", 0.01), looking("EBTN", 0.9)])
+    assert "hardly depends on the frames fed in (gain below 0.1, in the paper about 1): TPTN." in text
+    assert "hardly depends" not in page([looking("TPTN", 0.9)])
+
+
+def test_the_page_says_what_more_training_does() -> None:
+    def trained(folder: str, steps: int, seed: int, value: float) -> dict[str, Any]:
+        budget = {"name": "cpu", "steps": steps, "batch": 8, "window": 96, "rate": 1e-3}
+        timing = {"seconds": 60.0, "machine": "CPU"}
+        return result("TPTN", "tptn", seed, value) | {"folder": folder, "budget": budget, "timing": timing}
+
+    few = [trained("D_L/cpu-20", 20, seed, 5.0 + seed) for seed in range(2)]
+    text = page([*few, trained("D_L/cpu-40", 40, 0, 4.0)])
+    assert "TPTN by training: 20 steps of 8 windows (2 seeds): MPJPE 5.5 ± 0.71" in text
+    assert "40 steps of 8 windows (1 seed): MPJPE 4, path 4, AFS 4." in text
+    assert "by training" not in page(few)
+    floor = result("last frame", "floors", 0, 1.0) | {"parameters": 0, "folder": "all/cpu", "data": "all"}
+    assert "No network has been trained in `all/cpu` yet." in page([*few, floor])

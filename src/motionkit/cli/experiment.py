@@ -388,14 +388,22 @@ def scenes_command(
 @click.argument("model_path", metavar="MODEL", type=click.Path(exists=True, path_type=Path, dir_okay=False))
 @_data_option
 @click.option(
+    "--type",
+    "asked",
+    multiple=True,
+    help="Motion type, may be repeated. By default walking, running and a dance.",
+)
+@click.option(
     "--seconds", default=20.0, show_default=True, type=click.FloatRange(1, 600), help="Length of a roll-out."
 )
 @click.option(
     "--seeds", default=1, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each type."
 )
 @_output_option(str(LONG), folder=True)
-def long_command(model_path: Path, data: Path, seconds: float, seeds: int, output: Path) -> None:
-    """Roll out walking, running and a dance for a long time from 30 initial frames, with a MODEL of tptn-paper.
+def long_command(
+    model_path: Path, data: Path, asked: tuple[str, ...], seconds: float, seeds: int, output: Path
+) -> None:
+    """Roll out motion types for a long time from 30 initial frames, with a MODEL of tptn-paper.
 
     The first frames are those of test clips; the types are given and the trajectory is the network's own. Each part of
     a roll-out is compared with the recordings. Writes BVH files, a contact sheet, and a results file for `experiment
@@ -410,7 +418,7 @@ def long_command(model_path: Path, data: Path, seconds: float, seeds: int, outpu
     from motionkit.view.contact_sheet import write_contact_sheet
 
     model, dataset = load_model(model_path), Dataset(data)
-    kinds, name = long_types(dataset), model_path.stem
+    kinds, name = long_types(dataset, asked), model_path.stem
     tasks = [(kind, seed) for seed in range(seeds) for kind in kinds]
     made = []
     with progress_bar() as bar:

@@ -34,7 +34,7 @@ LIMBS = {
     "arms": (("LeftArm", "LeftForeArm", "LeftHand"), ("RightArm", "RightForeArm", "RightHand")),
 }
 MEASURES = ("legs", "arms", "hips", "step")  # cm
-BODIES_HEADER = ("performer", *(f"{name}, {what}" for name in MEASURES for what in ("his own", "made")))
+BODIES_HEADER = ("performer", *(f"{name}, {what}" for name in MEASURES for what in ("own", "made")))
 
 
 def performers(dataset: Dataset, kind: str, count: int = PERFORMERS) -> dict[str, int]:

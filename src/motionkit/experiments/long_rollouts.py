@@ -7,7 +7,7 @@ those of the recordings.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -48,8 +48,8 @@ class LongRollout:
     facts: dict[str, Any]
 
 
-def long_types(dataset: Dataset) -> list[str]:
-    """Return walking, running and the dance with the longest test stretch.
+def long_types(dataset: Dataset, asked: Sequence[str] = ()) -> list[str]:
+    """Return the types to roll out: those asked for, else walking, running and the dance with the longest test stretch.
 
     Raises:
         DatasetError: if one of them has no test clip.
@@ -60,9 +60,9 @@ def long_types(dataset: Dataset) -> list[str]:
             kind = dataset.types[number]
             counts[kind] = max(counts.get(kind, 0), end - start)
     dances = sorted((kind for kind in counts if is_dance(kind)), key=lambda k: (-counts[k], k))
-    kinds = ["walking", "running", *dances[:1]]
+    kinds = list(asked) or ["walking", "running", *dances[:1]]
     lacking = [kind for kind in kinds if counts.get(kind, 0) < INITIAL]
-    if lacking or not dances:
+    if lacking or not (asked or dances):
         raise DatasetError(
             f"{dataset.folder}: no test clip of {', '.join(lacking) or 'a dance'} to begin from"
         )
@@ -194,6 +194,11 @@ def long_row(facts: dict[str, Any]) -> tuple[str, ...]:
         f"{facts['speed-recorded']:.0f}",
         "yes" if facts["holds"] else "no",
     )
+
+
+def sheet_name(model: str) -> str:
+    """Return the file name of a model's contact sheet beside docs/experiments.md."""
+    return f"long-{model}.png"
 
 
 def read_long(folder: Path) -> list[dict[str, Any]]:

@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.experiments.bodies import BODIES_HEADER, bodies_row, slopes
-from motionkit.experiments.long_rollouts import APART, LONG_HEADER, long_row
+from motionkit.experiments.claims import claims_table
+from motionkit.experiments.findings import findings
+from motionkit.experiments.long_rollouts import APART, LONG_HEADER, long_row, sheet_name
 from motionkit.experiments.scenes import picture_name
 from motionkit.experiments.tables import (
     Results,
     TextTable,
     budget_lines,
     figure,
-    figure_of,
     latex,
     markdown,
     missing,
     protocol_folders,
     tables,
 )
-from motionkit.experiments.variants import VARIANTS
 from motionkit.files import atomic_write
 
 HEAD = """# Experiments
@@ -113,7 +113,7 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path) -> list[str]:
         )
         held = sum(facts["holds"] for facts in each["rollouts"])
         parts.append(f"{held} of {len(rows)} roll-outs of {each['model']} hold.\n")
-        sheet = f"long-{each['model']}.png"
+        sheet = sheet_name(each["model"])
         if (beside / sheet).exists():
             parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
     return parts
@@ -144,6 +144,13 @@ def bodies_section(models: Sequence[dict[str, Any]]) -> list[str]:
     return parts
 
 
+LEARNT = """A claim of the paper **agrees** or **does not agree** where its metric differs by more than twice the spread
+over seeds; else it **cannot be said**. BM is better the nearer it is to the recorded one, unless the claim is that the
+variant moves less. The verdicts are computed, and hold for the training that the networks had here; the lines below
+the tables say how little that is.
+"""
+
+
 @dataclass(frozen=True)
 class Extras:
     """What stands on the page beside the tables: the results of scenes, long roll-outs and bodies, by model."""
@@ -159,110 +166,19 @@ def page(results: Results, extras: Extras | None = None, beside: Path = Path("do
     parts = [HEAD, "## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
     for folder in protocol_folders(results):
         lacking = missing(results, folder)
-        if lacking:
+        if not any(r.get("parameters") for r in results if r["folder"] == folder):
+            parts.append(f"No network has been trained in `{folder}` yet.\n")
+        elif lacking:
             parts.append(f"Not run yet in `{folder}`: {', '.join(lacking)}.\n")
-    parts += ["## What can be said\n", *(f"- {line}" for line in findings(results)), "", "## Tables\n"]
+    parts += ["## What is learnt\n", LEARNT]
+    for folder in protocol_folders(results):
+        here = [result for result in results if result["folder"] == folder]
+        table = claims_table(here, f"The paper's claims: `{folder}`")
+        parts += [markdown(table)] if table.rows else []
+    parts += [*(f"- {line}" for line in findings(results)), "", "## Tables\n"]
     parts += [markdown(table) for table in tables(results)]
     parts += [*scenes_section(extras.scenes, beside), *long_section(extras.long, beside)]
     return "\n".join([*parts, *bodies_section(extras.bodies)])
-
-
-def findings(results: Results) -> list[str]:
-    """Say of each of the paper's claims what these results say, with the spread; by rule, from the figures."""
-    lines = []
-    for folder in protocol_folders(results):
-        here = [result for result in results if result["folder"] == folder]
-        for rival, claim in (
-            ("EBTN", "two parts against the whole body"),
-            ("w/o-FFL", "the fusion layer"),
-            ("w/o-CL", "the consistency loss"),
-            ("motion matching", "the network against motion matching"),
-            ("last frame", "the network against holding the last frame"),
-        ):
-            said = _compared(here, rival)
-            if said:
-                lines.append(f"`{folder}`, {claim}: {said}.")
-        lines += _beyond_spread(folder, here) + _still(folder, here) + _unlearnt(folder, here)
-    return lines or ["Nothing yet: no results of TPTN beside another."]
-
-
-def _beyond_spread(folder: str, results: Results) -> list[str]:
-    """Name the other networks whose MPJPE or AFS differs from TPTN's by more than twice its spread over seeds."""
-    lines = []
-    names = [v.name for v in VARIANTS if v.preset and v.group != "tptn"]
-    for metric, title in (("mpjpe", "MPJPE"), ("afs", "AFS")):
-        mine = figure_of([r for r in results if r["name"] == "TPTN"], metric)
-        if mine is None or mine.seeds < 2:
-            continue
-        theirs = {name: figure_of([r for r in results if r["name"] == name], metric) for name in names}
-        gaps = {name: found.mean - mine.mean for name, found in theirs.items() if found is not None}
-        lower, higher = (
-            [name for name, gap in gaps.items() if sign * gap > 2.0 * mine.spread] for sign in (-1.0, 1.0)
-        )
-        said = f"lower {', '.join(lower) or 'in none'}; higher {', '.join(higher) or 'in none'}"
-        lines.append(
-            f"`{folder}`, {title} more than twice TPTN's spread over {mine.seeds} seeds from TPTN's {mine.mean:.3g} "
-            f"± {mine.spread:.2g}: {said}; of {len(gaps)} other networks, most with one seed."
-        )
-    return lines
-
-
-def _still(folder: str, results: Results) -> list[str]:
-    """Name the networks that hardly move, whose feet therefore hardly slide."""
-    moved: dict[str, float] = {}
-    for name in dict.fromkeys(r["name"] for r in results if r.get("parameters")):
-        mine = [r for r in results if r["name"] == name]
-        made, recorded = (figure_of(mine, "bm-euler", recorded=side) for side in (False, True))
-        if made and recorded and made.mean < 0.5 * recorded.mean:
-            moved[name] = made.mean / recorded.mean
-    if not moved:
-        return []
-    shares = ", ".join(f"{name} ({share:.0%})" for name, share in moved.items())
-    return [
-        f"`{folder}`: these move less than half as much as the recordings, so what is low in their AFS and MPJPE is "
-        f"that of bodies that stand nearly still: {shares}."
-    ]
-
-
-def _unlearnt(folder: str, results: Results) -> list[str]:
-    """Say so where the networks have not learnt enough for a comparison of what they can learn."""
-    networks = [r for r in results if r.get("parameters")]
-    floor = figure_of([r for r in results if r["name"] == "motion matching"], "mpjpe")
-    if not networks or floor is None:
-        return []
-    errors = {r["name"]: figure_of([r], "mpjpe") for r in networks}
-    better = sorted(name for name, error in errors.items() if error and error.mean < floor.mean)
-    if len(better) > len(errors) / 2:
-        return []
-    said = f"only {', '.join(better)} of {len(errors)} networks come" if better else "no network comes"
-    return [
-        f"`{folder}`: {said} nearer to the recordings than motion matching (MPJPE {floor.mean:.3g} cm). Differences "
-        "between networks show which begin to learn sooner at this budget, not which are better when trained."
-    ]
-
-
-def _compared(results: Results, rival: str) -> str:
-    mine = [r for r in results if r["name"] == "TPTN"]
-    theirs = [r for r in results if r["name"] == rival]
-    if not mine or not theirs:
-        return ""
-    words = []
-    for metric, name in (("mpjpe", "MPJPE"), ("afs", "AFS"), ("ssim-channel", "SSIM")):
-        a, b = figure_of(mine, metric), figure_of(theirs, metric)
-        if a is None or b is None:
-            continue
-        sign = -1.0 if metric == "ssim-channel" else 1.0
-        gap = sign * (b.mean - a.mean)
-        fixed = rival in ("motion matching", "last frame")  # no seeds: the same every time
-        seeds = a.seeds if fixed else min(a.seeds, b.seeds)
-        if seeds < 2:
-            verdict = "one seed, too little to say"
-        elif abs(gap) <= max(a.spread, b.spread):
-            verdict = "within the spread"
-        else:
-            verdict = "TPTN is better" if gap > 0 else f"{rival} is better"
-        words.append(f"{name} {a.mean:.3g} against {b.mean:.3g} ({verdict})")
-    return ", ".join(words)
 
 
 def write_page(

@@ -36,6 +36,12 @@ class Column:
     digits: int
     paper: int = -1
 
+    def loss(self, value: float, truth: Figure | None) -> float:
+        """Return how bad a value is; truth is the recorded one."""
+        if self.goal == "truth":
+            return abs(value - truth.mean) if truth else math.inf
+        return value if self.goal == "low" else -value
+
 
 MAIN = (
     Column("bm-euler", "BM (deg/frame)", "truth", 1, 0),
@@ -105,9 +111,7 @@ def clear_best(figures: dict[str, Figure], column: Column, truth: Figure | None)
     """Return who is best by more than the spread over seeds, None if nobody is or the seeds cannot tell."""
 
     def loss(figure: Figure) -> float:
-        if column.goal == "truth":
-            return abs(figure.mean - truth.mean) if truth else math.inf
-        return figure.mean if column.goal == "low" else -figure.mean
+        return column.loss(figure.mean, truth)
 
     ranked = sorted(figures, key=lambda name: loss(figures[name]))
     if len(ranked) < 2:
@@ -290,7 +294,8 @@ def budget_lines(results: Results) -> list[str]:
         if trained:
             b = trained[0]["budget"]
             seconds = sorted(r["timing"]["seconds"] for r in trained)
-            minutes = f"{seconds[0] / 60:.0f} to {seconds[-1] / 60:.0f} minutes"
+            least, most = (f"{each / 60:.0f}" for each in (seconds[0], seconds[-1]))
+            minutes = f"{least} minutes" if least == most else f"{least} to {most} minutes"
             line += (
                 f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
                 f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
