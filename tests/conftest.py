@@ -1,4 +1,4 @@
-"""Shared by all tests: a time limit per test, and small motions and files."""
+"""Shared by all tests: workers, a time limit per test, and small motions and files."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import FrameType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -32,6 +33,54 @@ HERE = Path(__file__).parent
 SECONDS_PER_TEST = 180
 SECONDS_PER_SLOW_TEST = 900
 
+
+# ---- workers (pytest -n) ----
+
+MOST_WORKERS = 8  # each holds torch and the models, up to 1 GB
+# Files that take longest go first, so that no worker is left with one of them at the end.
+LONG_FILES = (
+    "play/test_browser.py",
+    "docs/test_blocks.py",
+    "play/test_demo.py",
+    "training/test_trainer.py",
+    "inference/test_determinism.py",
+    "export/test_onnx_export.py",
+    "view/test_viewer.py",
+    "test_without_torch.py",
+)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Give each worker one thread of torch and BLAS, since workers share the cores."""
+    if getattr(config.option, "numprocesses", None):
+        for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+            os.environ.setdefault(name, "1")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_auto_num_workers() -> int:
+    """The workers of -n auto: one for each core that this process may use."""
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return min(cores, MOST_WORKERS)
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
+    """Give a worker whole files, in which tests share a browser, a server or a model."""
+    from xdist.scheduler import LoadFileScheduling
+
+    config.option.loadscopereorder = False  # which would begin with the files of most tests
+    return LoadFileScheduling(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Begin with the files that take longest; the order within files and of the others stays."""
+    ranks = {HERE / name: rank for rank, name in enumerate(LONG_FILES)}
+    assert all(path.is_file() for path in ranks), "a file of LONG_FILES is not there"
+    items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
+
+
+# ---- kernels ----
 
 KERNELS = {"step": kernel_library, "frame": frame_library, "attention": attention_library}
 MISSING_KERNELS = [name for name, library in KERNELS.items() if library() is None]
@@ -59,6 +108,9 @@ def pytest_sessionstart() -> None:
             "build them with python setup.py build_ext --inplace",
             returncode=1,
         )
+
+
+# ---- fixtures ----
 
 
 @pytest.fixture(autouse=True)

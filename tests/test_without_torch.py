@@ -47,8 +47,9 @@ def test_commands(tmp_path: Path, words: list, made: str, tiny_model_file: Path)
 
 def test_preprocess_and_evaluate(tmp_path: Path) -> None:
     assert run(tmp_path, "preprocess", SAMPLE, "-o", "ds", "--jobs", 1).returncode == 0
+    sections = "visible,reconstruction,smoothness"
     done = run(
-        tmp_path, "evaluate", "bundled", "ds", "--quick", "--seeds", 1, "--only", "paths", "-o", "a.md"
+        tmp_path, "evaluate", "bundled", "ds", "--quick", "--seeds", 1, "--only", sections, "-o", "a.md"
     )
     assert done.returncode == 0, done.stderr
     assert "walking" in (tmp_path / "a.md").read_text()

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from motionkit.evaluation import quick
 from motionkit.models.checkpoint import load_model
 from motionkit.training import presets
 
@@ -20,6 +22,9 @@ def test_a_folder_becomes_a_model_with_pictures_and_a_verdict(
 ) -> None:
     monkeypatch.setattr(presets, "FINE_TUNE", presets.FINE_TUNE | {"splices": 2, "batch": 2, "window": 16})
     monkeypatch.setattr("motionkit.cli.quickstart.SHOWN_SECONDS", 0.2)
+    few = replace(quick.QUICK_TYPES, seeds=2, accuracy_seconds=3.0, repeats=1)
+    for name, value in (("QUICK_TYPES", few), ("WALK_RADIUS", 0.5), ("RUN_RADIUS", 1.0)):
+        monkeypatch.setattr(quick, name, value)
     said = motionkit("quickstart", "mine", "--steps", 1, "--device", "cpu", "--json")
     assert said.code == 0, said.err
     value = json.loads(said.out)

@@ -55,7 +55,7 @@ def test_figures_of_another_scoreboard(make_readme: ModuleType) -> None:
 
 def test_the_test_command_is_what_ci_runs() -> None:
     text, run = README.read_text("utf-8"), (ROOT / ".ci" / "run").read_text("utf-8")
-    found = re.search(r'`pip install -e "(\S+)" && (python -m pytest)`', text)
+    found = re.search(r'`pip install -e "(\S+)" && (python -m pytest -n auto)`', text)
     assert found is not None
     assert f'-e "{found[1]}"' in run and f"\n{found[2]}\n" in run
 

@@ -11,6 +11,14 @@ from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.scoreboard import evaluate_model
 from motionkit.models.model import MotionModel
 
+
+@pytest.fixture(autouse=True)
+def short_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that hardly moves takes long for a path."""
+    monkeypatch.setattr("motionkit.evaluation.quick.WALK_RADIUS", 0.5)
+    monkeypatch.setattr("motionkit.evaluation.quick.RUN_RADIUS", 1.0)
+
+
 GOOD = TypeVerdict("walk", 9, 40.0, 8, 8, 1.0, 0.4, 1.0, 0.6)
 
 

@@ -33,7 +33,7 @@ NO_KERNEL = pytest.mark.skipif(
     reason="motionkit was installed without its C kernels",
 )
 WAYS = [pytest.param(True, marks=NO_KERNEL, id="kernels"), pytest.param(False, id="numpy")]
-PLAN = "running:0.3,cartwheel:0.4"
+PLAN = "running:0.1,cartwheel:0.2"
 
 
 @pytest.fixture(params=WAYS)
@@ -93,7 +93,7 @@ def test_with_plans_and_bodies_in_turn_too(model: MotionModel, tmp_path: Path) -
 
 @pytest.mark.parametrize("ik", [True, False])
 def test_live_characters_too_whatever_is_reset(model: MotionModel, ik: bool) -> None:
-    count, frames = 40, 60
+    count, frames = 40, 36
     random = np.random.default_rng(0)
     weights = random.dirichlet(np.ones(len(model.types)), count).astype(np.float32)
     asked = Controls(

@@ -212,7 +212,7 @@ def _judge(model: MotionModel, dataset: Dataset, folder: Path) -> list[TypeVerdi
         task = bar.add_task("judging", total=100)
         judge = Judge(RealMotion(dataset))
         verdicts = quick_verdicts(
-            model, judge, progress=lambda share: bar.update(task, completed=100 * share)
+            model, judge, QUICK_TYPES, lambda share: bar.update(task, completed=100 * share)
         )
     board = Scoreboard(QUICK_TYPES.as_dict(), [verdict_section(verdicts)])
     with atomic_write(folder / "verdict.md") as out:
