@@ -130,13 +130,13 @@ def synthesize(
     """Synthesize motion types one after another; the same seed gives the same motion.
 
     Args:
-        types: motion types in order, such as "running,cartwheel" or "running:4,cartwheel:3" (seconds);
-            several texts are taken in turn by the characters of count.
+        types: motion types in order, such as "running,cartwheel" or "running:4,cartwheel:3" (seconds); a list of
+            such texts gives the characters of count different types, in turn.
         model: the bundled model by default.
-        seconds: length of the whole; by default 4 s for each type, one performance of a flip.
-        count: how many motions, made in one batch; motion i is that of seed + i.
-        noise: how frames are drawn; by default the model's own: correlated, temperature 0.05, or of tptn-paper
-            samples at full sigma.
+        seconds: length of the whole motion; by default 4 s for each type, one performance for types such as flips.
+        count: how many motions, made in one batch; motion i has the seed seed + i.
+        noise: how frames are drawn from the predicted distribution; by default correlated in time at temperature
+            0.05, for models of tptn-paper independently at full sigma.
         reference: "auto", or "none" for the network without its reference recordings.
         character: the body to move; several names with commas are taken in turn.
         init: a BVH file, or a canonical motion in cm, to start from.
@@ -185,9 +185,12 @@ def follow_path(
         model: the bundled model by default.
         types: for a named shape: types that share its length, such as "running,cartwheel,running"; the model's walk
             by default.
-        size: for a named shape: metres (length, radius or side).
+        size: for a named shape: length, radius or side in metres.
         speed: for a named shape: metres per second; each type's own by default.
         seed, noise, reference, character, init, ik, fps: as in synthesize.
+
+    Returns:
+        The motion, its distance from the path in cm, and whether it reached the end.
 
     Raises:
         ControlError: for an unknown type, shape or character, or a path that cannot be read.
@@ -225,7 +228,7 @@ def measure(
         reference: the ground truth, likewise.
         skip: frames at 60 fps to leave out at the start of both.
         align_start: turn and move the motion to start as the reference does.
-        given: frames at 60 fps that begin the reference alone, because the motion goes on from them.
+        given: frames at 60 fps at the start of the reference alone, which the motion continues.
         settings: thresholds; the documented definitions by default.
 
     Raises:
@@ -249,8 +252,8 @@ def write_view(
     Args:
         path: the file; its ending says what it is.
         motions: of any rig and rate.
-        names: what to call them; "motion 1", "motion 2" ... by default.
-        width: in pixels, of a sheet (1800), a GIF (480) or a film (960).
+        names: captions; "motion 1", "motion 2" ... by default.
+        width: in pixels; by default 1800 for a sheet, 480 for a GIF and 960 for a film.
 
     Raises MotionkitError for another ending, and without Pillow for pictures (`pip install 'motionkit[view]'`).
     """
@@ -291,7 +294,7 @@ def preprocess(
         options: the defaults if None.
         progress: called with a stage name, the number of files done and of all files.
         references: the model that training is to begin from, whose reference rotations the features are relative to;
-            "own" for the mean rotations of the data. Those in options go before.
+            "own" for the mean rotations of the data. options.reference_rotations takes precedence.
 
     Raises:
         DatasetError: no file is usable, a file is inside output, or, with strict, a file is unusable.

@@ -17,7 +17,7 @@ from motionkit.cli.showing import view_option, write_and_open
 @click.option(
     "--seconds",
     type=click.FloatRange(0.1, 3600),
-    help="Length in seconds, met by the nearest good cycle; by default the shortest cycle.",
+    help="Length in seconds; the good cycle of the nearest length is taken. By default the shortest cycle.",
 )
 @click.option(
     "--at-origin",
@@ -39,7 +39,7 @@ def command(
     """Cut the best cycle out of CLIP, a motion of any rig, and close it: its last frame meets its first.
 
     A cycle begins and ends at frames with similar poses, velocities and contacts; the rest of the difference is spread
-    over it. The command prints what the seam shows, beside two frames that follow each other within the cycle.
+    over it. The command prints the differences at the seam, beside those of consecutive frames of the cycle.
     """
     from motionkit.editing.loop import make_loop
     from motionkit.errors import MotionkitError

@@ -98,8 +98,8 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
     type=click.IntRange(min=0),
     default=0,
     show_default=True,
-    help="Leave out this many frames at the start of GROUND_TRUTH alone (60 fps): those that synthesize --init went "
-    "on from, 87.",
+    help="Leave out this many frames at the start of GROUND_TRUTH alone (60 fps): the 87 that synthesize --init "
+    "continues.",
 )
 @click.option(
     "--align-start",

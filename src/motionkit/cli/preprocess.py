@@ -78,7 +78,7 @@ SHOWN_SKIPS = 20
     "--validation/--no-validation",
     default=True,
     show_default=True,
-    help="Hold out a tenth of the training files of types with at least four, to choose settings on.",
+    help="Hold out a tenth of the training files, of types with at least four, to choose settings by.",
 )
 @click.option(
     "--test/--no-test",

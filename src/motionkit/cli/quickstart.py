@@ -58,9 +58,9 @@ def command(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Make a model of the clips in the folder DATA, and say whether each of its types works.
+    """Train a model on the clips in the folder DATA, and say whether each of its types works.
 
-    Does what doctor, preprocess, train, synthesize, view and evaluate --quick do. The output folder then holds the
+    Runs doctor, preprocess, train, synthesize, view and evaluate --quick in turn. The output folder then holds the
     dataset, model.safetensors, motions.html (a page that plays every type), motions.png (the same as a sheet,
     with Pillow) and verdict.md. Types are folder and file names, or those of a labels.csv.
     """

@@ -40,7 +40,7 @@ _SHOWN_OTHERS = 12  # joints without a canonical joint that are named
 @click.option(
     "--source-rig",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="File of the rig that SOURCE is on, where SOURCE itself does not show how that rig stands.",
+    help="File that shows the rest pose of the rig of SOURCE, if SOURCE itself does not.",
 )
 @click.option(
     "--source-map",

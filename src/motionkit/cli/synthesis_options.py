@@ -53,7 +53,7 @@ def reference_option(function: Callable) -> Callable:
         default="auto",
         show_default=True,
         type=click.Choice(["auto", "none"]),
-        help="auto shows the network reference recordings of types that have them; none runs it without any.",
+        help="auto plays reference recordings to the network for types that have them; none runs it without.",
     )(function)
 
 

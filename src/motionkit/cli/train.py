@@ -131,7 +131,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option(
     "--preview",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Page (.html) or sheet (.png) that shows the motions after each evaluation so far.",
+    help="Page (.html) or contact sheet (.png) of the motions of each evaluation so far.",
 )
 @click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
 @seed_option()

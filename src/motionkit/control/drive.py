@@ -31,10 +31,10 @@ class Wish:
     """What a user wants of one character from now on.
 
     Attributes:
-        velocity: over the ground, x and z in cm/s; (0, 0) is to stand, None leaves the way to the type.
-        facing: heading in radians; None faces as the type does on its way, or stays as it is.
+        velocity: over the ground, x and z in cm/s; (0, 0) stands still, None leaves the path to the type.
+        facing: heading in radians; None takes the type's own facing on its path, or keeps the present heading.
         type: a motion type; None chooses by velocity and facing (steered_type).
-        path: ground to follow instead; its parts name the types. At its end the character stands.
+        path: a path to follow instead; its parts name the types. At its end the character stands.
     """
 
     velocity: tuple[float, float] | None = (0.0, 0.0)
@@ -70,7 +70,7 @@ class _Performance:
 
 
 class Driver:
-    """The wishes of one character as its controls, frame by frame: a Controller for a batch of one.
+    """Turns the wishes of one character into its controls, frame by frame: a Controller for a batch of one.
 
     set_wish and perform may be called between any two frames. The same calls at the same frames give the
     same controls to the same body.
@@ -99,7 +99,7 @@ class Driver:
         self._from, self._target, self._blended = self._weights, self.type, self.options.blend_frames
 
     def set_wish(self, wish: Wish) -> None:
-        """Obey another wish from the next frame on; raises ControlError for an unknown type."""
+        """Follow another wish from the next frame on; raises ControlError for an unknown type."""
         if wish.type is not None:
             self.model.type_id(wish.type)
         if wish.path is not self.wish.path:
@@ -108,10 +108,10 @@ class Driver:
         self.wish = wish
 
     def perform(self, kind: str, seconds: float = DEFAULT_SECONDS, choice: int = 0) -> None:
-        """Show a type once, then go back to the wish. One performance waits until the present one is over.
+        """Show a type once, then go back to the wish. A performance waits until the one before it is over.
 
         Args:
-            seconds: for types that are no strike, jump or flip; those take their own time.
+            seconds: length, for types other than strikes, jumps and flips, which take their own time.
             choice: picks among the recordings of the type.
 
         Raises:

@@ -33,7 +33,7 @@ class PathPart:
     Attributes:
         points: (N, 2) x, z in cm.
         type: what to do on it.
-        speed: cm/s; None for as fast as the type does.
+        speed: cm/s; None for the type's own speed.
         stop: seconds to stand still at its end.
     """
 
@@ -209,9 +209,9 @@ DEFAULT_SIZES = {
 
 
 def shape_path(name: str, size: float | None, types: list[str], speed: float | None) -> Path2D:
-    """A named shape of a size in metres, its length shared evenly by the types, at a speed in m/s.
+    """A path of a named shape with a size in metres and a speed in m/s; the types share its length evenly.
 
-    Raises ControlError for an unknown shape, or a size or speed that is no positive number.
+    Raises ControlError for an unknown shape, or a size or speed that is not a positive number.
     """
     if name not in SHAPES:
         from motionkit.models.model import unknown_name
@@ -241,9 +241,9 @@ def _check_number(value: float, what: str, low: float, high: float) -> None:
 def read_path(file: str | Path) -> Path2D:
     """A path from JSON or CSV, in metres and metres per second.
 
-    JSON: {"parts": [{"type": "walking", "speed": 1.4, "stop": 2, "points": [[x, z], ...]}, ...]}; speed and stop may
-    be left out. CSV: columns x, z, type and, if wanted, speed and stop; rows of one type after another make a part,
-    and so does a stop.
+    JSON: {"parts": [{"type": "walking", "speed": 1.4, "stop": 2, "points": [[x, z], ...]}, ...]}; speed and stop are
+    optional. CSV: columns x, z, type and optionally speed and stop; consecutive rows of one type make a part, and a
+    stop ends one.
 
     Raises:
         ControlError: naming the file and the part or line that is wrong.

@@ -84,7 +84,7 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     """The best cycle of a motion of any rig, closed.
 
     Args:
-        seconds: wished length; by default the shortest cycle that is as good as any.
+        seconds: the length to look for; by default that of the shortest cycle that is as good as any other.
         from_origin: whether it begins at the origin and faces +Z, rather than where the motion is in that frame.
 
     Raises:

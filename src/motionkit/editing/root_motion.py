@@ -63,7 +63,7 @@ def _smoothed(values: Array, sigma: float, cyclic: bool) -> Array:
 
 
 def in_place(motion: Motion, cyclic: bool = False) -> Motion:
-    """The motion without its way over the ground: the hips keep their height, sway and turns."""
+    """The motion without its root motion over the ground; the hips keep their height, sway and turns."""
     upright = Upright.of(motion)
     way = ground_track(upright, cyclic)[:, :2]
     roots = upright.motion.root_positions.copy()
@@ -89,7 +89,7 @@ def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
 
 
 def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
-    """The motion with a new root joint on the floor that carries the way and the heading; the hips move below it.
+    """The motion with a new root joint on the floor that has the path and the heading; the hips are its child.
 
     Raises:
         SkeletonError: the rig has a joint called Root already.

@@ -42,10 +42,10 @@ class CharacterFrame:
 
 
 class CharacterStream:
-    """N characters that each go their own way, moved on together by step().
+    """N independent characters; each call of step() moves all of them by one frame.
 
-    Every character has a skeleton of the model. A network that is shown skeletons moves it as it is; else its
-    rotations are those of the network, and its path over the ground is scaled by the length of its legs.
+    Every character has a skeleton of the model. A network that takes skeletons as input moves that skeleton itself;
+    otherwise the character gets the network's rotations, and its path over the ground is scaled by its leg length.
     MotionIndex, trajectories and frames are all in the character's own world, so nothing outside has to know of
     the scale.
     """
@@ -117,7 +117,7 @@ class CharacterStream:
         type: str | None = None,
         place: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ) -> None:
-        """Start one character anew from seed frames of a type, at a place x, z (cm) and heading (radians).
+        """Start one character anew from a start pose of a type, at a place x, z (cm) and heading (radians).
 
         Raises:
             ControlError: for an unknown character or type.

@@ -46,9 +46,9 @@ NOISE_KINDS = ("mean", "sample", "correlated")
 class Noise:
     """How frames are drawn from the predicted Gaussians.
 
-    kind "mean" takes the mean, "sample" draws each frame anew (the paper's default), "correlated" draws
-    noise of the same size that follows itself over time: white noise through two first-order filters, with
-    coefficients rho and smoothing. After one filter alone its steps would still be white, and shake the body.
+    kind "mean" takes the mean, "sample" draws each frame independently (the paper's default), "correlated" draws
+    noise of the same variance that is correlated in time: white noise through two first-order filters, with
+    coefficients rho and smoothing. After one filter alone the steps would still be white, and the body would shake.
     """
 
     kind: str = "correlated"
@@ -62,7 +62,7 @@ class Noise:
 
     @property
     def filters(self) -> tuple[float, float, float, float]:
-        """What both filters keep of themselves and take of what comes in: rho, share, smoothing, share."""
+        """The shares that each filter keeps of its last output and takes of its input: rho, share, smoothing, share."""
         if self.kind != "correlated":
             return 0.0, 1.0, 0.0, 1.0
         a, b = self.rho, self.smoothing

@@ -67,12 +67,12 @@ class MotionModel:
 
     @property
     def plain(self) -> bool:
-        """Whether frames are used as they are drawn, and the predicted trajectory is fed back: the paper's way."""
+        """Whether frames are used as drawn and the predicted trajectory is fed back, as in the paper."""
         return self.config.controls == "paper"
 
     @property
     def shows_bodies(self) -> bool:
-        """Whether the network is shown the skeleton of a character, and moves it as it is."""
+        """Whether the network takes a character's skeleton as input and moves that skeleton itself."""
         return self.plain or self.own_bodies
 
     @property
@@ -93,7 +93,7 @@ class MotionModel:
     def root_hold(self, type_weights: Array) -> Array:
         """Share (...) of the sliding of feet in contact that is taken out of the root's way, by type weights (..., N).
 
-        Not of a standing body: its feet shuffle while it sways, and would carry it away.
+        A standing body gets none: its feet shuffle while it sways, and would carry it away.
         """
         # Not a matrix product, whose last digits depend on the rows beside a character's.
         return (type_weights * self._moving).sum(axis=-1)
@@ -115,8 +115,8 @@ class MotionModel:
     def with_reference(self, choice: str) -> MotionModel:
         """The model as it is ("auto"), or without its reference recordings ("none").
 
-        Without them no poses, phases or ground paths of a recording are played. Types made of performances, strikes
-        or jumps keep their length, by which a clock counts their phase.
+        Without them no poses, phases or ground paths of a recording are played. Performances, strikes and jumps keep
+        their length, from which their phase is counted.
 
         Raises:
             ControlError: for another choice.
@@ -140,12 +140,12 @@ class MotionModel:
         return canonical_skeleton(self.characters[name])
 
     def moved_skeleton(self, name: str) -> Skeleton:
-        """The skeleton that the network moves for a character: its own if it is shown, else the default one."""
+        """The skeleton that the network moves for a character: its own if shows_bodies, else the default one."""
         skeleton = self.character(name)
         return skeleton if self.shows_bodies else self.character("default")
 
     def body_scale(self, name: str) -> float:
-        """Length of a character's legs relative to those the network moves: 1 if the network is shown them."""
+        """Length of a character's legs relative to those that the network moves; 1 if shows_bodies."""
         return leg_length(self.character(name)) / leg_length(self.moved_skeleton(name))
 
 

@@ -40,8 +40,8 @@ def show(*motions: Motion, names: Sequence[str] = (), height: int = 420, control
     Args:
         motions: of any rig, unit and rate; one to 32.
         names: what to call them; "motion 1", "motion 2" ... by default.
-        height: of the cell in pixels.
-        controls: with the timeline and the buttons of `motionkit view`; without them a click plays and pauses.
+        height: height of the cell in pixels.
+        controls: show the timeline and the buttons of `motionkit view`; without them a click plays and pauses.
 
     Raises:
         MotionkitError: no motions or too many, other names than motions, or an unlikely height.
