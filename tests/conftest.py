@@ -197,6 +197,15 @@ def dataset(dataset_folder: Path) -> Dataset:
 
 
 @pytest.fixture(scope="session")
+def paper_folder(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The dataset of clips_folder as the paper's networks take it; not to be written to."""
+    folder = tmp_path_factory.mktemp("paper") / "motion"
+    options = PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True, smooth=False)
+    preprocess([clips_folder], folder, options)
+    return folder
+
+
+@pytest.fixture(scope="session")
 def tiny_options() -> Callable[..., TrainOptions]:
     """A function that makes the options of a run of one or two seconds: tiny_options(steps=3, ...)."""
 

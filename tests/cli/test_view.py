@@ -9,21 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.cli.main import main
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import MotionkitError
 
-from .test_mirror import RIG
-
-
-def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    """Run the command as the console script does, and return its exit code."""
-    monkeypatch.setattr(sys, "argv", ["motionkit", *map(str, arguments)])
-    try:
-        main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+from .test_mirror import RIG, run
 
 
 def test_a_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments.long_rollouts import (
     INITIAL,
@@ -31,14 +30,8 @@ SMALL = {"width": 48, "heads": 4, "ffn": 96, "layers": 1, "control_width": 16, "
 
 
 @pytest.fixture(scope="module")
-def paper_data(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Dataset:
-    folder = tmp_path_factory.mktemp("long") / "motion"
-    preprocess(
-        [clips_folder],
-        folder,
-        PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True, smooth=False),
-    )
-    return Dataset(folder)
+def paper_data(paper_folder: Path) -> Dataset:
+    return Dataset(paper_folder)
 
 
 @pytest.fixture(scope="module")

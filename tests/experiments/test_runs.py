@@ -39,17 +39,6 @@ SMALL: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def paper_folder(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("laboratory") / "motion"
-    preprocess(
-        [clips_folder],
-        folder,
-        PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True, smooth=False),
-    )
-    return folder
-
-
 @pytest.fixture
 def plan(paper_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Plan:
     """A plan of 20 small steps on all sequences."""

@@ -12,7 +12,6 @@ import torch
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.architectures import build, config_from_dict
@@ -43,15 +42,8 @@ SMALL = {
 }
 
 
-@pytest.fixture(scope="module")
-def paper_dataset(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("baselines") / "motion"
-    preprocess([clips_folder], folder, PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True))
-    return folder
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_baselines_train_and_roll_out(name: str, paper_dataset: Path, tmp_path: Path) -> None:
+def test_baselines_train_and_roll_out(name: str, paper_folder: Path, tmp_path: Path) -> None:
     path = tmp_path / "m.safetensors"
     options = train_options(
         name,
@@ -63,7 +55,7 @@ def test_baselines_train_and_roll_out(name: str, paper_dataset: Path, tmp_path: 
         score_seconds=0.0,
         config=SMALL[name],
     )
-    run = TrainingRun(Dataset(paper_dataset), path, options, None, "cpu", None)
+    run = TrainingRun(Dataset(paper_folder), path, options, None, "cpu", None)
     kept = run.sampler.batch(10**6, 8)
 
     def loss() -> float:
@@ -177,8 +169,8 @@ def test_latent_numbers_spread_around_the_encoders_mean() -> None:
 
 
 @pytest.fixture
-def two_stream(paper_dataset: Path) -> tuple[TwoStream, Batch, FeatureSpace]:
-    dataset = Dataset(paper_dataset)
+def two_stream(paper_folder: Path) -> tuple[TwoStream, Batch, FeatureSpace]:
+    dataset = Dataset(paper_folder)
     sampler = WindowSampler(dataset, SamplerOptions(window=24, splices=0), 0, (), "paper")
     torch.manual_seed(0)
     network = TwoStream(TwoStreamConfig(**SMALL["htss"]), sampler.controls.size)
@@ -209,8 +201,8 @@ def test_each_side_of_the_gan_trains_its_own_network(two_stream) -> None:
 
 
 @pytest.mark.parametrize("name", ("htss", "neural-layering"))
-def test_a_stream_predicts_what_the_window_does(name: str, paper_dataset: Path) -> None:
-    dataset = Dataset(paper_dataset)
+def test_a_stream_predicts_what_the_window_does(name: str, paper_folder: Path) -> None:
+    dataset = Dataset(paper_folder)
     sampler = WindowSampler(dataset, SamplerOptions(window=24, splices=0), 0, (), "paper")
     batch = sampler.batch(0, 2)
     torch.manual_seed(1)

@@ -16,7 +16,6 @@ from motionkit.control.path import shape_path
 from motionkit.control.script import parse_types, plan_controls
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import ModelError
 from motionkit.features.control import (
     TRAJECTORY_OFFSETS,
@@ -41,18 +40,7 @@ SMALL = {"width": 48, "heads": 4, "ffn": 96, "layers": 2, "control_width": 16, "
 
 
 @pytest.fixture(scope="module")
-def paper_dataset(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("paper") / "motion"
-    preprocess(
-        [clips_folder],
-        folder,
-        PreprocessOptions(jobs=1, layout="expmap-root-1", own_bodies=True, smooth=False),
-    )
-    return folder
-
-
-@pytest.fixture(scope="module")
-def run(paper_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[MotionModel, list[str]]:
+def run(paper_folder: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[MotionModel, list[str]]:
     path = tmp_path_factory.mktemp("paper-model") / "paper.safetensors"
     notes: list[str] = []
     options = train_options(
@@ -64,7 +52,7 @@ def run(paper_dataset: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[
         score_seconds=0.0,
         config={**SMALL, "shared_channels": 12},
     )
-    train(paper_dataset, path, options, device="cpu", on_event=lambda e: notes.append(e.text))
+    train(paper_folder, path, options, device="cpu", on_event=lambda e: notes.append(e.text))
     return load_model(path), notes
 
 
@@ -73,8 +61,8 @@ def paper_model(run: tuple[MotionModel, list[str]]) -> MotionModel:
     return run[0]
 
 
-def test_features_have_plain_exponential_maps(paper_dataset: Path, dataset_folder: Path) -> None:
-    assert np.array_equal(Dataset(paper_dataset).reference_rotations, identity_reference_rotations())
+def test_features_have_plain_exponential_maps(paper_folder: Path, dataset_folder: Path) -> None:
+    assert np.array_equal(Dataset(paper_folder).reference_rotations, identity_reference_rotations())
     assert not np.allclose(Dataset(dataset_folder).reference_rotations, identity_reference_rotations())
 
 
@@ -93,8 +81,8 @@ def test_types_are_given_at_six_frames_of_the_coming_second() -> None:
     assert Controls.of_types(weights).ahead[3].tolist() == [[1, 0]] * 6
 
 
-def test_training_windows_hold_them(paper_dataset: Path) -> None:
-    dataset = Dataset(paper_dataset)
+def test_training_windows_hold_them(paper_folder: Path) -> None:
+    dataset = Dataset(paper_folder)
     sampler = WindowSampler(
         dataset,
         SamplerOptions(window=24, interval=4.0, noise=0.0, controls=ControlSampling(lead_share=0.0)),
@@ -110,8 +98,8 @@ def test_training_windows_hold_them(paper_dataset: Path) -> None:
     assert torch.allclose(types[:, 10:, 0][kept[:, 10:]], types[:, :-10, 1][kept[:, 10:]], atol=1e-6)
 
 
-def test_windows_are_cut_more_often_where_a_type_has_few_frames(paper_dataset: Path) -> None:
-    dataset = Dataset(paper_dataset)
+def test_windows_are_cut_more_often_where_a_type_has_few_frames(paper_folder: Path) -> None:
+    dataset = Dataset(paper_folder)
 
     def cuts_per_frame(balance: float) -> dict[int, float]:
         options = SamplerOptions(window=24, interval=4.0, balance=balance)
@@ -146,7 +134,7 @@ def test_a_budget_sets_steps_batch_window_and_rate() -> None:
         train_options("tptn", budget="cpu")
 
 
-def test_the_rate_is_halved_at_every_quarter(paper_dataset: Path, tmp_path: Path) -> None:
+def test_the_rate_is_halved_at_every_quarter(paper_folder: Path, tmp_path: Path) -> None:
     rates: list[float] = []
     options = train_options(
         "tptn-paper",
@@ -157,7 +145,7 @@ def test_the_rate_is_halved_at_every_quarter(paper_dataset: Path, tmp_path: Path
         log_every=1,
         config={**SMALL, "shared_channels": 12},
     )
-    train(paper_dataset, tmp_path / "m.safetensors", options, device="cpu")
+    train(paper_folder, tmp_path / "m.safetensors", options, device="cpu")
     import json
 
     log = (tmp_path / "m.run" / "log.jsonl").read_text().splitlines()
@@ -310,19 +298,19 @@ def test_a_model_with_other_controls_is_no_start(paper_model: MotionModel, datas
     assert dataset.scaling is not paper_model.scaling, "nothing has been changed"
 
 
-def test_eq_8_as_it_is_written(paper_dataset: Path, make_loss: Callable[..., float]) -> None:
+def test_eq_8_as_it_is_written(paper_folder: Path, make_loss: Callable[..., float]) -> None:
     """The feet of one frame, by forward kinematics, against the foot positions in the mean of the next."""
     assert make_loss(touching=True) > 0.0
     assert make_loss(touching=False) == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.fixture
-def make_loss(paper_dataset: Path) -> Callable[..., float]:
+def make_loss(paper_folder: Path) -> Callable[..., float]:
     from motionkit.models.batch import FeatureSpace
     from motionkit.models.network import Prediction
     from motionkit.training.losses import foot_positions, paper_foot_slip
 
-    dataset = Dataset(paper_dataset)
+    dataset = Dataset(paper_folder)
     batch = WindowSampler(dataset, SamplerOptions(window=24, interval=4.0, noise=0.0), 0, (), "paper").batch(
         0, 2
     )

@@ -22,6 +22,12 @@ if TYPE_CHECKING:
 STOPPED = 130  # exit code of a stopped command, the shells' convention for SIGINT
 
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
+model_option = click.option(
+    "--model",
+    "model_path",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Model file; the bundled model by default.",
+)
 
 
 def seed_option(default: int = 0) -> Callable:
@@ -86,3 +92,15 @@ def progress_bar() -> Progress:
     from motionkit.cli.console import make_progress
 
     return make_progress(sys.stderr, disable=not sys.stderr.isatty())
+
+
+def stages_on(bar: Progress) -> Callable[[str, int, int], None]:
+    """A function that shows stages of work on a bar: show(stage, done, total)."""
+    tasks: dict[str, Any] = {}
+
+    def show(stage: str, done: int, total: int) -> None:
+        if stage not in tasks:
+            tasks[stage] = bar.add_task(stage, total=total)
+        bar.update(tasks[stage], completed=done)
+
+    return show

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, print_json, remark, say
+from motionkit.cli.common import json_option, model_option, print_json, remark, say
 from motionkit.cli.synthesis_options import reference_option
 
 
@@ -19,12 +19,7 @@ from motionkit.cli.synthesis_options import reference_option
     show_default=True,
     help="Folder to write; made if it is not there, other files in it stay.",
 )
-@click.option(
-    "--model",
-    "model_path",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Model file; the bundled model by default.",
-)
+@model_option
 @reference_option
 @json_option
 def command(output: Path, model_path: Path | None, reference: str, as_json: bool) -> None:

@@ -13,6 +13,7 @@ import click
 from motionkit.cli.common import (
     STOPPED,
     json_option,
+    model_option,
     print_json,
     progress_bar,
     remark,
@@ -42,18 +43,21 @@ def _data_option(function: Callable) -> Callable:
     )(function)
 
 
+_set_option = click.option(
+    "--set",
+    "selection",
+    default="D_L",
+    show_default=True,
+    type=click.Choice(SETS),
+    help="Data set (motionkit/experiments/datasets.py).",
+)
+
+
 def _plan_options(function: Callable) -> Callable:
     """The options that say which data set, how much training, and where results go."""
     options: list[Callable] = [
         _data_option,
-        click.option(
-            "--set",
-            "selection",
-            default="D_L",
-            show_default=True,
-            type=click.Choice(SETS),
-            help="Data set (motionkit/experiments/datasets.py).",
-        ),
+        _set_option,
         click.option(
             "--budget",
             default="cpu",
@@ -238,14 +242,7 @@ def run_command(
 
 @command.command("shipped")
 @_data_option
-@click.option(
-    "--set",
-    "selection",
-    default="D_L",
-    show_default=True,
-    type=click.Choice(SETS),
-    help="Data set (motionkit/experiments/datasets.py).",
-)
+@_set_option
 @click.option(
     "--frames",
     default=240,
@@ -323,12 +320,7 @@ def figures_command(results: Path, output: Path) -> None:
 
 @command.command("scenes")
 @click.argument("names", nargs=-1)
-@click.option(
-    "--model",
-    "model_path",
-    type=click.Path(exists=True, path_type=Path, dir_okay=False),
-    help="Model file; the bundled model by default.",
-)
+@model_option
 @click.option(
     "--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Motions of each scene."
 )

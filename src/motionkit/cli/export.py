@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, print_json, remark, say
+from motionkit.cli.common import json_option, model_option, print_json, remark, say
 
 
 @click.command("export")
@@ -17,12 +17,7 @@ from motionkit.cli.common import json_option, print_json, remark, say
     type=click.Path(dir_okay=False, path_type=Path),
     help="ONNX file to write; a JSON file beside it describes its inputs and outputs.",
 )
-@click.option(
-    "--model",
-    "model_path",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Model file; the bundled model by default.",
-)
+@model_option
 @click.option(
     "--character", default="default", show_default=True, help="Body whose joints the graph computes."
 )

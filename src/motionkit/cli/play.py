@@ -10,7 +10,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import remark, say, visible
+from motionkit.cli.common import model_option, remark, say, visible
 from motionkit.cli.motion_options import FORMATS
 from motionkit.cli.rig_options import RigChoice, rig_options
 from motionkit.cli.synthesis_options import reference_option
@@ -44,12 +44,7 @@ def _visible_log() -> Iterator[None]:
 
 
 @click.command("play")
-@click.option(
-    "--model",
-    "model_path",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Model file; the bundled model by default.",
-)
+@model_option
 @reference_option
 @click.option(
     "--character", help="Body of new characters; that of the --rig by default, else the model's default."

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import json_option, print_json, progress_bar, stderr_console, stdout_console
+from motionkit.cli.common import (
+    json_option,
+    print_json,
+    progress_bar,
+    stages_on,
+    stderr_console,
+    stdout_console,
+)
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
@@ -119,14 +126,7 @@ def command(
         labels, fps, scale, mirror, own_bodies, layout, jobs, strict, smooth, rotations, validation, test
     )
     with progress_bar() as bar:
-        tasks: dict[str, Any] = {}
-
-        def show(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done)
-
-        report = preprocess(data, output, options, show)
+        report = preprocess(data, output, options, stages_on(bar))
     for note in report.notes:
         stderr_console().print(note, markup=False)
     if as_json:

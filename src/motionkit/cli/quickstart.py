@@ -6,7 +6,7 @@ import math
 import sys
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -18,6 +18,7 @@ from motionkit.cli.common import (
     remark,
     say,
     seed_option,
+    stages_on,
 )
 from motionkit.errors import MotionkitError, OverwriteError
 
@@ -126,15 +127,8 @@ def _preprocess(data: Path, folder: Path) -> Dataset:
     from motionkit.data.preprocess import PreprocessOptions
 
     with progress_bar() as bar:
-        tasks: dict[str, Any] = {}
-
-        def show(stage: str, done: int, total: int) -> None:
-            if stage not in tasks:
-                tasks[stage] = bar.add_task(stage, total=total)
-            bar.update(tasks[stage], completed=done)
-
         # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
-        report = preprocess([data], folder, PreprocessOptions(validation=False, test=False), show)
+        report = preprocess([data], folder, PreprocessOptions(validation=False, test=False), stages_on(bar))
     clips = sum(file.clips for file in report.files)  # without mirror images
     remark(f"{folder}: {clips} clips, {report.seconds / 60:.1f} minutes, {len(report.types)} types")
     return Dataset(folder)

@@ -11,7 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import json_option, remark, seed_option, stderr_console, stdout_console
+from motionkit.cli.common import (
+    json_option,
+    model_option,
+    remark,
+    seed_option,
+    stderr_console,
+    stdout_console,
+)
 from motionkit.cli.motion_options import ENDINGS, checked_ending, root_options
 from motionkit.cli.rig_options import NO_RIG, RigChoice, rig_options
 from motionkit.cli.showing import view_option
@@ -60,12 +67,7 @@ def reference_option(function: Callable) -> Callable:
 def synthesis_options(function: Callable) -> Callable:
     """Model, noise, body and output options."""
     options: list[Callable] = [
-        click.option(
-            "--model",
-            "model_path",
-            type=click.Path(exists=True, dir_okay=False, path_type=Path),
-            help="Model file; the bundled model by default.",
-        ),
+        model_option,
         seed_option(),
         click.option(
             "--character",

@@ -5,12 +5,11 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 
-from motionkit.control.script import TypePart
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import HOLD, LEAST_WINDOW, detection_windows
 from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.report import Cell, Goal, Section, Table
-from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Progress, Take, neutral_types
+from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Progress, Take, commanded_plans, neutral_types
 from motionkit.evaluation.trial import Trial
 from motionkit.models.model import MotionModel
 
@@ -248,19 +247,8 @@ def measure_accuracy(
     raw = model is None
     model, judge, settings = model or trial.model, trial.judge, trial.settings
     kinds = tuple(k for k in (kinds or model.types) if judge.knows(k))
-    neutral = neutral_types(model)
     seeds = trial.seeds(settings.seeds)
-    plans = [
-        Plan(
-            (
-                TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS),
-                TypePart(kind, settings.accuracy_seconds),
-            ),
-            seed,
-        )
-        for kind in kinds
-        for seed in seeds
-    ]
+    plans = commanded_plans(model, kinds, seeds, settings.accuracy_seconds)
     rolled = trial.roll(plans, progress, model)
     skip = round(NEUTRAL_SECONDS * model.fps)
     count = len(seeds)

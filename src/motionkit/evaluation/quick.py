@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.control.path import shape_path
-from motionkit.control.script import TypePart
 from motionkit.control.steering import RUN_SPEED
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body
@@ -22,7 +21,7 @@ from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.paths import PathTrial, follow_trials
 from motionkit.evaluation.real import PROFILE_SECONDS
 from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Plan, Take, neutral_types, roll_plans
+from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Take, commanded_plans, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
 from motionkit.metrics.foot_sliding import average_foot_sliding
@@ -91,19 +90,8 @@ def quick_verdicts(
         kind for kind in model.types if kind in judge.real.types and judge.real.profile(kind) is not None
     ]
     judge = Judge(judge.real, own_clips=True)
-    neutral = neutral_types(model)
-    first = settings.first_seed
-    plans = [
-        Plan(
-            (
-                TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS),
-                TypePart(kind, settings.accuracy_seconds),
-            ),
-            seed,
-        )
-        for kind in kinds
-        for seed in range(first, first + settings.seeds)
-    ]
+    seeds = range(settings.first_seed, settings.first_seed + settings.seeds)
+    plans = commanded_plans(model, kinds, seeds, settings.accuracy_seconds)
     report = progress or (lambda share: None)
     takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.7 * share))
     paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))

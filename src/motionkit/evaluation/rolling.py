@@ -5,7 +5,7 @@ Every roll-out is kept as users get it by default, with feet locked, and as the 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,6 +62,18 @@ class Walk:
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
     """Return the types characters perform before a command: the one that stands, and the one that walks."""
     return tuple(dict.fromkeys((steered_type(model, (0.0, 0.0), None), walking_type(model))))
+
+
+def commanded_plans(
+    model: MotionModel, kinds: Iterable[str], seeds: Sequence[int], seconds: float
+) -> list[Plan]:
+    """Return plans that command each of kinds for some seconds after a neutral type, type by type and seed by seed."""
+    neutral = neutral_types(model)
+    return [
+        Plan((TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS), TypePart(kind, seconds)), seed)
+        for kind in kinds
+        for seed in seeds
+    ]
 
 
 def roll_plans(
