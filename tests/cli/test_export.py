@@ -79,6 +79,7 @@ def test_files_of_other_kinds_are_not_overwritten(
 def test_graph_and_metadata_appear_together(
     tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_at: str, before: bool
 ) -> None:
+    monkeypatch.setattr("motionkit.export.onnx_export.CHECK_FRAMES", 10)
     graph, beside = tmp_path / "x.onnx", tmp_path / "x.json"
     if before:
         graph.write_bytes(b"old")
@@ -92,7 +93,7 @@ def test_graph_and_metadata_appear_together(
         return real(*words)
 
     if fails_at == "write":
-        monkeypatch.setattr("motionkit.export.onnx_export.json.dump", partial(full, real=json.dump))
+        monkeypatch.setattr("motionkit.export.onnx_export.json.dumps", partial(full, real=json.dumps))
     else:
         name = fails_at.split()[0]
         monkeypatch.setattr(os, name, partial(full, real=getattr(os, name)))
