@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError
+from motionkit.export import onnx_export
 from motionkit.export.onnx_export import OnnxStep, export_onnx
 from motionkit.models.checkpoint import save_model
 from motionkit.models.model import MotionModel
@@ -75,7 +76,7 @@ def test_files_of_other_kinds_are_not_overwritten(
 
 
 @pytest.mark.parametrize("before", [False, True])
-@pytest.mark.parametrize("fails_at", ["write", "fsync", "replace 1", "replace 2"])
+@pytest.mark.parametrize("fails_at", ["metadata 2", "fsync", "replace 1", "replace 2"])
 def test_graph_and_metadata_appear_together(
     tiny_model: MotionModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fails_at: str, before: bool
 ) -> None:
@@ -86,17 +87,15 @@ def test_graph_and_metadata_appear_together(
         beside.write_text('{"format": "motionkit-onnx-6"}')
     calls = []
 
-    def full(*words: object, real: Callable) -> object:
+    def full(*words: object, real: Callable, **more: object) -> object:
         calls.append(words)
         if len(calls) >= int(fails_at[-1:] if fails_at[-1:].isdecimal() else 1):
             raise OSError(28, "No space left on device")
-        return real(*words)
+        return real(*words, **more)
 
-    if fails_at == "write":
-        monkeypatch.setattr("motionkit.export.onnx_export.json.dumps", partial(full, real=json.dumps))
-    else:
-        name = fails_at.split()[0]
-        monkeypatch.setattr(os, name, partial(full, real=getattr(os, name)))
+    name = fails_at.split()[0]
+    place = onnx_export if name == "metadata" else os
+    monkeypatch.setattr(place, name, partial(full, real=getattr(place, name)))
     with pytest.raises(MotionkitError, match="No space left"):
         export_onnx(tiny_model, graph)
     left = {path.name for path in tmp_path.iterdir()}
