@@ -93,6 +93,9 @@ def table(model: MotionModel, clips: list[tuple[str, Motion]]) -> list[str]:
         "|---|---|---|---|---|---|",
     ]
     worst = 0.0, 0.0
+    peaks: dict[
+        str, list[tuple[float, float]]
+    ] = {}  # by type: largest accelerations of keys and of the recording
     for seconds in GAPS:
         frames = round(seconds * model.fps)
         rows: dict[str, list[tuple[float, float, float]]] = {"keys": [], "interpolation": [], "recording": []}
@@ -103,11 +106,15 @@ def table(model: MotionModel, clips: list[tuple[str, Motion]]) -> list[str]:
                 rows["keys"].append(measured(made, clip, first, frames))
                 rows["interpolation"].append(measured(interpolated(clip, first, frames), clip, first, frames))
                 rows["recording"].append(measured(clip.cut(first, first + frames), clip, first, frames))
+                peaks.setdefault(kind, []).append((rows["keys"][-1][2], rows["recording"][-1][2]))
         for name, values in rows.items():
             if values:
                 mean: Array = np.mean(values, axis=0)
                 words = f"{mean[0]:.1f} | {mean[1]:.2f} | {mean[2]:.0f}"
                 lines.append(f"| {seconds:g} | {len(values)} | {name} | {words} |")
+    for kind, pairs in peaks.items():
+        keys, recorded = np.max(pairs, axis=0)
+        lines.append(f"\nlargest of all, {kind}: keys {keys:.0f}, recording {recorded:.0f} m/s²")
     lines.append(f"\nat the keys: at most {worst[0]:.2f} cm and {worst[1]:.2f} degrees away")
     return lines
 

@@ -335,25 +335,21 @@ def meet_keys(
         ControlError: a joint is out of reach of the body where its key has it.
     """
     goals = [_reached(motion, key) for key in keys]
-    moved = _joined(_over_the_ground(motion, keys, goals), keys, before)
-    # Locks are of the feet as they are joined; what they move at the joints is joined once more, and is small.
-    return _joined(lock_feet(moved, _near_floor(moved, contacts)), keys, before) if ik else moved
-
-
-def _joined(motion: Motion, keys: Sequence[Key], before: Motion | None) -> Motion:
-    """The motion bent so that it goes on from the frames before, and takes the pose of every key."""
+    moved = _over_the_ground(motion, keys, goals)
+    if ik:
+        moved = lock_feet(moved, _near_floor(moved, contacts))
     if before is not None and len(before) > 1:
-        motion = _continued(motion, before, round(keys[0].seconds * motion.fps))
+        moved = _continued(moved, before, round(keys[0].seconds * motion.fps))
     for number, key in enumerate(keys):
         around = [keys[i].seconds for i in (number - 1, number + 1) if 0 <= i < len(keys)]
-        motion = _posed(motion, key, [0.0, *around] if number == 0 else around)
-    return motion
+        moved = _posed(moved, key, [0.0, *around] if number == 0 else around)
+    return moved
 
 
 def _near_floor(motion: Motion, contacts: Array) -> Array:
     """Contacts (T, 4) of those parts of feet that are near the floor.
 
-    Predicted ones belong to the pose before it was bent: a foot that is still in the air would be torn down.
+    Where a body is upside down, contacts may be predicted before a foot is there; it would be torn down.
     """
     heights = motion_kinematics(motion)[1][:, list(FOOT_JOINTS), 1]
     away = (heights - np.array(CONTACT_HEIGHTS)) / FLOOR_FADE

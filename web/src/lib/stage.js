@@ -176,9 +176,9 @@ export class Stage {
   // A shader that reckons every pixel of the ground is what takes longest without a graphics card.
   #plainGrid(plane) {
     this.floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
-    this.lines = new LineSegments(gridLines(45, 3), new LineBasicMaterial({ depthWrite: false }));
+    this.lines = new LineSegments(gridLines(24, 2), new LineBasicMaterial({ depthWrite: false, vertexColors: true, transparent: true }));
     this.floor.renderOrder = -3;
-    this.bold = new LineSegments(boldLines(45, 3), this.lines.material.clone());
+    this.bold = new LineSegments(boldLines(45, 3), new LineBasicMaterial({ depthWrite: false }));
     this.lines.renderOrder = -2;
     this.bold.renderOrder = -2;
     return new Group().add(this.floor, this.lines, this.bold);
@@ -196,6 +196,7 @@ function drawsInSoftware() {
 }
 
 // Lines every metre, so many metres each way, in short pieces: software renderers lose lines that reach behind the camera.
+// They fade away from the middle, where they would be closer together than pixels and flicker.
 function gridLines(reach, piece) {
   const points = [];
   for (let n = -reach; n <= reach; n++) {
@@ -203,7 +204,9 @@ function gridLines(reach, piece) {
       points.push(n, 0, at, n, 0, at + piece, at, 0, n, at + piece, 0, n);
     }
   }
-  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
+  const colors = [];
+  for (let i = 0; i < points.length; i += 3) colors.push(1, 1, 1, Math.min(1, Math.max(0, 1.5 - (1.5 * Math.hypot(points[i], points[i + 2])) / reach)));
+  return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3)).setAttribute("color", new Float32BufferAttribute(colors, 4));
 }
 
 // Every fifth line as a thin band: lines are a pixel wide, whatever they are asked to be.

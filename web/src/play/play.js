@@ -625,6 +625,7 @@ export class Play {
     clearTimeout(this.forgetting);
     $("hint").replaceChildren(...parts);
     $("hint").style.pointerEvents = "auto";
+    $("hint").dataset.said = "true";
     this.forgetting = setTimeout(() => this.#hint(), 12_000);
   }
 
@@ -635,6 +636,7 @@ export class Play {
         ? "Push the stick to go, past its rim to run; drag elsewhere to look around"
         : "W A S D to go, Shift faster, drag to look around, ? for all keys";
     $("hint").style.pointerEvents = "none";
+    delete $("hint").dataset.said;
     $("hint").replaceChildren(text);
   }
 
