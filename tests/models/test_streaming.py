@@ -66,6 +66,30 @@ def test_sinusoidal_streaming_is_the_forward_over_the_last_receptive_field(make_
                 assert difference.abs().max() < 1e-5, (t, name)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"fusion": "cross-attention"},
+        {"backbone": "non-local", "norm": "post", "layer_controls": False},
+        {"backbone": "lstm", "norm": "post", "layer_controls": False},
+        {"window": 4},
+        {"kernel": 1},
+        {"head_momentum": True},
+    ],
+)
+@pytest.mark.parametrize("frames", [1, 2, 30])
+def test_the_last_prediction_alone_is_that_of_the_forward(
+    make_network, make_inputs, change: dict, frames: int
+) -> None:
+    network = make_network(preset("tiny", position="sinusoidal", **change))
+    inputs = make_inputs(2, frames)
+    with torch.no_grad():
+        whole, last = network(*inputs), network.predict_last(*inputs)
+    for name in (*FIELDS, "shallow", "deep"):
+        torch.testing.assert_close(getattr(last, name), getattr(whole, name)[..., -1, :], rtol=0, atol=1e-5)
+
+
 @pytest.mark.parametrize("name", ["tiny", "tptn-paper"])
 def test_reset_forgets_everything(make_network, make_inputs, name: str) -> None:
     network = make_network(preset(name))

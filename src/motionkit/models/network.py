@@ -119,7 +119,15 @@ class AutoRegressiveModule(nn.Module):
         out = torch.baddbmm(self.embed.bias, flat, self.embed.weight * self.embed_mask)
         return out.reshape(*x.shape[:-1], -1)
 
-    def forward(self, x_PBTD: Tensor, controls_BTC: Tensor) -> Tensor:
+    def forward(
+        self, x_PBTD: Tensor, controls_BTC: Tensor, first: int = 0, kept: int | None = None
+    ) -> Tensor:
+        """Process frames (P, B, T, ...) with their controls (B, T, C).
+
+        Args:
+            first: position of the first frame, for sinusoidal positions.
+            kept: how many of the last frames are wanted; attention then drops frames that none of them sees.
+        """
         if self.kernel > 1:
             padded = F.pad(x_PBTD, (0, 0, self.kernel - 1, 0))
             T = x_PBTD.shape[2]
@@ -127,11 +135,15 @@ class AutoRegressiveModule(nn.Module):
         motion = self.embed_motion(x_PBTD)
         controls = self.embed_controls.shared(controls_BTC)
         if self.config.variant.position == "sinusoidal" and self.config.variant.backbone != "lstm":
-            motion = motion + sinusoidal_positions(motion.shape[2], motion.shape[3], motion.device)
+            positions = sinusoidal_positions(first + motion.shape[2], motion.shape[3], motion.device)
+            motion = motion + positions[first:]
         motion = spatial_dropout(motion, self.config.dropout.spatial_dropout, self.training)
         x = torch.cat([motion, controls[..., : self.config.embedding.control_width]], dim=-1)
-        for layer in self.layers:
+        for number, layer in enumerate(self.layers, 1):
             x = layer(x, controls)
+            if kept is not None and self.config.variant.backbone == "attention":
+                seen = kept + (len(self.layers) - number) * (self.config.window - 1)
+                x, controls = x[:, :, -seen:], controls[:, :, -seen:]
         return x if self.final_norm is None else self.final_norm(x)
 
 
@@ -194,6 +206,17 @@ class PartTransformer(Predictor):
         deep = self.deep(fused, controls_BTC)
         before = torch.cat([x_BTF[:, :1], x_BTF[:, :-1]], dim=1)
         return self.predict(x_BTF, before, shallow, deep)
+
+    def predict_last(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> Prediction:
+        """Predict the frame after the last one alone: forward() without what its last prediction does not see."""
+        sight = len(self.deep.layers) * (self.config.window - 1) + 1
+        if self.cross is not None:
+            sight += self.config.window - 1
+        shallow = self.shallow(self.split_parts(x_BTF, contacts_BT4), controls_BTC, kept=sight)
+        first = x_BTF.shape[1] - shallow.shape[2]
+        deep = self.deep(self.fuse(shallow), controls_BTC[:, first:], first, kept=1)
+        rows = [t[..., -1, :] for t in (x_BTF, x_BTF[:, :-1] if x_BTF.shape[1] > 1 else x_BTF, shallow, deep)]
+        return self.predict(*rows)
 
     def fuse(self, shallow: Tensor) -> Tensor:
         """Add to shallow features (P, ..., D) a linear map of the other parts' features (paper eq. 3).

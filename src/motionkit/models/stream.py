@@ -102,16 +102,7 @@ class NetworkStream:
         if self.frame <= self.unused:  # a whole window for what nobody reads
             return NextFrame(torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(contacts))
         sizes = [FEATURE_COUNT, CONTACT_COUNT, self.network.control_size]
-        prediction = self.network(*self.past.split(sizes, dim=-1))
-        return Prediction(
-            prediction.mean[:, -1],
-            prediction.log_sigma[:, -1],
-            prediction.trajectory_mean[:, -1],
-            prediction.trajectory_log_sigma[:, -1],
-            prediction.contact_logits[:, -1],
-            prediction.shallow[:, :, -1],
-            prediction.deep[:, :, -1],
-        )
+        return self.network.predict_last(*self.past.split(sizes, dim=-1))
 
     def prime(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> None:
         """Process frames whose predictions are not needed."""
