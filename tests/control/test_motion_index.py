@@ -8,7 +8,7 @@ import pytest
 from model_changes import with_clips
 from motionkit.arrays import Array
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
-from motionkit.control.reference_player import CLEARLY, RECONSIDERED, ReferencePlayer
+from motionkit.control.reference_player import CLEARLY, LONGEST_BLEND, RECONSIDERED, ReferencePlayer
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT
 from motionkit.models.model import MotionModel
@@ -68,7 +68,8 @@ def test_a_player_goes_over_to_what_suits_the_way(
         trajectory=way_of(reference_clips[1]),
     )
     assert player.clip is reference_clips[1]
-    slow, fast = (np.tile(way_of(reference_clips[n]), (RECONSIDERED + 20, 1)) for n in (1, 2))
+    frames = RECONSIDERED + LONGEST_BLEND + 1
+    slow, fast = (np.tile(way_of(reference_clips[n]), (frames, 1)) for n in (1, 2))
     player.play(len(slow), slow)
     assert player.clip is reference_clips[1], "nothing suits better"
     asked = player.play(len(fast), fast)

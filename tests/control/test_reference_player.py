@@ -12,9 +12,11 @@ from motionkit.arrays import Array, lerp
 from motionkit.control.motion_index import STATE_FRAMES
 from motionkit.control.reference_player import (
     BEFORE_EVENT,
-    BLEND,
+    LONGEST_BLEND,
     OWN_SHARE,
     PAUSE,
+    SHORTEST_BLEND,
+    Left,
     ReferencePlayer,
     last_poses,
 )
@@ -60,13 +62,26 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
     assert np.array_equal(asked.phase[60:90], reference_clip.phases[:30])
 
 
-def test_guides_go_over_where_the_type_changes(tiny_model: MotionModel) -> None:
-    far = recording(300, first=1000.0)
-    model = with_clips(tiny_model, {"walking": [recording(300)], "running": [far]})
-    asked = plan_controls(model, [TypePart("walking", 1.0), TypePart("running", 1.0)], NEAR)
-    steps = np.diff(asked.reference[58 : 60 + BLEND + 2, 0])
-    leap = float(asked.reference[60 + BLEND, 0] - asked.reference[59, 0])
-    assert leap > 800.0 and float(steps.max()) < 1.5 * leap / BLEND
+@pytest.mark.parametrize(("apart", "blend"), [(8.0, SHORTEST_BLEND), (30.0, 30), (1000.0, LONGEST_BLEND)])
+def test_references_are_blended_at_the_pace_of_the_clip_entered(
+    tiny_model: MotionModel, apart: float, blend: int
+) -> None:
+    """Clips that move by 1 a frame, which are so far apart where one is left for the other."""
+    model = with_clips(tiny_model, {"walking": [recording(300)], "running": [recording(300)]})
+    walking = model.types["walking"].reference_clips[0]
+    running = model.types["running"].reference_clips[0]
+    player = ReferencePlayer(model)
+    player.begin("walking", NEAR)
+    player.at = 100
+    player.begin("running")
+    entered = player.at
+    running.poses[:, 0] += walking.poses[100, 0] + apart - running.poses[entered, 0]
+    player.left = Left(walking, 100, running, entered)
+    shown = player.play(70).reference[:, 0]
+    alone = reference_signal(running.poses, np.arange(entered, entered + 70))[:, 0]
+    assert np.flatnonzero(shown != alone).tolist() == list(range(blend))
+    assert shown[0] == walking.poses[105, 0]
+    assert float(np.diff(shown).max()) < 1.5 * (1.0 + apart / blend)
 
 
 def test_another_performance_follows_after_a_pause_that_leads_over(flips: MotionModel) -> None:
@@ -171,6 +186,43 @@ def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
     asked = player.play(BEFORE_EVENT + 41)
     assert float(asked.phase[BEFORE_EVENT]) == 0.0 and float(asked.phase[-1]) == -1.0
     assert not asked.trajectory_mask.any(), "only whole performances bring their way along"
+
+
+def test_a_clip_that_is_left_before_it_is_reached_fades_with_what_it_faded_from(
+    tiny_model: MotionModel,
+) -> None:
+    clips = {name: [recording(400, first=first)] for name, first in (("walking", 0.0), ("running", 2000.0))}
+    player = ReferencePlayer(with_clips(tiny_model, clips))
+    shown = []
+    for kind in ("walking", "running", "walking", "running"):
+        player.begin(kind)
+        shown.append(player.play(20).reference[:, 0])
+    steps = np.abs(np.diff(np.concatenate(shown)))
+    assert float(steps.max()) < 1.5 * 2500.0 / LONGEST_BLEND
+
+
+def test_jumps_that_fill_their_clips_are_not_blended_but_follow_after_a_pause(
+    tiny_model: MotionModel,
+) -> None:
+    phases = np.arange(60, dtype=np.float32) / 50.0
+    phases[50:] = -1.0
+    hops = [recording(60, phases, first) for first in (0.0, 500.0)]
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": hops}))
+    player.begin("walking")
+    first, second = (hops[0], hops[1]) if player.clip is hops[0] else (hops[1], hops[0])
+    at = player.at
+    before = player.play(60 - at)
+    parts = [player.play(1) for _ in range(PAUSE)]
+    after = player.play(30)
+    assert before.reference[-1, 0] == first.poses[64, 0], "the first is played to its end"
+    assert all(part.phase[0] == -1.0 and part.trajectory_mask[0] == 0.0 for part in parts)
+    entered = round(float(after.phase[0]) * 50)
+    between = [float(part.reference[0, 0]) for part in parts]
+    ends = first.poses[64, 0], second.poses[entered + 5, 0]
+    assert between == pytest.approx(np.linspace(*ends, PAUSE + 1)[1:].tolist(), abs=0.01)
+    assert np.array_equal(
+        after.reference, reference_signal(second.poses, np.arange(entered, entered + 30))
+    ), "and the second is shown without any of the first"
 
 
 def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:

@@ -17,6 +17,8 @@ from synthetic_motions import make_idle, make_walk, placed
 LEFT_TOE, RIGHT_TOE = FOOT_JOINTS[1], FOOT_JOINTS[3]
 LEGS = [JOINT_NAMES.index(s + n) for s in ("Left", "Right") for n in ("UpLeg", "Leg", "Foot")]
 
+HANDS = [JOINT_NAMES.index(side + "Hand") for side in ("Left", "Right")]
+
 
 def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
     """Contacts (T, 4) with both feet down in the given frames."""
@@ -247,3 +249,23 @@ def test_feet_hold_the_root_in_the_frames_that_say_so() -> None:
     assert np.abs(mixed[:60] - none[:60, ::2]).max() < 0.5
     went = [np.linalg.norm(path[-1] - path[60]) for path in (mixed, whole[:, ::2], none[:, ::2])]
     assert went[0] == pytest.approx(went[1], rel=0.1) and went[0] < 0.5 * went[2]
+
+
+def test_a_hand_in_the_floor_raises_the_body_softly() -> None:
+    """A body that lies down with its arms 12 cm under the floor for ten frames."""
+    motion = make_idle(120)
+    roots = motion.root_positions.copy()
+    positions = motion_kinematics(motion)[1]
+    down = float(positions[:, HANDS, 1].min()) + 12.0
+    roots[50:60, 1] -= down
+    sunk = replace(motion, root_positions=roots)
+    locked = lock_feet(sunk, np.zeros((120, 4)))
+    rest = [joint for joint in range(23) if joint not in FOOT_JOINTS]
+    low = motion_kinematics(locked)[1][:, rest, 1].min(axis=1)
+    assert float(low.min()) > -1e-3
+    rise = (locked.root_positions - sunk.root_positions)[:, 1]
+    assert float(rise[50:60].max()) < float(-(positions[:, rest, 1] - down).min()) + 1e-3, (
+        "no more than needed"
+    )
+    assert np.abs(rise[:29]).max() < 1e-6 and np.abs(rise[81:]).max() < 1e-6
+    assert np.abs(np.diff(rise)).max() < 0.15 * rise.max(), "within a third of a second up and down"

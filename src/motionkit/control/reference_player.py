@@ -19,9 +19,11 @@ from motionkit.models.motion_type import MotionType, ReferenceClip
 # the one most like a standing body is one where nothing happens. Many to go on within a type.
 CANDIDATES, CANDIDATES_WITHIN = 24, 200
 SUITED = 2.0  # performances whose beginning costs up to so many times as much as that of the best, and 1, are as good
-PAUSE = 20  # frames from the end of a performance to the beginning of the next
-BLEND = 15  # frames of the blend from one clip to the next of its type
-LIVELY = 0.85  # clips are not entered in the frames that move more than this share of all
+PAUSE = 20  # frames from the end of a performance, strike or jump to the beginning of the next
+# Least and most frames of the blend from one clip to the next, which poses cross at the pace of the clip entered.
+SHORTEST_BLEND, LONGEST_BLEND = 15, 45
+# Clips are entered in frames that move more than the first of these shares of all, and less than the second.
+ENTRY_MOVEMENT = (0.4, 0.8)
 LEAST_SECONDS = 1.5  # of a clip that must follow the frame it is entered at
 BEFORE_EVENT = 15  # a clip of strikes or jumps is entered so many frames before one begins
 # With a trajectory, every so many frames the player looks for a frame that suits it better, and jumps there if its
@@ -30,6 +32,54 @@ RECONSIDERED, CLEARLY = 20, 0.4
 # Share of the recorded trajectory in the one shown, where one is asked for: recorded feet stand where the recording
 # went, and the root-slip correction (inference/slip_correction.py) follows the feet.
 OWN_SHARE = 0.5
+
+
+class Left:
+    """A clip that was left for another: it plays on while it fades into that."""
+
+    def __init__(
+        self,
+        clip: ReferenceClip,
+        at: int,
+        entered: ReferenceClip,
+        entered_at: int,
+        before: Left | None = None,
+    ) -> None:
+        """Take the clip and the frame it was left at, those that were entered, and what still faded into the clip."""
+        self.clip, self.at, self.entered_at = clip, at, entered_at
+        self.before = before if before is not None and at < before.entered_at + before.frames else None
+        distance = np.linalg.norm(entered.poses[entered_at] - clip.poses[at])
+        frames = round(float(distance) / entered.pace)
+        self.frames: int = min(max(SHORTEST_BLEND, frames), LONGEST_BLEND)
+
+    def fading(self, frames: Array, reference: Array) -> Array:
+        """References (T, 72) at frames (T,) of the clip entered, blended with those of the clip left."""
+        since = frames - self.entered_at
+        before = reference_signal(self.clip.poses, self.at + since)
+        if self.before is not None:
+            before = self.before.fading(self.at + since, before)
+        share = np.minimum(since / self.frames, 1.0).astype(np.float32)[:, None]
+        return lerp(before, reference, share)
+
+
+class Pause:
+    """PAUSE frames from the last of a clip to the one that the next is entered at, where no movement is shown.
+
+    Performances, strikes and jumps begin after it: half a blend of two of them is neither.
+    """
+
+    def __init__(self, left: ReferenceClip, entered: ReferenceClip, at: int) -> None:
+        """Take the clip that has ended, and the clip and the frame that were entered."""
+        self.ends = (left, np.array([len(left) - 1])), (entered, np.array([at]))
+        self.shown = 0
+
+    def next(self, frames: int) -> tuple[Array, Array, bool]:
+        """References (n, 72) and recorded trajectories (n, 24) of at most so many frames, and whether it has ended."""
+        first, self.shown = self.shown, min(self.shown + frames, PAUSE)
+        share = (np.arange(first + 1, self.shown + 1, dtype=np.float32) / PAUSE)[:, None]
+        before, after = (reference_signal(clip.poses, at) for clip, at in self.ends)
+        left, entered = (future_trajectory(clip.ground, at) for clip, at in self.ends)
+        return lerp(before, after, share), lerp(left, entered, share), self.shown == PAUSE
 
 
 class ReferencePlayer:
@@ -49,8 +99,8 @@ class ReferencePlayer:
         self.kind = ""
         self.clip: ReferenceClip | None = None
         self.at = 0
-        # The clip before, the frame it was left at, and the frame this one was entered at.
-        self.left: tuple[ReferenceClip, int, int] | None = None
+        self.left: Left | None = None  # the clip before
+        self.pause: Pause | None = None  # that is being shown
         self._indices: dict[str, MotionIndex] = {}
         self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
         self._since = 0  # frames since the last search
@@ -68,8 +118,9 @@ class ReferencePlayer:
         if near is None:
             near = self._present()
         count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
-        left, left_at = self.clip, self.at
-        self.kind, self.clip, self.at, self.left, self._since = kind, None, 0, None, 0
+        left, left_at, before = self.clip, self.at, self.left
+        self.kind, self.clip, self.at, self._since = kind, None, 0, 0
+        self.left = self.pause = None
         clips = self._type.reference_clips
         if not clips:
             self.at = behind
@@ -84,7 +135,7 @@ class ReferencePlayer:
             self.clip, self.at = self._drawn(clips, count, near)
         # A performance begins without a blend: its phase and trajectory do not wait for the reference.
         if left is not None and not self.clip.performed:
-            self.left = (left, left_at, self.at)
+            self.left = Left(left, left_at, self.clip, self.at, before)
 
     def event_frames(self) -> int:
         """Frames from here to the end of the next strike or jump, zero if none comes."""
@@ -107,17 +158,14 @@ class ReferencePlayer:
         while played < frames:
             wanted = None if trajectories is None else trajectories[played:]
             if self.clip is not None and self.at >= len(self.clip):
-                left = self.clip
-                self.begin(
-                    self.kind, trajectory=None if wanted is None or self._type.has_phase else wanted[0]
-                )
-                if left.performed:
-                    parts.append(self._between(left, frames - played, wanted))
-                    played += len(parts[-1].phase)
-                    continue
+                self._go_on(None if wanted is None else wanted[0])
             elif wanted is not None and self._since >= RECONSIDERED:
                 self._reconsider(wanted[0])
             count = frames - played
+            if self.pause is not None:
+                parts.append(self._paused(self.pause, count, wanted))
+                played += len(parts[-1].phase)
+                continue
             if self.clip is not None:
                 count = min(count, len(self.clip) - self.at)
             if wanted is not None:
@@ -131,6 +179,15 @@ class ReferencePlayer:
             played += count
         return Controls.concatenated(parts)
 
+    def _go_on(self, trajectory: Array | None) -> None:
+        """Enter the next clip at the end of one; after a pause where there is no time for a blend."""
+        left = self.clip
+        assert left is not None
+        self.begin(self.kind, trajectory=None if self._type.has_phase else trajectory)
+        assert self.clip is not None
+        if left.performed or (self.clip.phases[self.at : self.at + SHORTEST_BLEND] >= 0.0).any():
+            self.pause, self.left = Pause(left, self.clip, self.at), None
+
     def _reconsider(self, trajectory: Array) -> None:
         """Jump to a frame that suits the trajectory clearly better; types of strikes and jumps play on to theirs."""
         self._since = 0
@@ -141,7 +198,7 @@ class ReferencePlayer:
         stay = index.first[index.clips.index(clip)] + self.at
         number, at = index.nearest(pose_state(clip, self.at), trajectory, RECONSIDERED, stay, CLEARLY)
         if (index.clips[number], at) != (clip, self.at):
-            self.left = (clip, self.at, at)
+            self.left = Left(clip, self.at, index.clips[number], at, self.left)
             self.clip, self.at = index.clips[number], at
 
     def _index(self) -> MotionIndex:
@@ -159,12 +216,7 @@ class ReferencePlayer:
         frames = np.arange(self.at, self.at + count)
         reference = reference_signal(clip.poses, frames)
         if self.left is not None:
-            # The clip that was left plays on while it fades into this one.
-            left, left_at, entered = self.left
-            since = frames - entered
-            before = reference_signal(left.poses, left_at + since)
-            share = np.minimum(since / BLEND, 1.0).astype(np.float32)
-            reference = lerp(before, reference, share[:, None])
+            reference = self.left.fading(frames, reference)
         asked = replace(
             free,
             reference=reference,
@@ -197,21 +249,17 @@ class ReferencePlayer:
         own = future_trajectory(clip.ground, frames)
         return own if trajectories is None else lerp(trajectories, own, self.own_share)
 
-    def _between(self, left: ReferenceClip, frames: int, trajectories: Array | None) -> Controls:
-        """From the end of a performance to the beginning of the next, in at most so many frames."""
-        assert self.clip is not None
-        count = min(PAUSE, frames)
-        share = (np.arange(1, count + 1, dtype=np.float32) / PAUSE)[:, None]
-        end, start = np.array([len(left) - 1]), np.array([0])
-        reference = lerp(reference_signal(left.poses, end), reference_signal(self.clip.poses, start), share)
-        if trajectories is None:
-            ends = future_trajectory(left.ground, end), future_trajectory(self.clip.ground, start)
-            trajectory = lerp(*ends, share)
-        else:
-            trajectory = trajectories[:count]
+    def _paused(self, pause: Pause, frames: int, trajectories: Array | None) -> Controls:
+        """Controls of at most so many frames of the pause, which then may end."""
+        reference, own, ended = pause.next(frames)
+        count = len(reference)
+        if ended:
+            self.pause = None
         free = Controls.of_types(self._weights(count))
-        gain = free.reference_gain + self._gain()
-        return replace(free, reference=reference, reference_gain=gain, trajectory=trajectory).with_mask(1.0)
+        asked = replace(free, reference=reference, reference_gain=free.reference_gain + self._gain())
+        if trajectories is None and not self._type.performed:
+            return asked
+        return replace(asked, trajectory=own if trajectories is None else trajectories[:count]).with_mask(1.0)
 
     def _gain(self) -> np.float32:
         """The reference gain of the type; 0 for models without references."""
@@ -295,8 +343,8 @@ class ReferencePlayer:
         movements = [clip.movement[: max(1, len(clip) - least)] for clip in clips]
         all_movements = np.concatenate(movements)
         # The methods leave at least one frame even of two.
-        usual = np.quantile(all_movements, 0.5, method="lower")
-        lively = np.quantile(all_movements, LIVELY, method="higher")
+        usual = np.quantile(all_movements, ENTRY_MOVEMENT[0], method="lower")
+        lively = np.quantile(all_movements, ENTRY_MOVEMENT[1], method="higher")
         return [
             (clip, frames)
             for clip, movement in zip(clips, movements, strict=True)

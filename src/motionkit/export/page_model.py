@@ -164,6 +164,7 @@ def _clip_entries(
                 "ground": rows["ground"],
                 "performed": clip.performed,
                 "entries": spans(entered),
+                "pace": clip.pace,
                 "moves": spans(index.moves[first : first + len(clip)]),
             }
         )

@@ -52,7 +52,7 @@ static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contac
 
 /* Moves the root over the ground, so that feet in contact stay where they are: root_slip in motion/leg_ik.py. */
 static void carry(const Feet *f, int64_t row, const float *contacts, float scale, Vec3 *positions) {
-    float *before = f->feet + 12 * row, *carried = f->carry + 2 * row;
+    float *before = f->feet + 12 * row, *carried = f->carry + 2 * row, *slip = f->slip + 2 * row;
     float mean_x = 0, mean_z = 0, sum = 0, held = 0;
     for (int i = 0; i < 4; i++) {
         const Vec3 foot = positions[i % 2 ? f->toe[i / 2] : f->ankle[i / 2]];
@@ -63,12 +63,12 @@ static void carry(const Feet *f, int64_t row, const float *contacts, float scale
         mean_x += weight * x, mean_z += weight * z, sum += weight, held += holds;
         before[3 * i] = foot.x, before[3 * i + 1] = foot.y, before[3 * i + 2] = foot.z;
     }
-    if (f->moving[row]) {
-        mean_x /= sum + 1e-9f, mean_z /= sum + 1e-9f;
-        const float far = sqrtf(mean_x * mean_x + mean_z * mean_z) / (f->limit * scale);
-        const float strength = f->hold[row] * smaller(held / f->enough, 1.0f) / (1.0f + far * far);
-        carried[0] -= strength * mean_x, carried[1] -= strength * mean_z;
-    }
+    mean_x /= sum + 1e-9f, mean_z /= sum + 1e-9f;
+    const float far = sqrtf(mean_x * mean_x + mean_z * mean_z) / (f->limit * scale);
+    const float hold = f->moving[row] ? f->hold[row] : 0.0f;
+    const float strength = hold * smaller(held / f->enough, 1.0f) / (1.0f + far * far);
+    slip[0] += f->pace * (strength * mean_x - slip[0]), slip[1] += f->pace * (strength * mean_z - slip[1]);
+    carried[0] -= slip[0], carried[1] -= slip[1];
     f->moving[row] = 1;
     for (int64_t j = 0; j < JOINTS; j++) positions[j].x += carried[0], positions[j].z += carried[1];
 }

@@ -15,6 +15,7 @@ from motionkit.motion import skeleton
 from motionkit.motion.leg_ik import (
     ANKLES,
     HIPS,
+    HOLD,
     KNEES,
     LOCK,
     TOE,
@@ -41,6 +42,7 @@ class FootLock:
     def __init__(self, count: int) -> None:
         self.hold = np.ones(count, np.float32)
         self.carry = np.zeros((count, 2), np.float32)
+        self.slip = np.zeros((count, 2), np.float32)  # how far it was moved back in the last frame
         self.feet = np.zeros(
             (count, 4, 3), np.float32
         )  # foot joints of the last frame before they were moved
@@ -59,9 +61,9 @@ class FootLock:
         """Forget one character's past."""
         self.locked[index] = self.stands[index] = False
         self.moving[index] = False
-        self.carry[index] = self.age[index] = self.shift[index] = self.released[index] = self.lift[index] = (
-            0.0
-        )
+        self.slip[index] = self.carry[index] = self.age[index] = self.shift[index] = self.released[
+            index
+        ] = self.lift[index] = 0.0
         self.drop[index] = 0.0
 
     def apply(
@@ -98,7 +100,9 @@ class FootLock:
     def _carry(self, feet: Floats, contacts: Floats, scale: Floats) -> None:
         """Move the root over the ground, so that feet in contact stay where they are."""
         slip = root_slip(self.feet, feet, contacts, scale)
-        self.carry -= np.where(self.moving, self.hold, np.float32(0.0))[:, None] * slip
+        held = np.where(self.moving, self.hold, np.float32(0.0))[:, None] * slip
+        self.slip += np.float32(HOLD.pace) * (held - self.slip)
+        self.carry -= self.slip
         self.feet, self.moving[:] = feet, True
 
     def _shifts(self, toes: Floats, contacts: Floats, scale: Floats, known: NDArray[np.bool_]) -> Floats:

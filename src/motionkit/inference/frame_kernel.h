@@ -31,10 +31,11 @@ typedef struct {
     int64_t hip[2], knee[2], ankle[2], toe[2];
     float contact_on, contact_off, ease_frames, brake_frames, max_slide, max_reach, hip_return, max_drop, least_change;
     float standing, slack, lowest, swing, fast, rise, fall, max_pitch;
-    float unsure, sure, ankle_share, ease, enough, limit;
+    float unsure, sure, ankle_share, ease, enough, limit, pace;
     float bent, thigh_share, alike, straightening, backwards, steep;
     const float *hold;                         /* (B,) */
     float *carry;                              /* (B, 2) x, z */
+    float *slip;                               /* (B, 2) x, z, of the last frame */
     float *feet;                               /* (B, 4, 3) of the frame before */
     uint8_t *moving;                           /* (B,) */
     uint8_t *locked;                           /* (B, 2) */

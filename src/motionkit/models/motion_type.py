@@ -88,6 +88,11 @@ class ReferenceClip:
         return bool((self.phases >= 0.0).all()) and bool((np.diff(self.phases) > 0.0).all())
 
     @cached_property
+    def pace(self) -> float:
+        """Mean change of the pose embedding per frame, above 0."""
+        return 1e-6 + float(np.linalg.norm(np.diff(self.poses[: len(self) + 1], axis=0), axis=1).mean())
+
+    @cached_property
     def movement(self) -> Array:
         """Change of the pose embedding per frame (L,), averaged over the next MOVEMENT_FRAMES, fewer at the end."""
         steps = np.linalg.norm(self.poses[1 : len(self) + 1] - self.poses[: len(self)], axis=1)

@@ -1,8 +1,8 @@
 """Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
 Works on the canonical joints. While a foot is in contact, its toe is held in one place at the height of a standing
-one; the knee bends to reach it, and the hips move down where the leg is too short. inference/foot_lock.py does the same
-frame by frame.
+one; the knee bends to reach it, and the hips move down where the leg is too short. Hands, head and trunk that would go
+through the floor raise the body. inference/foot_lock.py does the same with feet frame by frame.
 """
 
 from __future__ import annotations
@@ -30,12 +30,17 @@ from motionkit.motion.leg_ik import (
 )
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_normalize, quat_to_matrix
-from motionkit.motion.skeleton import FOOT_JOINTS
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
 # Frames at 60 fps, as those of LOCK; motions of other rates have as many frames in the same time.
 MIN_LOCK_FRAMES = 4
+# How far feet hold the root is averaged over as many frames to both sides: it trembles as they do.
+HOLD_FRAMES = 6
 LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
+RISE_FRAMES = 10  # a body is raised so many frames early for a hand that would go through the floor
 RATE = 60.0
+# Joints that the floor keeps up by raising all of the body; feet are moved by themselves.
+ABOVE = np.setdiff1d(np.arange(JOINT_COUNT), FOOT_JOINTS)
 
 
 def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Motion:
@@ -59,8 +64,13 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
         slip = share * root_slip(feet[:-1], feet[1:], contacts[1:])
         shift = np.zeros_like(motion.root_positions)
         shift[1:, ::2] = -np.cumsum(slip, axis=0, dtype=np.float64)
+        shift[:, ::2] = _smoothed(shift[:, ::2], _frames(HOLD_FRAMES, motion.fps))
         motion = replace(motion, root_positions=motion.root_positions + shift)
         positions = positions + shift[:, None]
+    rise = _rise(positions, motion.fps)
+    if rise.any():
+        motion = replace(motion, root_positions=motion.root_positions + rise)
+        positions = positions + rise[:, None]
     shifts = np.stack(
         [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2], motion.fps) for i in range(2)],
         axis=1,
@@ -80,6 +90,14 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
     turned[:, legs] = quat_normalize(turned[:, legs])
     rotations[moved] = turned
     return replace(motion, local_rotations=rotations, root_positions=motion.root_positions + drop)
+
+
+def _rise(positions: Array, fps: float) -> Array:
+    """How far the root moves up (T, 3), smoothly, so that hands, head and trunk stay above the ground."""
+    missing = np.maximum(-positions[:, ABOVE, 1].min(axis=1), 0.0)
+    rise = np.zeros_like(positions[:, 0])
+    rise[:, 1] = _eased_most(missing, missing[:, None], _frames(RISE_FRAMES, fps))[:, 0]
+    return rise
 
 
 def _frames(count: int, fps: float) -> int:
@@ -157,6 +175,13 @@ def _easing(frames: int, ease: int) -> Array:
     """The first frames of a share that falls to 0 in `ease` frames."""
     x = 1.0 - np.arange(1, frames + 1) / ease
     return x * x * (3.0 - 2.0 * x)
+
+
+def _smoothed(values: Array, half: int) -> Array:
+    """Values (T, k) averaged over `half` frames to both sides, the nearer the more."""
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    return sliding_window_view(padded, 2 * half + 1, axis=0) @ (kernel / kernel.sum())
 
 
 def _eased_most(size: Array, values: Array, half: int) -> Array:

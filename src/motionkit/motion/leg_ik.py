@@ -74,6 +74,7 @@ class HoldSettings:
         ease: the less a joint moves in a frame beside this, the more it counts.
         enough: sum of weights that holds fully.
         limit: movement in a frame of which only half is taken out, and ever less of more: what is so far off is a step.
+        pace: share of the way to what feet say that the hold on the root goes in a frame, frame by frame: feet tremble.
     """
 
     unsure: float = 0.3
@@ -82,6 +83,7 @@ class HoldSettings:
     ease: float = 0.3
     enough: float = 0.5
     limit: float = 2.0
+    pace: float = 0.25
 
 
 LOCK, TOE, HOLD = LockSettings(), ToeSettings(), HoldSettings()

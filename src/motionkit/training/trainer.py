@@ -34,6 +34,7 @@ from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
+from motionkit.training.calibration import calibrated_gains, with_gains
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
 from motionkit.training.options import OptimizerOptions, TrainOptions, flat_options
 from motionkit.training.rehearsal import keep_types
@@ -289,6 +290,7 @@ class TrainingRun:
         self.step, self.seconds = 0, 0.0
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
+        self.gains: dict[str, float] = {}  # reference gains, found at the end
         kept, controls = tuple(self.kept), config.controls
         self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, controls)
         share = batch // self.world
@@ -364,8 +366,8 @@ class TrainingRun:
                 self._save_all()
                 if not finished:
                     self._note("stopped; continue with --resume")
-                elif self._score():
-                    self._save_model()  # again, because the card now holds the scores
+                elif self._calibrate_and_score():
+                    self._save_model()  # again, with reference gains, and scores in the card
             if self.world > 1:
                 dist.barrier()  # all processes stopped at the same step
                 dist.destroy_process_group()
@@ -534,7 +536,18 @@ class TrainingRun:
         references = (
             self.options.sampler.controls.reference_dropout < 1.0 and network.config.controls == "extended"
         )
-        return bundle_model(network.weights(), self.dataset, card, references, self.kept)
+        model = bundle_model(network.weights(), self.dataset, card, references, self.kept)
+        return with_gains(model, self.gains)
+
+    def _calibrate_and_score(self) -> bool:
+        """Find the reference gains and score roll-outs, if the options ask for scores; say whether either worked."""
+        frames = int(self.options.output.score_seconds * self.dataset.fps)
+        calibrated = frames > 0 and self._attempt("the reference gains", lambda: self._calibrate(frames))
+        return self._score() or calibrated
+
+    def _calibrate(self, frames: int) -> None:
+        gains = calibrated_gains(self.model(), self.dataset, frames)
+        self.gains = {kind: gain for kind, gain in gains.items() if kind not in self.kept}
 
     def _score(self) -> bool:
         """Score roll-outs and write samples, if the options ask for it, and return whether that worked."""

@@ -8,7 +8,8 @@ import { TRAJECTORY } from "./springs.js";
 const WIDTH = 24; // of a pose
 const OFFSETS = [5, 15, 30]; // frames ahead of the poses that are shown
 const STATE = [0, 5, 15, 30]; // frames ago
-const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, BLEND, SUITED] = [24, 200, 20, 15, 2];
+const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, SUITED] = [24, 200, 20, 2];
+const [SHORTEST_BLEND, LONGEST_BLEND] = [15, 45]; // frames
 const [RECONSIDERED, CLEARLY, OWN_SHARE] = [20, 0.4, 0.5];
 
 export class Player {
@@ -18,7 +19,7 @@ export class Player {
    * @param {number} ownShare of the recorded trajectory in one that is asked for
    */
   constructor(model, choice = 0, ownShare = OWN_SHARE) {
-    Object.assign(this, { model, random: new PythonRandom(choice), choice, ownShare, type: -1, clip: null, at: 0, left: null });
+    Object.assign(this, { model, random: new PythonRandom(choice), choice, ownShare, type: -1, clip: null, at: 0, left: null, pause: null });
     Object.assign(this, { played: new Map(), indices: new Map(), since: 0 });
   }
 
@@ -26,15 +27,15 @@ export class Player {
   begin(type, trajectory = null) {
     const near = this.clip && this.#state(this.clip, Math.min(this.at, this.clip.frames - 1));
     const count = type === this.type ? CANDIDATES_WITHIN : CANDIDATES;
-    const [left, leftAt] = [this.clip, this.at];
-    Object.assign(this, { type, clip: null, at: 0, left: null, since: 0 });
+    const { clip: left, at: leftAt, left: before } = this;
+    Object.assign(this, { type, clip: null, at: 0, left: null, pause: null, since: 0 });
     const { clips, performed } = this.model.types[type];
     if (!clips.length) return;
     if (performed) this.clip = this.#performance(clips, near);
     else if (trajectory && near) [this.clip, this.at] = this.#index().nearest(near, trajectory, RECONSIDERED);
     else [this.clip, this.at] = this.#drawn(clips, count, near);
     // A performance begins without a blend: its phase and trajectory do not wait for the reference.
-    if (left && !this.clip.performed) this.left = [left, leftAt, this.at];
+    if (left && !this.clip.performed) this.left = this.#leaving(left, leftAt, before);
   }
 
   /** Frames from here to the end of the next strike or jump, zero if none comes. */
@@ -54,17 +55,14 @@ export class Player {
   play(frames, trajectory = null) {
     const out = [];
     while (out.length < frames) {
-      const { phased } = this.model.types[this.type];
-      if (this.clip && this.at >= this.clip.frames) {
-        const left = this.clip;
-        this.begin(this.type, phased ? null : trajectory);
-        if (left.performed) {
-          this.#between(left, Math.min(PAUSE, frames - out.length), trajectory, out);
-          continue;
-        }
-      } else if (trajectory && this.since >= RECONSIDERED) {
+      if (this.clip && this.at >= this.clip.frames) this.#goOn(trajectory);
+      else if (trajectory && this.since >= RECONSIDERED) {
         this.since = 0;
-        if (this.clip && !phased) this.#reconsider(trajectory);
+        if (this.clip && !this.model.types[this.type].phased) this.#reconsider(trajectory);
+      }
+      if (this.pause) {
+        out.push(this.#paused(trajectory));
+        continue;
       }
       out.push(this.#frame(trajectory));
       if (this.clip) this.#playedOf(this.clip)[this.at] = 1;
@@ -79,8 +77,9 @@ export class Player {
     const { clip, at } = this;
     const found = this.#index().nearest(this.#state(clip, at), trajectory, RECONSIDERED, [clip, at], CLEARLY);
     if (found[0] === clip && found[1] === at) return;
-    this.left = [clip, at, found[1]];
+    const before = this.left;
     [this.clip, this.at] = found;
+    this.left = this.#leaving(clip, at, before);
   }
 
   #index() {
@@ -96,12 +95,7 @@ export class Player {
     const asked = free(model, this.type);
     if (!clip) return { ...asked, phase: this.#clock(), trajectory: wanted };
     let reference = this.#shown(clip, at);
-    if (this.left) {
-      // The clip that was left plays on while it fades into this one.
-      const [left, leftAt, entered] = this.left;
-      const before = this.#shown(left, leftAt + at - entered);
-      reference = mixed(before, reference, Math.min((at - entered) / BLEND, 1));
-    }
+    if (this.left) reference = this.#fading(this.left, at, reference);
     const phase = clip.phases === null ? -1 : model.arrays.phases[clip.phases + at];
     return { ...asked, reference, gain: model.types[this.type].gain, phase, trajectory: this.#shownTrajectory(clip, at, wanted) };
   }
@@ -112,15 +106,42 @@ export class Player {
     return this.ownShare ? mixed(wanted, this.#trajectory(clip, at), this.ownShare) : wanted;
   }
 
-  // From the end of a performance to the beginning of the next.
-  #between(left, frames, wanted, out) {
-    const { clip } = this;
-    for (let n = 1; n <= frames; n++) {
-      const share = n / PAUSE;
-      const reference = mixed(this.#shown(left, left.frames - 1), this.#shown(clip, 0), share);
-      const trajectory = wanted ?? mixed(this.#trajectory(left, left.frames - 1), this.#trajectory(clip, 0), share);
-      out.push({ ...free(this.model, this.type), reference, gain: this.model.types[this.type].gain, trajectory });
-    }
+  // Enters the next clip at the end of one; after a pause where there is no time for a blend.
+  #goOn(trajectory) {
+    const left = this.clip;
+    this.begin(this.type, this.model.types[this.type].phased ? null : trajectory);
+    const { clip, at, model } = this;
+    const phases = clip.phases === null ? [] : model.arrays.phases.subarray(clip.phases + at, clip.phases + Math.min(at + SHORTEST_BLEND, clip.frames));
+    if (left.performed || phases.some((phase) => phase >= 0)) Object.assign(this, { pause: { left, shown: 0 }, left: null });
+  }
+
+  // How a clip that was left fades into the present one: for as many frames as poses need that change at its pace.
+  #leaving(left, leftAt, before) {
+    const { poses } = this.model.arrays;
+    const pose = (clip, at) => poses.subarray((clip.poses + at) * WIDTH, (clip.poses + at + 1) * WIDTH);
+    const apart = Math.sqrt(squared(pose(this.clip, this.at), pose(left, leftAt)));
+    const frames = Math.min(Math.max(SHORTEST_BLEND, Math.round(apart / this.clip.pace)), LONGEST_BLEND);
+    const fades = before && leftAt < before.entered + before.frames;
+    return { left, leftAt, entered: this.at, frames, before: fades ? before : null };
+  }
+
+  // The reference at a frame of the clip entered, blended with that of the clip left, which plays on.
+  #fading({ left, leftAt, entered, frames, before }, at, reference) {
+    let earlier = this.#shown(left, leftAt + at - entered);
+    if (before) earlier = this.#fading(before, leftAt + at - entered, earlier);
+    return mixed(earlier, reference, Math.min((at - entered) / frames, 1));
+  }
+
+  // One frame of a pause between the last frame of a clip and the one that the next was entered at.
+  #paused(wanted) {
+    const { clip, at, pause, model } = this;
+    const { left } = pause;
+    pause.shown += 1;
+    const share = pause.shown / PAUSE;
+    if (pause.shown === PAUSE) this.pause = null;
+    const reference = mixed(this.#shown(left, left.frames - 1), this.#shown(clip, at), share);
+    const own = clip.performed ? mixed(this.#trajectory(left, left.frames - 1), this.#trajectory(clip, at), share) : null;
+    return { ...free(model, this.type), reference, gain: model.types[this.type].gain, trajectory: wanted ?? own };
   }
 
   #cycle() {
