@@ -1,12 +1,15 @@
-"""The one thing pyproject.toml cannot say: the optional C kernels of the network's step, of a frame around it and of
-attention in training.
+"""What pyproject.toml cannot say: the optional C kernels of the network's step, of a frame around it and of attention
+in training; and the README for package indexes.
 
 They use no Python API, so one wheel per system serves every Python 3. Without a C compiler, or with one that does
 not know vector extensions, motionkit installs all the same and numpy does the work.
 """
 
+import os
+import re
 import shutil
 import sys
+from pathlib import Path
 
 from setuptools import Extension, setup
 from setuptools.command.bdist_wheel import bdist_wheel
@@ -75,7 +78,28 @@ class AnyPythonWheel(bdist_wheel):
         return "py3", "none", super().get_tag()[2]
 
 
+def long_description(text: str, address: str) -> str:
+    """The README for where the files beside it are not.
+
+    Its links lead to the repository at an address (environment variable MOTIONKIT_URL), as GitHub lays it out. Without
+    one they are plain words, and pictures are left out.
+    """
+
+    def there(found: re.Match[str]) -> str:
+        picture, words, target = found.groups()
+        if not address:
+            return "" if picture else words
+        return f"{picture}[{words}]({address}/{'raw' if picture else 'blob'}/main/{target})"
+
+    return re.sub(r"(!?)\[([^\]]*)\]\((?!https?:|#)([^)\s]+)\)", there, text)
+
+
 setup(
+    long_description=long_description(
+        Path(__file__).with_name("README.md").read_text("utf-8"),
+        os.environ.get("MOTIONKIT_URL", "").rstrip("/"),
+    ),
+    long_description_content_type="text/markdown",
     cmdclass={"build_ext": BuildLibraries, "bdist_wheel": AnyPythonWheel},
     ext_modules=[
         kernel(

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
+
+import pytest
 
 import motionkit
 
@@ -42,6 +47,24 @@ def test_sources_name_all_c_files() -> None:
     named = set(re.findall(r'"(\w+/\w+\.[ch])"', SETUP))
     there = {path.relative_to(SOURCE).as_posix() for end in "ch" for path in SOURCE.rglob(f"*.{end}")}
     assert named == there
+
+
+@pytest.mark.parametrize("address", ["", "https://example.org/someone/motionkit"])
+def test_a_package_index_sees_no_link_that_leads_nowhere(address: str) -> None:
+    environment = {**os.environ, "MOTIONKIT_URL": address + "/" if address else ""}
+    words = [sys.executable, "-W", "ignore", "setup.py", "--long-description"]
+    shown = subprocess.run(
+        words, cwd=ROOT, env=environment, capture_output=True, text=True, check=True
+    ).stdout
+    targets = re.findall(r"\]\(([^)\s]+)\)", shown)
+    assert "turns a folder of BVH files into a controllable motion model" in shown
+    if not address:
+        assert targets == [] and "docs/commands.md" in shown
+        return
+    assert f"{address}/raw/main/docs/running-cartwheel.gif" in targets
+    for target in targets:
+        kind, _, name = target.removeprefix(f"{address}/").partition("/main/")
+        assert kind in ("raw", "blob") and (ROOT / name.partition("#")[0]).exists(), target
 
 
 def test_every_version_is_the_packages() -> None:
