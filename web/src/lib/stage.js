@@ -178,9 +178,9 @@ export class Stage {
     this.floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
     this.lines = new LineSegments(gridLines(24, 2), new LineBasicMaterial({ depthWrite: false, vertexColors: true, transparent: true }));
     this.floor.renderOrder = -3;
-    this.bold = new LineSegments(boldLines(45, 3), new LineBasicMaterial({ depthWrite: false }));
+    this.bold = new LineSegments(boldLines(45, 3), new LineBasicMaterial({ depthWrite: false, transparent: true }));
     this.lines.renderOrder = -2;
-    this.bold.renderOrder = -2;
+    this.bold.renderOrder = -1.5; // over the others
     return new Group().add(this.floor, this.lines, this.bold);
   }
 }
