@@ -96,3 +96,13 @@ def test_a_dataset_without_training_clips_is_refused(dataset: Dataset, monkeypat
     monkeypatch.setattr(dataset, "clips", tuple(c for c in dataset.clips if c.split == "test"))
     with pytest.raises(DatasetError, match="no training clips"):
         RealMotion(dataset)
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_single_clip_has_a_profile_that_judges_nothing(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    only = tuple(clip for clip in dataset.select("train") if "idle" in clip.name and not clip.mirrored)
+    monkeypatch.setattr(dataset, "clips", only)
+    profile = RealMotion(dataset).profile("idle")
+    assert profile is not None and not profile.judges and profile.joint_speed > 0.0

@@ -123,6 +123,7 @@ def _say_what_looks_wrong(data: Path) -> None:
 
 def _preprocess(data: Path, folder: Path) -> Dataset:
     from motionkit.api import preprocess
+    from motionkit.cli.training_monitor import duration
     from motionkit.data.dataset import Dataset
     from motionkit.data.preprocess import PreprocessOptions
 
@@ -130,8 +131,14 @@ def _preprocess(data: Path, folder: Path) -> Dataset:
         # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
         report = preprocess([data], folder, PreprocessOptions(validation=False, test=False), stages_on(bar))
     clips = sum(file.clips for file in report.files)  # without mirror images
-    remark(f"{folder}: {clips} clips, {report.seconds / 60:.1f} minutes, {len(report.types)} types")
+    remark(
+        f"{folder}: {_counted(clips, 'clip')}, {duration(report.seconds)}, {_counted(len(report.types), 'type')}"
+    )
     return Dataset(folder)
+
+
+def _counted(number: int, word: str) -> str:
+    return f"{number} {word}{'s' if number != 1 else ''}"
 
 
 def _train(

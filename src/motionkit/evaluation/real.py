@@ -171,7 +171,9 @@ class RealMotion:
                 movements.append(window.body_movement())
                 means = self.pose_distances(window, without=stretch.clip).mean(axis=0)
                 distances.append(float(means[index]))
-                ratios.append(float(means[index] / np.maximum(means.min(), 1e-6)))
+                # Of a single type with a single clip nothing is left to compare with.
+                nearest = float(means.min())
+                ratios.append(float(means[index]) / max(nearest, 1e-6) if nearest < np.inf else np.inf)
         frames = np.array([float(len(s.body)) for s in found])
         rates = np.array([s.body.joint_speed() for s in found])
         return MotionProfile(
