@@ -23,7 +23,7 @@ KNEES = [JOINT_NAMES.index(f"{side}Leg") for side in ("Left", "Right")]
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A dataset of one cycle of a walk, half a cycle of another, half a second of standing, a flip and a dance."""
+    """A dataset of one cycle of a walk, half a cycle of another, half a second of standing, a flip, a dance, a walk."""
     folder = tmp_path_factory.mktemp("short")
     clips = {
         "cycle": make_walk(64, turn=0.0),
@@ -31,6 +31,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "stands": make_idle(30),
         "wheel": make_cartwheel(100),
         "dance": make_dance(400),
+        "long": make_walk(300, speed=90.0),
     }
     for name, motion in clips.items():
         (folder / "clips" / name).mkdir(parents=True)
@@ -79,3 +80,12 @@ def test_a_repeated_walk_keeps_its_speed_and_both_its_steps(short: Path, kind: s
     assert swings[0] == pytest.approx(seconds, abs=1) and swings[1] == pytest.approx(seconds, abs=1)
     assert np.ptp(ahead[:, 0]) == pytest.approx(np.ptp(ahead[:, 1]), rel=0.1), "no limp"
     assert np.ptp(made[:, 0, 1]) < np.ptp(shown[:, 0, 1]) + 1.0, "and it does not sink"
+
+
+def test_a_long_recording_of_which_the_mirror_image_trains_is_left_as_it_is(
+    short: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dataset = Dataset(short)
+    mirrored = tuple(clip for clip in dataset.clips if "long" in clip.name and clip.mirrored)
+    monkeypatch.setattr(dataset, "clips", mirrored)
+    assert len(mirrored) == 1 and repeat_short_types(dataset) == () and dataset.clips == mirrored

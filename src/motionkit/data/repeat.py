@@ -38,11 +38,11 @@ def repeat_short_types(dataset: Dataset) -> tuple[str, ...]:
         The names of these types.
     """
     stretches: dict[int, list[tuple[Clip, int, int]]] = defaultdict(list)
-    seconds: dict[int, float] = defaultdict(float)
+    recorded: dict[int, dict[int, int]] = defaultdict(dict)  # frames by first row: a mirror image adds none
     for clip in dataset.select("train"):
         for start, end, kind in type_stretches(dataset.clip_types(clip)):
             stretches[kind].append((clip, start, end))
-            seconds[kind] += 0.0 if clip.mirrored else (end - start) / dataset.fps
+            recorded[kind][clip.start + start] = end - start
     made: list[ClipData] = []
     bodies: list[int] = []
     replaced: set[Clip] = set()
@@ -50,7 +50,8 @@ def repeat_short_types(dataset: Dataset) -> tuple[str, ...]:
     for kind, found in stretches.items():
         name = dataset.types[kind]
         long_enough = [each for each in found if each[2] - each[1] >= LEAST_FRAMES]
-        if name in dataset.phase_seconds or seconds[kind] >= FEW_SECONDS or not long_enough:
+        seconds = sum(recorded[kind].values()) / dataset.fps
+        if name in dataset.phase_seconds or seconds >= FEW_SECONDS or not long_enough:
             continue
         names.append(name)
         for clip, start, end in long_enough:
