@@ -4,12 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import motionkit as mk
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import turns_over
 from motionkit.data.preprocess import PreprocessOptions
 from motionkit.errors import ModelError
+from motionkit.features.control import ControlLayout
 from motionkit.models.bundled import BUNDLED, load_bundled_model, reference_rotations
 from motionkit.models.checkpoint import load_model
 from motionkit.models.presets import preset
@@ -18,7 +20,7 @@ from motionkit.training import rehearsal
 from motionkit.training.presets import FINE_TUNE, fine_tune_options
 from motionkit.training.rehearsal import keep_types
 from motionkit.training.trainer import train
-from motionkit.training.warm_start import check_start, similar_types
+from motionkit.training.warm_start import WAY_BACK, check_start, part_way_back, similar_types
 from synthetic_motions import make_walk
 
 SMALL = {"batch": 2, "window": 16, "splices": 0, "score_seconds": 0.0, "period": 1, "precision": "float32"}
@@ -125,6 +127,19 @@ def test_kept_types_are_trained_on_roll_outs_of_the_model(foreign: Path) -> None
         c for c in dataset.select("train") if (dataset.clip_types(c) == dataset.types.index("walking")).all()
     )
     assert np.linalg.norm(np.diff(dataset.read(walking).ground[:, :2], axis=0), axis=1).sum() > 300.0
+
+
+def test_weights_go_part_of_the_way_back_but_for_new_types() -> None:
+    layout = ControlLayout(("new", "old"))
+    name = "shallow.embed_controls.weight"
+    begun = {"other": torch.zeros(3), name: torch.zeros(2, layout.size, 4)}
+    trained = {key: torch.ones_like(value) for key, value in begun.items()}
+    made = part_way_back(trained, begun, layout, ("new",))
+    back = torch.tensor(1.0 - WAY_BACK)
+    assert torch.equal(made["other"], back.expand(3))
+    new, old = layout.type.start, layout.type.start + 1
+    assert bool((made[name][:, new] == 1.0).all()) and bool((made[name][:, old] == back).all())
+    assert bool((made[name][:, : layout.type.start] == back).all())
 
 
 def test_windows_of_kept_types_have_their_share(foreign: Path) -> None:

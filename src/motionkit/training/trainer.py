@@ -42,7 +42,7 @@ from motionkit.training.replay import Replayed
 from motionkit.training.run_state import load_run, save_run
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.scores import TypeScore, score_rollouts
-from motionkit.training.warm_start import check_start, warm_start
+from motionkit.training.warm_start import check_start, part_way_back, warm_start
 from motionkit.training.window_blocks import BlockStart, WindowBlocks
 
 # The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
@@ -272,6 +272,9 @@ class TrainingRun:
         network = build(config, ControlLayout(dataset.types, config.controls).size)
         if begun_from is not None:
             warm_start(network, dataset, begun_from)
+        # Kept types are lost less where the weights go part of the way back (training/warm_start.py).
+        self.begun = {n: v.clone() for n, v in network.state_dict().items()} if self.kept else None
+        self.new_types = () if begun_from is None else tuple(set(dataset.types) - set(begun_from.types))
         # The losses of part transformers have options, and so are not the network's own.
         self.module: OwnLosses | TrainingModule = (
             TrainingModule(network, dataset, options.losses)
@@ -524,7 +527,11 @@ class TrainingRun:
         """Return the current model: averaged weights, on the CPU."""
         with torch.random.fork_rng(devices=[]):  # leaves the random state of the run alone
             network = build(self.module.network.config, self.module.network.control_size)
-        network.load_state_dict({n: t.cpu() for n, t in self.average.items()})
+        weights = {n: t.cpu() for n, t in self.average.items()}
+        if self.begun is not None:
+            layout = ControlLayout(self.dataset.types, self.module.network.config.controls)
+            weights = part_way_back(weights, self.begun, layout, self.new_types)
+        network.load_state_dict(weights)
         card = {
             "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},
             "options": self.options.to_dict(),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -14,6 +16,9 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip, facing_velocity
 from motionkit.models.predictor import Predictor
 
+# Share of the way that the weights of a run which keeps types go back to those it began from (Wortsman et al. 2022,
+# "Robust fine-tuning of zero-shot models"); docs/results-log.md has what it does.
+WAY_BACK = 0.25
 USUAL_SPEED = 50.0  # cm/s, which counts as much as a deviation of a pose
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
 
@@ -79,6 +84,25 @@ def _copy_controls(
         for i, kind in enumerate(layout.types):
             if kind in likes:
                 new[:, start + i] = old[:, start_before + before.types.index(likes[kind])]
+
+
+def part_way_back(
+    weights: dict[str, Tensor], begun: dict[str, Tensor], layout: ControlLayout, new_types: Sequence[str]
+) -> dict[str, Tensor]:
+    """Weights WAY_BACK between those of a run and those it began from, so that it keeps what the model knew.
+
+    The rows of control embeddings that stand for new types stay as they are: no model knew them.
+    """
+    out = {name: torch.lerp(value, begun[name], WAY_BACK) for name, value in weights.items()}
+    size = len(layout.types)
+    rows = [
+        layout.type.start + sample * size + layout.types.index(kind)
+        for sample in range(layout.type_samples)
+        for kind in new_types
+    ]
+    for name in set(CONTROL_WEIGHTS) & set(out):
+        out[name][:, rows] = weights[name][:, rows]
+    return out
 
 
 def similar_types(dataset: Dataset, model: MotionModel) -> dict[str, str]:
