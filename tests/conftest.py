@@ -51,7 +51,12 @@ LONG_FILES = (
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Give each worker one thread of torch and BLAS, since workers share the cores."""
+    """Give each worker one thread of torch and BLAS, since workers share the cores; let Ctrl-C reach the tests.
+
+    A shell starts what it runs in the background with SIGINT ignored, and the commands of tests would inherit that.
+    """
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     if getattr(config.option, "numprocesses", None):
         for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
             os.environ.setdefault(name, "1")

@@ -45,8 +45,8 @@ def test_commands(tmp_path: Path, words: list, made: str, tiny_model_file: Path)
     assert not made or (tmp_path / made).exists()
 
 
-def test_preprocess_and_evaluate(tmp_path: Path) -> None:
-    assert run(tmp_path, "preprocess", SAMPLE, "-o", "ds", "--jobs", 1).returncode == 0
+def test_preprocess_and_evaluate(tmp_path: Path, clips_folder: Path) -> None:
+    assert run(tmp_path, "preprocess", clips_folder, "-o", "ds", "--jobs", 1).returncode == 0
     sections = "visible,reconstruction,smoothness"
     done = run(
         tmp_path, "evaluate", "bundled", "ds", "--quick", "--seeds", 1, "--only", sections, "-o", "a.md"
