@@ -91,9 +91,8 @@ def test_the_key_itself(tmp_path: Path, tiny_model_file: Path) -> None:
         while b"synthesizing" not in said:
             said += os.read(ours, 65536)
         os.write(ours, b"\x03")
-        while not said.endswith(
-            b"stopped\r\n"
-        ):  # while it runs: a terminal may lose what nobody has read then
+        # Before waiting: a terminal may lose what nobody has read when its last process ends.
+        while not said.endswith(b"stopped\r\n"):
             said += os.read(ours, 65536)
         assert running.wait(timeout=30) == 130
     finally:
