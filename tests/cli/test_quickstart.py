@@ -22,6 +22,7 @@ def test_a_folder_becomes_a_model_with_pictures_and_a_verdict(
 ) -> None:
     monkeypatch.setattr(presets, "FINE_TUNE", presets.FINE_TUNE | {"splices": 2, "batch": 2, "window": 16})
     monkeypatch.setattr("motionkit.cli.quickstart.SHOWN_SECONDS", 0.2)
+    monkeypatch.setattr("motionkit.cli.quickstart.ROLL_OUT_SECONDS", 0.5)
     few = replace(quick.QUICK_TYPES, seeds=2, accuracy_seconds=3.0, repeats=1)
     for name, value in (("QUICK_TYPES", few), ("WALK_RADIUS", 0.5), ("RUN_RADIUS", 1.0)):
         monkeypatch.setattr(quick, name, value)

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
 
 SHOWN_SECONDS = 5.0  # of each type, on page and sheet
+ROLL_OUT_SECONDS = 6.0  # of those that find the reference gains
 TRAVELS = 100.0  # cm from beginning to end; what goes less far stays as it is
 MODEL = "model.safetensors"
 
@@ -166,8 +167,8 @@ def _train(
         minutes=minutes,
         seed=seed,
         kept_share=KEPT_SHARE if add else None,
-        score_minutes=1e6,  # the verdict comes afterwards
-        score_seconds=0.0,
+        score_minutes=1e6,  # the verdict comes afterwards; roll-outs at the end find the reference gains
+        score_seconds=ROLL_OUT_SECONDS,
     )
     monitor = TrainingMonitor(quiet, options, None, output.parent, losses=False)
     with monitor:

@@ -43,7 +43,8 @@ class TrainingMonitor:
     ) -> None:
         """warnings are printed when training begins, so that a run that cannot begin says only why.
 
-        losses=False leaves out the terms of the loss, which say little to someone who has not trained a network.
+        losses=False leaves out the terms of the loss and the scores, which say little to someone who has not trained a
+        network.
         """
         self.losses = losses
         self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
@@ -88,7 +89,8 @@ class TrainingMonitor:
         elif event.kind == "note":
             self.console.print(event.text)
         elif event.kind == "score":
-            self.console.print(score_table(event))
+            if self.losses:
+                self.console.print(score_table(event))
         elif event.kind in ("step", "log"):
             self.began = self.began or (event.step, event.seconds)
             if self.live is not None:
