@@ -71,9 +71,9 @@ def test_five_performers_from_short_to_long_legs(crowd_folder: Path) -> None:
     assert legs[0] == pytest.approx(SIZES[0] * whole, rel=1e-3) and legs[-1] == pytest.approx(
         SIZES[-1] * whole, rel=1e-3
     )
-    with pytest.raises(DatasetError, match="6 bodies with walking, expected at least 7"):
+    with pytest.raises(DatasetError, match="bodies with walking: 6, expected at least 7"):
         performers(dataset, "walking", 7)
-    with pytest.raises(DatasetError, match="0 bodies with flying, expected at least 5"):
+    with pytest.raises(DatasetError, match="bodies with flying: 0, expected at least 5"):
         performers(dataset, "flying")
 
 

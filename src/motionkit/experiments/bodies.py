@@ -53,8 +53,8 @@ def performers(dataset: Dataset, kind: str, count: int = PERFORMERS) -> dict[str
     ]
     if len(found) < count:
         raise DatasetError(
-            f"{dataset.folder}: {len(found)} bodies with {kind}, expected at least {count}; "
-            "preprocess with --own-bodies"
+            f"{dataset.folder}: bodies with {kind}: {len(found)}, expected at least {count} (preprocess --own-bodies "
+            "keeps those of all performers)"
         )
     found.sort(key=lambda body: (leg_length(_body(dataset, body)), body))
     chosen = [found[round(i * (len(found) - 1) / (count - 1))] for i in range(count)]
