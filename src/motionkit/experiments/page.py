@@ -99,7 +99,7 @@ heading frame), how far the feet swing about their mean place under the body, an
 those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
 recording is, and its feet swing between half and {apart:g} times as far. `motionkit experiment long MODEL` makes them,
 and `motionkit train datasets/paper --preset tptn-paper --budget short --steps 600 --from-scratch` a model for it,
-of all types. The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`), and
+of all types. The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
 tptn-medium is the first seed of TPTN at that budget.
 """
 
