@@ -201,6 +201,19 @@ def test_a_clip_that_is_left_before_it_is_reached_fades_with_what_it_faded_from(
     assert float(steps.max()) < 1.5 * 2500.0 / LONGEST_BLEND
 
 
+def test_types_that_change_in_every_frame_leave_no_chain_of_clips(tiny_model: MotionModel) -> None:
+    """As a client may ask for: thousands of clips that fade into one another would be too deep to follow."""
+    clips = {name: [recording(400, first=first)] for name, first in (("walking", 0.0), ("running", 2000.0))}
+    player = ReferencePlayer(with_clips(tiny_model, clips))
+    for frame in range(1500):
+        player.begin(("walking", "running")[frame % 2])
+        player.play(1)
+    depth, left = 0, player.left
+    while left is not None:
+        depth, left = depth + 1, left.before
+    assert 1 < depth <= LONGEST_BLEND + 1
+
+
 def test_jumps_that_fill_their_clips_are_not_blended_but_follow_after_a_pause(
     tiny_model: MotionModel,
 ) -> None:

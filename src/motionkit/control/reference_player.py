@@ -47,15 +47,21 @@ class Left:
     ) -> None:
         """Take the clip and the frame it was left at, those that were entered, and what still faded into the clip."""
         self.clip, self.at, self.entered_at = clip, at, entered_at
-        self.before = before if before is not None and at < before.entered_at + before.frames else None
+        self.before = None if before is None or before.over(at) else before
         distance = np.linalg.norm(entered.poses[entered_at] - clip.poses[at])
         frames = round(float(distance) / entered.pace)
         self.frames: int = min(max(SHORTEST_BLEND, frames), LONGEST_BLEND)
+
+    def over(self, frame: int) -> bool:
+        """Whether nothing of it is left at a frame of the clip entered."""
+        return frame >= self.entered_at + self.frames
 
     def fading(self, frames: Array, reference: Array) -> Array:
         """References (T, 72) at frames (T,) of the clip entered, blended with those of the clip left."""
         since = frames - self.entered_at
         before = reference_signal(self.clip.poses, self.at + since)
+        if self.before is not None and self.before.over(self.at + int(since[0])):
+            self.before = None  # or clips that are left soon after one another would grow to a long chain
         if self.before is not None:
             before = self.before.fading(self.at + since, before)
         share = np.minimum(since / self.frames, 1.0).astype(np.float32)[:, None]

@@ -126,9 +126,12 @@ export class Player {
   }
 
   // The reference at a frame of the clip entered, blended with that of the clip left, which plays on.
-  #fading({ left, leftAt, entered, frames, before }, at, reference) {
-    let earlier = this.#shown(left, leftAt + at - entered);
-    if (before) earlier = this.#fading(before, leftAt + at - entered, earlier);
+  #fading(fade, at, reference) {
+    const { left, leftAt, entered, frames, before } = fade;
+    const leftNow = leftAt + at - entered;
+    let earlier = this.#shown(left, leftNow);
+    if (before && leftNow >= before.entered + before.frames) fade.before = null;
+    if (fade.before) earlier = this.#fading(fade.before, leftNow, earlier);
     return mixed(earlier, reference, Math.min((at - entered) / frames, 1));
   }
 
