@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from motionkit.editing.loop import make_loop
+from motionkit.editing.loop import Loop, make_loop
 from motionkit.editing.upright import Upright
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion, write_motion
@@ -127,6 +127,27 @@ def test_the_command(motionkit, tmp_path: Path) -> None:
     write_motion(tmp_path / "short.bvh", make_walk(10))
     assert motionkit("loop", "short.bvh").failed_with("short.bvh: the clip lasts 0.17 s")
     assert not (tmp_path / "short-loop.bvh").exists()
+
+
+def test_what_does_not_repeat_at_once_is_synthesized_for_longer(
+    motionkit, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[int] = []
+
+    def found(motion: Motion, seconds: float | None = None, from_origin: bool = False) -> Loop:
+        asked.append(len(motion))
+        if len(asked) < 3:
+            raise MotionkitError("the clip never repeats: said by a test")
+        return make_loop(motion, seconds, from_origin)
+
+    monkeypatch.setattr("motionkit.editing.loop.make_loop", found)
+    said = motionkit("synthesize", "--types", "walking", "--loop", "-o", "long.bvh")
+    assert said.code == 0, said.err
+    assert asked == [480, 960, 1920]
+    asked[:] = [-3]
+    monkeypatch.setattr("motionkit.cli.synthesize.LOOP_TRIES", ())
+    said = motionkit("synthesize", "--types", "walking", "--loop", "-o", "never.bvh")
+    assert said.code == 1 and "never repeats" in said.err and not (tmp_path / "never.bvh").exists()
 
 
 def test_synthesized_loops(motionkit, tmp_path: Path) -> None:

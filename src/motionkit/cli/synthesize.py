@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,15 +25,18 @@ from motionkit.cli.synthesis_options import (
     words_console,
     write_motion,
 )
+from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
     from motionkit.cli.rig_options import RigChoice
     from motionkit.control.keys import Key
+    from motionkit.control.script import TypePart
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.editing.loop import Loop
     from motionkit.motion.motion import Motion
 
 LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
+LOOP_TRIES = (2, 4)  # so many times as long, where nothing repeats
 
 
 @click.command("synthesize")
@@ -137,10 +141,16 @@ def command(
     frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
     announce(frames / model.fps, model.fps, options)
     with progress_bar() as bar:
-        task = bar.add_task("synthesizing", total=frames)
-        result = synthesize(model, plans, options, lambda done: bar.update(task, completed=done))
-    if loops:
-        result, cycles = _looped(result, seconds)
+
+        def rolled(plans: list[list[TypePart]], frames: int) -> SynthesisResult:
+            task = bar.add_task("synthesizing", total=frames)
+            return synthesize(model, plans, options, lambda done: bar.update(task, completed=done))
+
+        result = rolled(plans, frames)
+        if loops:
+            result, cycles = _looped(
+                result, seconds, lambda times: rolled(_longer(plans, times), times * frames)
+            )
     made: list[dict[str, Any]] = []
     written: list[Motion] = []
     with progress_bar() as bar:
@@ -189,17 +199,30 @@ def loop_seconds(wish: float | None) -> float:
     return LOOP_SECONDS if wish is None else max(LOOP_SECONDS, 2.0 * wish + 2.0)
 
 
-def _looped(result: SynthesisResult, seconds: float | None) -> tuple[SynthesisResult, list[Loop]]:
-    """The best cycle of each motion, closed."""
+def _looped(
+    result: SynthesisResult, seconds: float | None, longer: Callable[[int], SynthesisResult]
+) -> tuple[SynthesisResult, list[Loop]]:
+    """The best cycle of each motion, closed; of motions so many times as long where nothing repeats."""
     from motionkit.control.script import TypePart
     from motionkit.editing.loop import make_loop
 
-    cycles = [make_loop(one.motion, seconds, from_origin=True) for one in result.motions]
+    for times in (*LOOP_TRIES, None):
+        try:
+            cycles = [make_loop(one.motion, seconds, from_origin=True) for one in result.motions]
+            break
+        except MotionkitError:
+            if times is None:
+                raise
+            result = longer(times)
     motions = tuple(
         replace(one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.motion.seconds),))
         for one, cycle in zip(result.motions, cycles, strict=True)
     )
     return replace(result, motions=motions), cycles
+
+
+def _longer(plans: list[list[TypePart]], times: int) -> list[list[TypePart]]:
+    return [[replace(part, seconds=times * part.seconds) for part in plan] for plan in plans]
 
 
 def _arrival(motion: Motion, key: Key) -> dict[str, float]:
