@@ -64,7 +64,7 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
         slip = share * root_slip(feet[:-1], feet[1:], contacts[1:])
         shift = np.zeros_like(motion.root_positions)
         shift[1:, ::2] = -np.cumsum(slip, axis=0, dtype=np.float64)
-        shift[:, ::2] = _smoothed(shift[:, ::2], _frames(HOLD_FRAMES, motion.fps))
+        shift[:, ::2] = _smoothed(shift[:, ::2].astype(np.float64), _frames(HOLD_FRAMES, motion.fps))
         motion = replace(motion, root_positions=motion.root_positions + shift)
         positions = positions + shift[:, None]
     rise = _rise(positions, motion.fps)
@@ -180,8 +180,9 @@ def _easing(frames: int, ease: int) -> Array:
 def _smoothed(values: Array, half: int) -> Array:
     """Values (T, k) averaged over `half` frames to both sides, the nearer the more."""
     kernel = np.hanning(2 * half + 3)[1:-1]
+    kernel = (kernel / kernel.sum()).astype(values.dtype)
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    return sliding_window_view(padded, 2 * half + 1, axis=0) @ (kernel / kernel.sum())
+    return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
 
 
 def _eased_most(size: Array, values: Array, half: int) -> Array:
@@ -189,12 +190,9 @@ def _eased_most(size: Array, values: Array, half: int) -> Array:
 
     The smoothed values are thus never smaller than needed.
     """
-    kernel = np.hanning(2 * half + 3)[1:-1]
-    kernel = (kernel / kernel.sum()).astype(values.dtype)
     around = sliding_window_view(np.pad(size, half, constant_values=-1.0), 2 * half + 1)
     largest = values[around.argmax(axis=-1) + np.arange(len(size)) - half]
-    padded = np.pad(largest, ((half, half), (0, 0)), mode="edge")
-    return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
+    return _smoothed(largest, half)
 
 
 def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
