@@ -25,6 +25,7 @@ from motionkit.data.folder import ARRAYS, MANIFEST, set_aside
 from motionkit.data.labels import mirrored_type
 from motionkit.data.phases import mirror_phases
 from motionkit.errors import DatasetError
+from motionkit.features.decode import decode_motion
 from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import (
@@ -35,6 +36,7 @@ from motionkit.features.reference import (
     reference_signal,
 )
 from motionkit.files import read_json
+from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 
 FORMAT = 1
@@ -234,6 +236,17 @@ class Dataset:
     def sided_types(self) -> Array:
         """For each type (N,), whether the halves of its phase are left and right."""
         return np.array([self.phase_events.get(name) in SIDED for name in self.types], bool)
+
+    def motion(self, clip: Clip, data: ClipData) -> Motion:
+        """The motion of frames of a clip, as read gives them, where they were recorded."""
+        return decode_motion(
+            data.features,
+            self.skeleton(clip),
+            self.fps,
+            data.ground[0],
+            self.reference_rotations,
+            self.layout.version,
+        )
 
     def skeleton(self, clip: Clip) -> Skeleton:
         """The skeleton of a clip."""

@@ -14,7 +14,6 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
-from motionkit.features.decode import decode_motion
 from motionkit.features.encode import encode_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -101,14 +100,7 @@ def splice_clips(
 def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
     """Frames start to end (exclusive) of a clip."""
     data = dataset.read(clip, start, end)
-    motion = decode_motion(
-        data.features,
-        dataset.skeleton(clip),
-        dataset.fps,
-        data.ground[0],
-        dataset.reference_rotations,
-        dataset.layout.version,
-    )
+    motion = dataset.motion(clip, data)
     _, positions = motion_kinematics(motion)
     origin = np.stack([data.ground[:, 0], np.zeros(len(motion), np.float32), data.ground[:, 1]], axis=-1)
     turn = quat_from_yaw(-data.ground[:, 2])[:, None]

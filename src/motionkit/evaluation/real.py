@@ -13,7 +13,6 @@ from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError
 from motionkit.evaluation.body import Body, body_of
 from motionkit.evaluation.detectors import detection_windows
-from motionkit.features.decode import decode_motion
 from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS
 
 SHORTEST = 24  # frames; stretches below 0.4 s are left out
@@ -105,12 +104,7 @@ class RealMotion:
             ):
                 continue
             data = dataset.read(clip)
-            skeleton, layout = dataset.skeleton(clip), dataset.layout.version
-            body = body_of(
-                decode_motion(
-                    data.features, skeleton, dataset.fps, data.ground[0], dataset.reference_rotations, layout
-                )
-            )
+            body = body_of(dataset.motion(clip, data))
             for start, end, kind in type_stretches(data.types):
                 if end - start >= SHORTEST:
                     part = body.cut(start, end)

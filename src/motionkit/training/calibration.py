@@ -14,7 +14,6 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
-from motionkit.features.decode import decode_motion
 from motionkit.inference.rollout import rollout_motion
 from motionkit.metrics.body_movement import angular_speed
 from motionkit.models.model import MotionModel
@@ -72,15 +71,7 @@ def recorded_speeds(dataset: Dataset, kinds: Collection[str]) -> dict[str, float
         ]
         if not stretches:
             continue
-        data = dataset.read(clip)
-        motion = decode_motion(
-            data.features,
-            dataset.skeleton(clip),
-            dataset.fps,
-            data.ground[0],
-            dataset.reference_rotations,
-            dataset.layout.version,
-        )
+        motion = dataset.motion(clip, dataset.read(clip))
         for start, end, kind in stretches:
             frames = end - start
             sums[kind] += frames * np.array([_speed(motion.cut(start, end)), 1.0])
