@@ -11,7 +11,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.path import SPACING, Path2D
-from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.reference_player import ReferencePlayer, frames_behind, last_poses
 from motionkit.control.steering import usual_gaits
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
@@ -232,10 +232,15 @@ def follow_path(
     first = path.parts[0].type
     weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(first)] = 1.0
-    start = type_start(model, first, 1) if options.init is None else clip_start(model, options.init, 1)
-    # Start poses are the beginning of a performance; what comes after them goes on from there.
-    length = model.phase_seconds(first) * model.fps if options.init is None else 0.0
-    follower = PathFollower(model, path, options.seed, start.features.shape[1] if length else 0)
+    if options.init is None:
+        start = type_start(model, first, 1)
+        # Start poses are the beginning of a performance; what comes after them goes on from there.
+        length = model.phase_seconds(first) * model.fps
+        behind = start.features.shape[1] if length else 0
+    else:
+        start, length = clip_start(model, options.init, 1), 0.0
+        behind = frames_behind(model, first, last_poses(model, start.features[0]))
+    follower = PathFollower(model, path, options.seed, behind)
     check_size(follower.expected_seconds, model.fps, options)
     tangent = path.tangents[0]
     heading = math.atan2(*tangent) - follower.facings[0]

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array, lerp
-from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
+from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state, pose_states
 from motionkit.features.control import Controls, future_trajectory
 from motionkit.features.reference import reference_signal
 from motionkit.models.model import MotionModel
@@ -361,3 +361,21 @@ class ReferencePlayer:
 def last_poses(model: MotionModel, features: Array) -> Array:
     """Pose embeddings (S, 24) of the frames of (T, 276) that are STATE_FRAMES before the last."""
     return model.pose_embedding.of(features[[max(0, len(features) - 1 - before) for before in STATE_FRAMES]])
+
+
+def frames_behind(model: MotionModel, kind: str, near: Array) -> int:
+    """Frames of a performance of a type that a body has shown already; 0 where it may as well begin one.
+
+    Args:
+        near: (S, 24) pose embeddings of its last frames (last_poses).
+    """
+    known = model.types.get(kind)
+    if known is None or not known.performed:
+        return 0
+    costs = [
+        np.square(pose_states(clip, np.arange(len(clip))) - near).sum(axis=(1, 2))
+        for clip in known.reference_clips
+    ]
+    begins = min(float(cost[0]) for cost in costs)
+    best = min(costs, key=lambda cost: float(cost.min()))
+    return int(best.argmin()) if begins > 1.0 + SUITED * float(best.min()) else 0

@@ -12,7 +12,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
-from motionkit.control.reference_player import last_poses
+from motionkit.control.reference_player import frames_behind, last_poses
 from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track, whole_performances
 from motionkit.errors import ControlError
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
@@ -112,10 +112,15 @@ def synthesize(
     else:
         starts = [type_start(model, kind, choice=options.seed + i) for i, kind in enumerate(kinds)]
         lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
-    behind = [start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)]
+    near = [last_poses(model, start.features[0]) for start in starts]
+    if options.init is None:
+        behind = [
+            start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)
+        ]
+    else:
+        behind = [frames_behind(model, kind, pose) for kind, pose in zip(kinds, near, strict=True)]
     plans = [whole_performances(model, plan, shown) for plan, shown in zip(plans, behind, strict=False)]
     weights = [plan_weights(model, plan) for plan in plans]
-    near = [last_poses(model, start.features[0]) for start in starts]
     state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
     bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
     starts = [on_body(model, start, body) for start, body in zip(starts, bodies, strict=True)]

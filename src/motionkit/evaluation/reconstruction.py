@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import ReferencePlayer, last_poses
 from motionkit.control.synthesize import SynthesisOptions, finish_motions
 from motionkit.data.dataset import Clip, ClipData, Dataset
-from motionkit.data.phases import type_stretches
 from motionkit.evaluation.body import Body, body_of
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.report import Goal, Section, Table
 from motionkit.evaluation.rolling import Progress, Take
+from motionkit.evaluation.sequence_controls import SequenceControls
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
-from motionkit.features.control import Controls, blend_types, future_trajectory
+from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion
 from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
@@ -92,40 +91,18 @@ def roll_like(
     settings: EvaluationSettings,
     progress: Progress,
 ) -> list[Take]:
-    """Roll out every clip from its first frames with its own types, trajectory and phase.
-
-    Reference poses are those of path following: none for gaits, poses of training clips for the other types.
-    """
+    """Roll out every clip from its first frames with its own types, trajectory and phase (SequenceControls)."""
     frames = max(clip.frames for clip in clips)
-    places = np.array([model.type_id(k) if k in model.types else 0 for k in dataset.types])
-    weights, trajectories, phases = [], [], []
-    # A clip that is rolled out several times needs its reference poses once.
-    references_of = {clip: clip_references(model, dataset, clip, frames) for clip in dict.fromkeys(clips)}
-    references = [references_of[clip] for clip in clips]
-    for clip in clips:
-        wanted = np.minimum(np.arange(frames) + clip.initial, len(clip.data.types) - 1)
-        weights.append(blend_types(places[clip.data.types], len(model.types))[wanted])
-        trajectories.append(future_trajectory(clip.data.ground, wanted))
-        phases.append(clip.data.phases[wanted])
-    first = np.stack([blend_types(places[c.data.types], len(model.types))[0] for c in clips])
-    weight, trajectory, phase = (np.stack(v, axis=1) for v in (weights, trajectories, phases))
-    played = Controls.side_by_side(references)
-    shown = played.reference_gain > 0.0
-    asked = replace(
-        played,
-        type_weights=weight,
-        trajectory=np.where(shown[..., None], played.trajectory, trajectory),
-        phase=np.where(shown, played.phase, phase),
-    ).with_mask(1.0)
+    asked = [SequenceControls(model, dataset.types, clip.data, clip.initial) for clip in clips]
 
     def controls(frame: int, ground: Array) -> Controls:
-        return asked.at(frame)
+        return Controls.concatenated([ask(frame, ground[i : i + 1]) for i, ask in enumerate(asked)])
 
     state = RolloutState(model, len(clips), settings.noise, settings.first_seed)
     state.start(
         [c.data.features[: c.initial] for c in clips],
         [c.data.contacts[: c.initial] for c in clips],
-        first,
+        np.stack([ask.weights[0] for ask in asked]),
         np.stack([c.data.ground[c.initial - 1] for c in clips]),
     )
     rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
@@ -139,25 +116,6 @@ def roll_like(
         assert raw is not None, "the options ask for it"
         takes.append(Take(body_of(held), body_of(raw)))
     return takes
-
-
-def clip_references(model: MotionModel, dataset: Dataset, clip: HeldOut, frames: int) -> Controls:
-    """Return reference poses for the types of a clip after its given frames; the last type lasts to the end."""
-    types = clip.data.types[clip.initial : clip.initial + frames]
-    player = ReferencePlayer(model)
-    near: Array | None = last_poses(model, clip.data.features[: clip.initial])
-    last = len(clip.data.types) - 1
-    parts = []
-    for start, end, kind in type_stretches(types):
-        name = dataset.types[kind]
-        ahead = np.minimum(np.arange(start, frames if end == len(types) else end) + clip.initial, last)
-        trajectories = future_trajectory(clip.data.ground, ahead)
-        player.begin(name, near, trajectory=trajectories[0])
-        near = None
-        asked = player.play(len(trajectories), trajectories)
-        steered = name not in model.types or model.types[name].steered
-        parts.append(replace(asked, reference_gain=np.zeros_like(asked.reference_gain)) if steered else asked)
-    return Controls.concatenated(parts)
 
 
 class NearestClip:
@@ -266,8 +224,9 @@ def reconstruction_section(trial: Trial, progress: Progress) -> Section:
     ]
     notes = [
         f"{settings.repeats} roll-outs per held-out clip start from its first {INIT_FRAMES} frames, use its types, "
-        f"trajectory and phase, and last at most {settings.reconstruction_seconds:g} s; metrics (docs/metrics.md) are "
-        "means over frames, in cm, and in degrees per frame at 60 fps",
+        "phase and trajectory, which is asked for where it lies on the ground, as a path is, and last at most "
+        f"{settings.reconstruction_seconds:g} s; metrics (docs/metrics.md) are means over frames, in cm, and in "
+        "degrees per frame at 60 fps",
         "frames late: the recording itself, delayed by this many frames",
         "baselines: the last given frame, held, and the continuation of the training clip whose half second before is "
         "nearest",

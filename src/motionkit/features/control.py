@@ -156,7 +156,7 @@ class ControlLayout:
         return self.trajectory.stop if self.kind == "paper" else self.reference_gain + 1
 
 
-def future_trajectory(ground: Array, frames: Array) -> Array:
+def future_trajectory(ground: Array, frames: Array, here: Array | None = None) -> Array:
     """Trajectory values (..., 24) of frames, each in its own heading frame: positions in cm, then directions.
 
     Beyond the last frame the root continues with the mean velocity of the last six frames and keeps its facing.
@@ -164,6 +164,7 @@ def future_trajectory(ground: Array, frames: Array) -> Array:
     Args:
         ground: (T, 3) root x, z (cm) and heading (radians).
         frames: (...) indices into ground.
+        here: (..., 3) where a body is that is to go there, and its heading; by default ground at these frames.
     """
     last = ground.shape[0] - 1
     ahead = frames[..., None] + np.array(TRAJECTORY_OFFSETS)
@@ -172,7 +173,7 @@ def future_trajectory(ground: Array, frames: Array) -> Array:
     drift = (ground[last, :2] - ground[last - span, :2]) / max(span, 1)
     targets = ground[np.minimum(ahead, last)]
     positions = targets[..., :2] + beyond[..., None] * drift
-    here = ground[frames]
+    here = ground[frames] if here is None else here
     relative = rotate_ground(-here[..., None, 2], positions - here[..., None, :2])
     turn = targets[..., 2] - here[..., None, 2]
     directions = np.stack([np.sin(turn), np.cos(turn)], axis=-1)
