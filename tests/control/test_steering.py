@@ -175,3 +175,19 @@ def test_a_model_may_lack_gaits() -> None:
     dances = replace(model, types={name: model.types[name] for name in ("dance-salsa", "running")})
     assert usual_gaits(dances) == Gaits(None, None, "running", None)
     assert walking_type(dances) == "running"
+
+
+def test_feet_hold_the_root_of_a_body_that_does_what_is_wanted() -> None:
+    steering = Steering(FPS, SteeringOptions())
+    walk_as_told(steering, (0.0, 130.0), 0.0, 120)
+    assert steering.settled((0.0, 130.0)) > 0.9
+    # Told to turn, to go back or to speed up, it is let go; to brake or to stand, its feet hold.
+    assert steering.settled((130.0, 0.0)) == steering.settled((0.0, -130.0)) == 0.0
+    assert steering.settled((0.0, 160.0)) == 0.0
+    assert steering.settled((0.0, 100.0)) == steering.settled((0.0, 0.0)) == 1.0
+    shares = []
+    for _ in range(60):
+        steering.observe(0.0, 0.0, 0.0, False)
+        shares.append(steering.settled((130.0, 0.0)))
+        steering.trajectory((130.0, 0.0), 0.0)
+    assert shares[0] == 0.0 and sum(share < 1.0 for share in shares) < 40

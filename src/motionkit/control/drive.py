@@ -178,10 +178,12 @@ class Driver:
         if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
             gait = self.model.types[kind].gait
             facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
+        settled = np.array([self.steering.settled(wish.velocity)], np.float32)
         trajectory = np.array([self.steering.trajectory(wish.velocity, facing)], np.float32)
         if self.model.types[kind].steered:
             self._played = ""
-            return kind, replace(self._free(kind), trajectory=trajectory).with_mask(1.0)
+            asked = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
+            return kind, asked.with_mask(1.0)
         return self._with_reference(kind, trajectory)
 
     def _with_reference(self, kind: str, trajectory: Array | None) -> tuple[str, Controls]:

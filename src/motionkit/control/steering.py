@@ -17,6 +17,7 @@ TURN_COST = 3.0  # of a radian between wanted and usual facing, in roots of cm/s
 BACKWARDS_SHARE = 0.2
 STANDS_BELOW = 15.0  # cm/s; who is asked for less stands
 SMOOTHING = 0.2  # share of a frame in the measured velocity: hips sway with every step
+SETTLED_WITHIN = 0.08  # of the wanted speed; feet hold the root of a body that is so near to it
 LEAVE_ANCHOR = 60.0  # cm; one who stands and was carried so far away stays there instead of going back
 
 Pair = tuple[float, float]
@@ -191,6 +192,18 @@ class Steering:
         for turn in turns:
             out += (math.sin(turn), math.cos(turn))
         return out
+
+    def settled(self, velocity: Pair) -> float:
+        """How far feet may hold the root, 0 to 1: not while a body that is to go another way, or faster, does not yet.
+
+        Args:
+            velocity: wanted, x and z in cm/s.
+        """
+        speed = math.hypot(*velocity)
+        if speed < STANDS_BELOW:
+            return 1.0
+        along = (self.velocity[0] * velocity[0] + self.velocity[1] * velocity[1]) / speed
+        return min(1.0, max(0.0, 1.0 - (1.0 - along / speed) / SETTLED_WITHIN))
 
     def _hold(self, x: float, z: float) -> tuple[float, float, float] | None:
         """Place and heading to keep, once the spring has nearly stopped; None before."""

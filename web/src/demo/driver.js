@@ -83,10 +83,11 @@ export class Driver {
     if (velocity === null) return this.#recorded(kind);
     let { facing } = wish;
     if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
+    const slip = this.springs.settled(velocity);
     const trajectory = this.springs.trajectory(velocity, facing);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
-    return [kind, { ...free(model, kind), trajectory }];
+    return [kind, { ...free(model, kind), trajectory, slip }];
   }
 
   // A type with its reference clips, for as long as it is wished.

@@ -2,7 +2,7 @@
 
 export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
 export const STANDS_BELOW = 15; // cm/s; who is asked for less stands
-const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR] = [3, 0.2, 0.2, 60];
+const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
 const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
 
 /** The same angle between -pi and pi. */
@@ -84,6 +84,14 @@ export class Springs {
     const [sine, cosine] = [Math.sin(heading), Math.cos(heading)];
     const places = xs.flatMap((ahead, n) => [cosine * ahead - sine * zs[n], sine * ahead + cosine * zs[n]]);
     return Float32Array.from([...places, ...turns.flatMap((turn) => [Math.sin(turn), Math.cos(turn)])]);
+  }
+
+  /** How far feet may hold the root, 0 to 1: not while a body that is to go another way, or faster, does not yet. */
+  settled(velocity) {
+    const speed = Math.hypot(...velocity);
+    if (speed < STANDS_BELOW) return 1;
+    const along = (this.velocity[0] * velocity[0] + this.velocity[1] * velocity[1]) / speed;
+    return Math.min(1, Math.max(0, 1 - (1 - along / speed) / SETTLED_WITHIN));
   }
 
   // Place and heading to keep, once the spring has nearly stopped; null before.
