@@ -9,6 +9,7 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.arrays import Array, lerp
+from motionkit.control.momentum import CHANGE
 from motionkit.control.motion_index import STATE_FRAMES
 from motionkit.control.reference_player import (
     BEFORE_EVENT,
@@ -47,7 +48,10 @@ def recording(frames: int, phases: Array | None = None, first: float = 0.0) -> R
     )
 
 
-def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel) -> None:
+def test_the_way_counts_only_while_a_performance_is_asked_for(
+    flips: MotionModel, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("motionkit.control.script.carried_over", lambda asked, *speeds: asked)
     parts = [TypePart("walking", 1.0), TypePart("cartwheel", 0.5), TypePart("walking", 0.5)]
     asked = plan_controls(flips, parts, NEAR)
     assert asked.trajectory.shape == (120, 24) and asked.reference.shape == (120, REFERENCE_COUNT)
@@ -58,8 +62,24 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(flips: MotionModel
     reference_clip = flips.types["cartwheel"].reference_clips[0]
     frames = np.arange(30)
     assert np.array_equal(asked.trajectory[60:90], future_trajectory(reference_clip.ground, frames))
-    assert np.array_equal(asked.reference[60:90], reference_signal(reference_clip.poses, frames))
     assert np.array_equal(asked.phase[60:90], reference_clip.phases[:30])
+    # Its poses come in while those of the walk go out, and are its own after the blend.
+    off = np.abs(asked.reference[60:90] - reference_signal(reference_clip.poses, frames)).max(axis=1)
+    assert np.abs(asked.reference[60] - asked.reference[59]).max() < off[0]
+    assert off[0] > 0.0 and off[-1] < off[0]
+
+
+def test_a_change_of_type_carries_the_speed_over(tiny_model: MotionModel) -> None:
+    """A run that goes over into standing still brakes; one that begins with standing has nothing to brake."""
+    run, still = recording(300), recording(300)
+    run.ground[:, 1] = np.arange(300) * 5.0
+    model = with_clips(tiny_model, {"running": [run], "idle": [still]})
+    parts = [TypePart("running", 1.0), TypePart("idle", 2.0)]
+    asked = plan_controls(model, parts, NEAR)
+    braking = asked.trajectory_mask[60:].sum()
+    assert 300.0 / CHANGE - 0.1 < braking / 60.0 < 300.0 / CHANGE + 0.1
+    assert asked.trajectory[60, 1] > 3.5 * 10 and not asked.trajectory_mask[:60].any()
+    assert not plan_controls(model, parts[1:], NEAR).trajectory_mask.any()
 
 
 @pytest.mark.parametrize(("apart", "blend"), [(8.0, SHORTEST_BLEND), (30.0, 30), (1000.0, LONGEST_BLEND)])

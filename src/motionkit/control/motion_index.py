@@ -31,13 +31,14 @@ class MotionIndex:
         moves: (F,) whether at least the usual movement follows.
     """
 
-    def __init__(self, clips: Sequence[ReferenceClip]) -> None:
+    def __init__(self, clips: Sequence[ReferenceClip], rests: bool = False) -> None:
+        """rests: frames that little movement follows count as well, and moves is True everywhere."""
         self.clips = tuple(clips)
         lengths = [len(clip) for clip in clips]
         self.first = [sum(lengths[:i]) for i in range(len(lengths))]
         self.left = np.concatenate([np.arange(length, 0, -1) for length in lengths])
         movement = np.concatenate([clip.movement for clip in clips])
-        self.moves = movement >= lower_median(movement)
+        self.moves = (movement >= lower_median(movement)) | rests
         frames = [np.arange(length) for length in lengths]
         states = [pose_states(clip, at) for clip, at in zip(clips, frames, strict=True)]
         trajectories = [future_trajectory(clip.ground, at) for clip, at in zip(clips, frames, strict=True)]

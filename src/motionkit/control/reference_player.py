@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array, lerp
+from motionkit.control.momentum import forward_speeds
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state, pose_states
 from motionkit.features.control import Controls, future_trajectory
 from motionkit.features.reference import reference_signal
@@ -98,9 +99,16 @@ class ReferencePlayer:
     that way.
     """
 
-    def __init__(self, model: MotionModel, choice: int = 0, own_share: float = OWN_SHARE) -> None:
-        """Start with no type; own_share is the share of the recorded trajectory in one that is asked for."""
-        self.model, self.choice, self.own_share = model, choice, own_share
+    def __init__(
+        self, model: MotionModel, choice: int = 0, own_share: float = OWN_SHARE, rests: bool = False
+    ) -> None:
+        """Start with no type.
+
+        Args:
+            own_share: the share of the recorded trajectory in one that is asked for.
+            rests: where a trajectory is asked for, frames that little movement follows may suit it, too.
+        """
+        self.model, self.choice, self.own_share, self.rests = model, choice, own_share, rests
         self.random = random.Random(choice)
         self.kind = ""
         self.clip: ReferenceClip | None = None
@@ -139,9 +147,16 @@ class ReferencePlayer:
             self.clip = clips[number]
         else:
             self.clip, self.at = self._drawn(clips, count, near)
-        # A performance begins without a blend: its phase and trajectory do not wait for the reference.
-        if left is not None and not self.clip.performed:
+        # The phase and the trajectory of a performance do not wait for the blend.
+        if left is not None:
             self.left = Left(left, left_at, self.clip, self.at, before)
+
+    @property
+    def speed(self) -> float | None:
+        """Speed in cm/s with which the recording that is played has gone ahead; None where nothing has been played."""
+        if self.clip is None or not self.at:
+            return None
+        return float(forward_speeds(self.clip.ground[: self.at], self.model.fps)[-1])
 
     def event_frames(self) -> int:
         """Frames from here to the end of the next strike or jump, zero if none comes."""
@@ -209,7 +224,7 @@ class ReferencePlayer:
 
     def _index(self) -> MotionIndex:
         if self.kind not in self._indices:
-            self._indices[self.kind] = MotionIndex(self._type.reference_clips)
+            self._indices[self.kind] = MotionIndex(self._type.reference_clips, self.rests)
         return self._indices[self.kind]
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:

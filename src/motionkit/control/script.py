@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.momentum import carried_over
 from motionkit.control.reference_player import PAUSE, ReferencePlayer
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls, blend_types, types_ahead
@@ -150,8 +151,13 @@ def plan_controls(
     player = ReferencePlayer(model, choice)
     asked = []
     for number, part in enumerate(parts):
+        before = player.speed
         player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0)
-        asked.append(player.play(max(1, round(part.seconds * model.fps))))
+        clip, at = player.clip, player.at
+        controls = player.play(max(1, round(part.seconds * model.fps)))
+        if before is not None and clip is not None:
+            controls = carried_over(controls, clip.ground[at:], before, model.fps)
+        asked.append(controls)
     weights = plan_weights(model, parts)
     ahead = types_ahead(weights) if model.plain else None
     return replace(Controls.concatenated(asked), type_weights=weights, types_ahead=ahead)

@@ -25,7 +25,8 @@ class SequenceControls:
         self.model, self.types, self.data, self.initial = model, types, data, initial
         places = np.array([model.type_id(kind) if kind in model.types else 0 for kind in types])
         self.weights = blend_types(places[data.types], len(model.types))
-        self.player, self.kind = ReferencePlayer(model), ""
+        # The recording's trajectory says when it rests.
+        self.player, self.kind = ReferencePlayer(model, rests=True), ""
         self.near: Array | None = last_poses(model, data.features[:initial])
 
     def __call__(self, frame: int, ground: Array) -> Controls:

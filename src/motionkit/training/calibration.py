@@ -23,16 +23,17 @@ from motionkit.training.scores import rollout_types
 
 GAINS = (1.0, 1.5, 2.0)  # that are tried; between them the speed is taken to change evenly
 SEEDS = (500, 501, 502)  # of the validation split
-# A type that even the largest gain leaves slower than recorded gets the gain that brings this share of what it can.
+# Share of the recorded speed that is enough, or of what the largest gain brings where that is less: the last twentieth
+# would cost a type more jerk than it is worth.
 ENOUGH = 0.95
 
 
 def calibrated_gains(
     model: MotionModel, dataset: Dataset, frames: int, seeds: Sequence[int] = SEEDS
 ) -> dict[str, float]:
-    """Return the reference gain of each type that reference poses move, by the speed of its joints.
+    """Return the reference gain of each type that reference poses move, but standing ones, by the speed of its joints.
 
-    The gain is the smallest of at least 1 with which roll-outs are as fast as the training recordings.
+    The gain is the smallest of at least 1 with which roll-outs are ENOUGH times as fast as the training recordings.
 
     Args:
         dataset: has the recordings; types without any are left out.
@@ -44,7 +45,7 @@ def calibrated_gains(
     moved = {
         kind
         for kind, known in model.types.items()
-        if kind in dataset.types and not known.steered and known.reference_clips
+        if kind in dataset.types and not known.stands and known.reference_clips
     }
     real = recorded_speeds(dataset, moved)
     speeds = np.stack(
@@ -96,7 +97,7 @@ def _speed(motion: Motion) -> float:
 
 def _gain(ratios: Array) -> float:
     """The smallest gain that reaches the recorded speed, from speeds over the recorded one (gains,)."""
-    wanted = min(1.0, ENOUGH * float(ratios.max()))
+    wanted = ENOUGH * min(1.0, float(ratios.max()))
     if ratios[0] >= wanted:
         return GAINS[0]
     reached = int((ratios >= wanted).argmax())

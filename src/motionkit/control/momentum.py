@@ -1,0 +1,64 @@
+"""A body cannot change its speed at once: trajectories that carry the speed of one type over into the next."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_trajectory
+
+# cm/s^2 by which speed changes in a transition; strides add as much again, and recorded gaits stay below the sum in
+# 99.9 % of their frames.
+CHANGE = 350.0
+LEAST = 60.0  # cm/s; smaller changes of speed are left to the network
+SPAN = 10  # frames over which a speed is measured
+
+
+def forward_speeds(ground: Array, fps: float) -> Array:
+    """Speeds (T,) in cm/s in the direction that the body faces, over SPAN frames around each.
+
+    Args:
+        ground: (T, 3) root x, z (cm) and heading (radians).
+    """
+    last = len(ground) - 1
+    frames = np.arange(last + 1)
+    before, after = np.maximum(frames - SPAN // 2, 0), np.minimum(frames + SPAN // 2, last)
+    moved = ground[after, :2] - ground[before, :2]
+    ahead = np.stack([np.sin(ground[:, 2]), np.cos(ground[:, 2])], axis=-1)
+    return (moved * ahead).sum(axis=-1) * fps / np.maximum(after - before, 1)
+
+
+def carried_speeds(speeds: Array, before: float, fps: float) -> Array:
+    """Speeds (N,) that go over from that before to wanted ones (T,) as fast as bodies do; N frames until they meet."""
+    step = CHANGE / fps
+    down = before > speeds[0]
+    ramp = before + (-step if down else step) * np.arange(1, len(speeds) + 1)
+    met = ramp <= speeds if down else ramp >= speeds
+    return ramp[: int(met.argmax()) if met.any() else len(ramp)]
+
+
+def carried_over(asked: Controls, ground: Array, before: float, fps: float) -> Controls:
+    """The controls (T, ...) of a type whose first trajectories carry over the speed (cm/s) of a body before it.
+
+    Args:
+        ground: (T', 3) the recording that is shown with them, from the same frame on.
+    """
+    speeds = forward_speeds(ground, fps)
+    if abs(before - float(speeds[0])) < LEAST:
+        return asked
+    ramp = carried_speeds(speeds, before, fps)
+    count = min(len(ramp), len(asked.phase))
+    if not count:
+        return asked
+    more = np.concatenate([[0.0], np.cumsum(ramp - speeds[: len(ramp)]) / fps])  # cm further than recorded
+    frames = np.arange(count)
+    ends = np.minimum(frames[:, None] + np.array(TRAJECTORY_OFFSETS), len(ramp))
+    trajectory = future_trajectory(ground, frames)
+    trajectory[:, 1 : 2 * len(TRAJECTORY_OFFSETS) : 2] += (more[ends] - more[frames][:, None]).astype(
+        np.float32
+    )
+    trajectories, masks = asked.trajectory.copy(), asked.trajectory_mask.copy()
+    trajectories[:count], masks[:count] = trajectory, 1.0
+    return replace(asked, trajectory=trajectories, trajectory_mask=masks)
