@@ -14,7 +14,8 @@ from motionkit.cli.main import main
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import DatasetError, MotionkitError
-from motionkit.experiments.bodies import MEASURES, measures, performers, read_bodies, slopes
+from motionkit.experiments.bodies import MEASURES, measures, performers, slopes
+from motionkit.experiments.model_results import read_bodies
 from motionkit.experiments.page import bodies_section
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh

@@ -19,8 +19,8 @@ from motionkit.experiments.long_rollouts import (
     long_rollout,
     long_row,
     long_types,
-    read_long,
 )
+from motionkit.experiments.model_results import read_long
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.training.presets import train_options

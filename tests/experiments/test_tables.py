@@ -11,8 +11,9 @@ import pytest
 
 from motionkit.errors import MotionkitError
 from motionkit.experiments.claims import claims_table, verdict
+from motionkit.experiments.model_results import read_scenes
 from motionkit.experiments.page import Extras, page
-from motionkit.experiments.scenes import SCENES, read_scenes
+from motionkit.experiments.scenes import SCENES
 from motionkit.experiments.study import ASPECTS, write_study
 from motionkit.experiments.tables import Column, Figure, clear_best, latex, markdown, tables
 from motionkit.experiments.ttest import FORMAT, Score, compare, read_answers, scores, upper_tail

@@ -292,10 +292,8 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
 def tables_command(results: Path, selection: str | None, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     _needs_torch()
-    from motionkit.experiments.bodies import read_bodies
-    from motionkit.experiments.long_rollouts import read_long
+    from motionkit.experiments.model_results import read_bodies, read_long, read_scenes
     from motionkit.experiments.page import Extras, write_page
-    from motionkit.experiments.scenes import read_scenes
 
     scenes, long = read_scenes(results.parent / SCENES.name), read_long(results.parent / LONG.name)
     bodies = read_bodies(results.parent / BODIES.name)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,7 +18,6 @@ from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments.long_rollouts import INITIAL, beginning
 from motionkit.experiments.protocol import TestSequence, sequence_controls
-from motionkit.files import read_json
 from motionkit.inference.rollout import RolloutState, default_noise, run
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton, leg_length
@@ -184,14 +182,3 @@ def bodies_row(each: dict[str, Any]) -> tuple[str, ...]:
     """Return the cells of a performer in a table, under BODIES_HEADER."""
     cells = [f"{each[side][key]:.1f}" for key in MEASURES for side in ("recorded", "made")]
     return (each["performer"], *cells)
-
-
-def read_bodies(folder: Path) -> list[dict[str, Any]]:
-    """Return the results of all models in a folder. Raises MotionkitError for a file that is none."""
-    out = []
-    for path in sorted(folder.glob("*.json")):
-        result = read_json(path, "the results of bodies", MotionkitError)
-        if not isinstance(result, dict) or not isinstance(result.get("performers"), list):
-            raise MotionkitError(f"{path}: not the results of bodies; make them again")
-        out.append(result)
-    return out

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,6 @@ from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments.datasets import is_dance
 from motionkit.experiments.protocol import TestSequence, decoded
 from motionkit.features.control import Controls
-from motionkit.files import read_json
 from motionkit.inference.rollout import RolloutState, default_noise, run
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -199,14 +197,3 @@ def long_row(facts: dict[str, Any]) -> tuple[str, ...]:
 def sheet_name(model: str) -> str:
     """Return the file name of a model's contact sheet beside docs/experiments.md."""
     return f"long-{model}.png"
-
-
-def read_long(folder: Path) -> list[dict[str, Any]]:
-    """Return the results of all models in a folder. Raises MotionkitError for a file that is none."""
-    out = []
-    for path in sorted(folder.glob("*.json")):
-        result = read_json(path, "the results of long roll-outs", MotionkitError)
-        if not isinstance(result, dict) or not isinstance(result.get("rollouts"), list):
-            raise MotionkitError(f"{path}: not the results of long roll-outs; make them again")
-        out.append(result)
-    return out

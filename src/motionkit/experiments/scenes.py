@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +17,6 @@ from motionkit.control.path import METRE, PathPart, make_path, shape_path
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import MotionkitError
-from motionkit.files import read_json
 from motionkit.models.model import MotionModel
 from motionkit.view.figure_data import Shown
 
@@ -154,20 +152,3 @@ def scene_facts(made: Sequence[Made]) -> dict[str, Any]:
         "finished": sum(each.finished for each in made),
         "paper": scene.paper,
     }
-
-
-def read_scenes(folder: Path) -> list[dict[str, Any]]:
-    """Return the results of all models in a folder, the shipped one first.
-
-    Raises:
-        MotionkitError: for a file that is none.
-    """
-    out = []
-    for path in sorted(folder.glob("*.json"), key=lambda p: (p.stem != "shipped", p.stem)):
-        result = read_json(path, "the results of scenes", MotionkitError)
-        if not isinstance(result, dict) or [s.get("name") for s in result.get("scenes", [])] != [
-            scene.name for scene in SCENES
-        ]:
-            raise MotionkitError(f"{path}: not the results of all scenes; make them again")
-        out.append(result)
-    return out
