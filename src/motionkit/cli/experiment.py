@@ -155,15 +155,20 @@ def list_command(
         print_json(rows)
         return
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table()
-    for name in ("name", "group", "parameters", "paper", "minutes", "done", "what it is"):
-        table.add_column(name, justify="right" if name in ("parameters", "paper", "minutes") else "left")
-    for v, row in zip(VARIANTS, rows, strict=True):
-        count = f"{parameters(v) / 1e6:.2f} M" if v.preset else ""
-        paper = f"{v.paper_parameters:g} M" if v.paper_parameters else ""
+    table = Table(caption="M: millions of parameters, paper: the paper's; min: minutes that a run took here")
+    for name in ("name", "M", "paper", "min", "done", "what it is"):
+        right = name in ("M", "paper", "min")
+        table.add_column(name, justify="right" if right else "left", no_wrap=name != "what it is")
+    for number, (v, row) in enumerate(zip(VARIANTS, rows, strict=True)):
+        if number == 0 or v.group != VARIANTS[number - 1].group:
+            table.add_section()
+            table.add_row(Text(v.group, style="bold"))
+        count = f"{parameters(v) / 1e6:.2f}" if v.preset else ""
+        paper = f"{v.paper_parameters:g}" if v.paper_parameters else ""
         spent = f"{minutes[v.name]:.0f}" if v.name in minutes else ""
-        table.add_row(v.name, v.group, count, paper, spent, f"{row['done']} of {v.seeds}", v.text)
+        table.add_row(v.name, count, paper, spent, f"{row['done']} of {v.seeds}", v.text)
     stdout_console().print(table)
 
 
