@@ -147,8 +147,8 @@ class ReferencePlayer:
             self.clip = clips[number]
         else:
             self.clip, self.at = self._drawn(clips, count, near)
-        # The phase and the trajectory of a performance do not wait for the blend.
-        if left is not None:
+        # A performance begins without a blend: a handspring is over the hands before the blend would be.
+        if left is not None and not self.clip.performed:
             self.left = Left(left, left_at, self.clip, self.at, before)
 
     @property

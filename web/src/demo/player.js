@@ -34,8 +34,8 @@ export class Player {
     if (performed) this.clip = this.#performance(clips, near);
     else if (trajectory && near) [this.clip, this.at] = this.#index().nearest(near, trajectory, RECONSIDERED);
     else [this.clip, this.at] = this.#drawn(clips, count, near);
-    // The phase and the trajectory of a performance do not wait for the blend.
-    if (left) this.left = this.#leaving(left, leftAt, before);
+    // A performance begins without a blend: a handspring is over the hands before the blend would be.
+    if (left && !this.clip.performed) this.left = this.#leaving(left, leftAt, before);
   }
 
   /** Frames from here to the end of the next strike or jump, zero if none comes. */
