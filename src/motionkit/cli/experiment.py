@@ -30,7 +30,7 @@ SCENES = Path("experiments/scenes")
 LONG = Path("experiments/long")
 BODIES = Path("experiments/bodies")
 SETS = ["D_L", "all", "no-dances", "locomotion"]
-BUDGET_NAMES = ["short", "medium", "cpu", "gpu", "paper"]
+BUDGET_NAMES = ["short", "medium", "long", "cpu", "gpu", "paper"]
 
 
 def _data_option(function: Callable) -> Callable:

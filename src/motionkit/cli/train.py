@@ -63,7 +63,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
 @click.option(
     "--budget",
-    type=click.Choice(["short", "medium", "cpu", "gpu", "paper"]),
+    type=click.Choice(["short", "medium", "long", "cpu", "gpu", "paper"]),
     help="For tptn-paper: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
 )
 @click.option("--force", is_flag=True, help="Overwrite an existing model and run folder.")

@@ -59,7 +59,7 @@ VARIANTS: tuple[Variant, ...] = (
     Variant("TPTN", "tptn", "the paper's network", paper_parameters=3.59, seeds=3),
     Variant("absolute head", "tptn", "TPTN with the paper's head and dropout, where a budget changes them",
             config={"head_leak": 0.0, "input_dropout": 0.5, "deep_dropout": 0.5}, paper_parameters=3.59,
-            budgets=("short", "medium")),
+            budgets=("short", "medium", "long")),
     Variant(
         "EBTN", "parts", "one stream for the whole body",
         config={"partition": "one", "width": 176, "ffn": 314}, paper_parameters=3.1, seeds=3,

@@ -70,6 +70,7 @@ BUDGETS = {
     "short": Budget(200, 8, 96, 1e-3, NEAR_COPY),  # a minute of one core
     # Two minutes of one core: all networks in an hour. At 1e-3 whole-body networks no longer see their input.
     "medium": Budget(600, 4, 96, 3e-4, NEAR_COPY),
+    "long": Budget(3000, 4, 96, 3e-4, NEAR_COPY),  # ten minutes of one core
     "cpu": Budget(1500, 8, 96, 3e-4),  # under 40 minutes of two cores
     "gpu": Budget(40_000, 56, 300, 2e-4),  # a few hours of one GPU
     "paper": Budget(2_178_000, 56, 300, 1e-4),  # 2000 epochs of 60,962 windows
