@@ -178,7 +178,7 @@ def command(
     out = words_console(output)
     on = "" if choice.rig is None else f" on {choice.rig.name}"
     for entry in made:
-        kinds = ", ".join(f"{kind} {time:g} s" for kind, time in entry["types"])
+        kinds = ", ".join(f"{kind} {round(time, 2):g} s" for kind, time in entry["types"])
         out.print(
             f"wrote {shown_name(entry['file'])}: {kinds}; {entry['frames']} frames at {entry['fps']:g} fps{on}",
         )
