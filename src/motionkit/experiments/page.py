@@ -44,7 +44,8 @@ recorded one. Networks are drawn at full sigma, from 87 initial frames (30 where
 trajectory and skeleton of the test sequence, without foot IK, reference poses, velocity blending or corrections.
 Metrics are those of [metrics.md](metrics.md): `bm-euler`, `afs`, `ssim-channel`, `mpjpe`, `path-mean`.
 The table of the shipped model has it with all that surrounds it: reference poses, sampling presets, corrections and
-foot locks; it leaves out test sequences that are mirror images of training clips.
+foot locks, and follows the trajectory where it lies on the ground; it leaves out test sequences that are mirror
+images of training clips.
 `fid-pose` and diversity work on windows of a second, described by mean and deviation of the pose embedding.
 """
 
