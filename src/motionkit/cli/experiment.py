@@ -21,6 +21,7 @@ from motionkit.cli.common import (
     stdout_console,
 )
 from motionkit.errors import MotionkitError
+from motionkit.training.budgets import BUDGETS
 
 if TYPE_CHECKING:
     from motionkit.experiments.runs import Plan
@@ -30,7 +31,6 @@ SCENES = Path("experiments/scenes")
 LONG = Path("experiments/long")
 BODIES = Path("experiments/bodies")
 SETS = ["D_L", "all", "no-dances", "locomotion"]
-BUDGET_NAMES = ["short", "medium", "long", "cpu", "gpu", "paper"]
 
 
 def _data_option(function: Callable) -> Callable:
@@ -62,7 +62,7 @@ def _plan_options(function: Callable) -> Callable:
             "--budget",
             default="cpu",
             show_default=True,
-            type=click.Choice(BUDGET_NAMES),
+            type=click.Choice(tuple(BUDGETS)),
             help="Training of every network: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
         ),
         click.option("--steps", type=click.IntRange(min=1), help="Training steps; the budget's by default."),

@@ -13,6 +13,7 @@ from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, 
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs
+from motionkit.training.budgets import BUDGETS
 
 BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
 KEPT_SHARE = 0.5  # of the windows, with --add, are of the types that the model knew
@@ -63,7 +64,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
 @click.option(
     "--budget",
-    type=click.Choice(["short", "medium", "long", "cpu", "gpu", "paper"]),
+    type=click.Choice(tuple(BUDGETS)),
     help="For tptn-paper: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
 )
 @click.option("--force", is_flag=True, help="Overwrite an existing model and run folder.")

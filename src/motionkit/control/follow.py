@@ -10,14 +10,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.opening import opening
 from motionkit.control.path import SPACING, Path2D
-from motionkit.control.reference_player import ReferencePlayer, frames_behind, last_poses
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.steering import usual_gaits
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
 from motionkit.inference.rollout import RolloutState, default_noise, run
-from motionkit.inference.start import clip_start, on_body, type_start
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -232,25 +232,17 @@ def follow_path(
     first = path.parts[0].type
     weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(first)] = 1.0
-    if options.init is None:
-        start = type_start(model, first, 1)
-        # Start poses are the beginning of a performance; what comes after them goes on from there.
-        length = model.phase_seconds(first) * model.fps
-        behind = start.features.shape[1] if length else 0
-    else:
-        start, length = clip_start(model, options.init, 1), 0.0
-        behind = frames_behind(model, first, last_poses(model, start.features[0]))
-    follower = PathFollower(model, path, options.seed, behind)
+    body = model.moved_skeleton(options.character)
+    begin = opening(model, first, body, options.init)
+    follower = PathFollower(model, path, options.seed, begin.behind)
     check_size(follower.expected_seconds, model.fps, options)
     tangent = path.tangents[0]
     heading = math.atan2(*tangent) - follower.facings[0]
     place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
     state = RolloutState(model, 1, options.noise or default_noise(model), options.seed)
-    body = model.moved_skeleton(options.character)
-    start = on_body(model, start, body)
     state.set_skeletons([body])
-    state.start(start.features, start.contacts, weights, place, length)
+    state.start(begin.start.features, begin.start.contacts, weights, place, begin.length)
 
     furthest = 0.0
 

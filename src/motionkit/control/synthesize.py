@@ -12,11 +12,11 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
-from motionkit.control.reference_player import frames_behind, last_poses
+from motionkit.control.opening import opening
 from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track, whole_performances
 from motionkit.errors import ControlError
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
-from motionkit.inference.start import clip_motion, clip_start, on_body, type_start
+from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
@@ -106,24 +106,17 @@ def synthesize(
         type_track(model, plan)  # an unknown type is refused before any frame is sought for it
     turn = [i % len(plans) for i in range(count)]
     kinds = [plans[t][0].type for t in turn]
-    if options.init is not None:
-        starts = [clip_start(model, options.init, 1)] * count
-        lengths = [0.0] * count
-    else:
-        starts = [type_start(model, kind, choice=options.seed + i) for i, kind in enumerate(kinds)]
-        lengths = [model.phase_seconds(kind) * model.fps for kind in kinds]
-    near = [last_poses(model, start.features[0]) for start in starts]
-    if options.init is None:
-        behind = [
-            start.features.shape[1] if length else 0 for start, length in zip(starts, lengths, strict=True)
-        ]
-    else:
-        behind = [frames_behind(model, kind, pose) for kind, pose in zip(kinds, near, strict=True)]
+    bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
+    init = None if options.init is None else clip_motion(model, options.init)
+    openings = [
+        opening(model, kind, body, init, options.seed + i)
+        for i, (kind, body) in enumerate(zip(kinds, bodies, strict=True))
+    ]
+    starts, near = [each.start for each in openings], [each.near for each in openings]
+    behind = [each.behind for each in openings]
     plans = [whole_performances(model, plan, shown) for plan, shown in zip(plans, behind, strict=False)]
     weights = [plan_weights(model, plan) for plan in plans]
     state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
-    bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
-    starts = [on_body(model, start, body) for start, body in zip(starts, bodies, strict=True)]
     state.set_skeletons(bodies)
     ground = np.concatenate([start.ground for start in starts])
     state.start(
@@ -131,7 +124,7 @@ def synthesize(
         [start.contacts[0] for start in starts],
         np.stack([weights[t][0] for t in turn]),
         ground,
-        lengths,
+        [each.length for each in openings],
     )
     controller = crowd_controller(model, plans, near, behind, options.seed)
     if options.keys:

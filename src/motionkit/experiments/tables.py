@@ -13,7 +13,7 @@ from motionkit.experiments.paper import BODY_MOVEMENT, paper_row
 from motionkit.experiments.protocol import means
 from motionkit.experiments.shipped import GROUP
 from motionkit.experiments.variants import VARIANTS, Variant
-from motionkit.training.presets import BUDGETS
+from motionkit.training.budgets import BUDGETS
 
 Results = Sequence[dict[str, Any]]
 
