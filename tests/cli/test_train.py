@@ -45,6 +45,17 @@ def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str
     assert not list(tmp_path.iterdir())
 
 
+def test_a_share_of_windows_without_reference_poses(
+    motionkit, dataset_folder: Path, tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+    said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--reference-dropout", 0.8)
+    options = load_model(tmp_path / "model.safetensors").card["options"]
+    assert said.code == 0 and options["sampler"]["controls"]["reference_dropout"] == 0.8
+    said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--reference-dropout", 1.5)
+    assert said.code == 2 and "1.5 is not in the range 0.0<=x<=1.0" in said.err
+
+
 @pytest.mark.parametrize("text", ["walking", "walking=", "=2", "walking=much", "walking=-1", "walking=nan"])
 def test_malformed_type_weights(motionkit, dataset_folder: Path, text: str) -> None:
     said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--type-weights", text)

@@ -105,6 +105,12 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     help="Types to which --step-weight does not apply.",
 )
 @click.option(
+    "--reference-dropout",
+    type=click.FloatRange(0.0, 1.0),
+    help="Share of training windows without reference poses; the preset's by default (0.5; tptn-paper 1). More of "
+    "them teach the network to do without.",
+)
+@click.option(
     "--splices",
     type=click.IntRange(0, 100_000),
     help="Number of spliced transitions to make; the preset's by default (2000; tptn-paper 0).",
@@ -155,6 +161,7 @@ def command(
     type_weights: dict[str, float],
     step_weight: float | None,
     step_except: tuple[str, ...],
+    reference_dropout: float | None,
     splices: int | None,
     run_folder: Path | None,
     device: str,
@@ -204,6 +211,7 @@ def command(
         type_weights=type_weights,
         step_weight=step_weight,
         step_except=step_except,
+        reference_dropout=reference_dropout,
         splices=splices,
         seed=seed,
         precision=precision,
