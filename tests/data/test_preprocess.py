@@ -186,9 +186,7 @@ def test_all_clips_train_if_none_is_to_be_held_out(tmp_path: Path) -> None:
     for i in range(4):
         write_bvh(tmp_path / "clips" / f"walk_{i}.bvh", make_walk(40, phase=float(i)))
     write_bvh(tmp_path / "clips" / "idle.bvh", make_idle(40))
-    preprocess(
-        [tmp_path / "clips"], tmp_path / "out", PreprocessOptions(jobs=1, validation=False, test=False)
-    )
+    preprocess([tmp_path / "clips"], tmp_path / "out", PreprocessOptions(jobs=1, held_out=()))
     assert [clip.split for clip in Dataset(tmp_path / "out").clips] == ["train"] * 10
 
 
@@ -203,7 +201,7 @@ def test_validation_is_held_out_file_by_file_and_type_by_type(tmp_path: Path) ->
         rows.append(f"idle_{i}.bvh,0,-1,idle,train")
     (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows) + "\n", "utf-8")
 
-    def splits(folder: str, *files: Path, **options: bool) -> dict[str, set[str]]:
+    def splits(folder: str, *files: Path, **options: tuple[str, ...]) -> dict[str, set[str]]:
         preprocess(
             list(files) or [tmp_path / "clips"], tmp_path / folder, PreprocessOptions(jobs=1, **options)
         )
@@ -218,7 +216,7 @@ def test_validation_is_held_out_file_by_file_and_type_by_type(tmp_path: Path) ->
     assert {clip.mirrored for clip in data.select("validation")} == {False} and len(
         data.select("validation")
     ) == 2
-    assert splits("all", validation=False) == {name: {"train"} for name in chosen}
+    assert splits("all", held_out=("test",)) == {name: {"train"} for name in chosen}
     # The choice does not depend on other types, and labels that name validation clips have the last word.
     (tmp_path / "clips" / "labels.csv").write_text("\n".join(rows[:11]) + "\n", "utf-8")
     assert [name for name, split in splits("fewer").items() if split == {"validation"}] == held

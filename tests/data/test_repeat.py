@@ -36,7 +36,7 @@ def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, motion in clips.items():
         (folder / "clips" / name).mkdir(parents=True)
         write_bvh(folder / "clips" / name / f"{name}.bvh", motion)
-    preprocess([folder / "clips"], folder / "data", PreprocessOptions(jobs=1, validation=False, test=False))
+    preprocess([folder / "clips"], folder / "data", PreprocessOptions(jobs=1, held_out=()))
     return folder / "data"
 
 

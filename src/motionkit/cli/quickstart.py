@@ -130,7 +130,7 @@ def _preprocess(data: Path, folder: Path) -> Dataset:
 
     with progress_bar() as bar:
         # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
-        report = preprocess([data], folder, PreprocessOptions(validation=False, test=False), stages_on(bar))
+        report = preprocess([data], folder, PreprocessOptions(held_out=()), stages_on(bar))
     clips = sum(file.clips for file in report.files)  # without mirror images
     remark(
         f"{folder}: {_counted(clips, 'clip')}, {duration(report.seconds)}, {_counted(len(report.types), 'type')}"

@@ -392,11 +392,17 @@ def floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
     )
     toes = positions[:, list(TOES)]
     heights = toes[..., 1]
-    slow = heights[_speeds(toes, motion.fps) < STANCE_SPEED]
+    slow = heights[standing_toes(toes, motion.fps)]
     if len(slow) < 5:
         lowest = float(np.quantile(heights, 0.02))
         return TOE_HEIGHT - lowest, ("no stance found; floor set from the lowest toe",)
     return TOE_HEIGHT - _lowest_band(slow), ()
+
+
+def standing_toes(toes: Array, fps: float) -> Array:
+    """Flags (T, ...): whether toes (T, ..., 3), in cm, stand still."""
+    still: Array = _speeds(toes, fps) < STANCE_SPEED
+    return still
 
 
 def _speeds(places: Array, fps: float) -> Array:

@@ -27,6 +27,7 @@ from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.folder import MANIFEST, MOTIONS, ArrayWriter, may_replace, put_in_place, staging_folder
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
+from motionkit.data.level import floor_tilt, footfalls, levelled
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.data.twins import mirrored_types, type_poses
@@ -57,7 +58,7 @@ class PreprocessOptions:
     """The options of preprocess; the command's help describes them.
 
     reference_rotations (23, 4) are those of the model that training is to begin from; by default the mean rotations
-    of the data itself.
+    of the data itself. held_out names the splits that clips are taken for, where labels do not say.
     """
 
     labels: Path | None = None
@@ -69,9 +70,9 @@ class PreprocessOptions:
     jobs: int = 0
     strict: bool = False
     smooth: bool = True
+    level: bool = True
     reference_rotations: Array | None = None
-    validation: bool = True
-    test: bool = True
+    held_out: tuple[str, ...] = ("validation", "test")
 
 
 @dataclass
@@ -106,7 +107,8 @@ class PreprocessReport:
 class _Prepared:
     """The first pass's result for a file; the arrays are in motion_file.
 
-    body is the skeleton of the motion; own_body has the performer's bone lengths; poses are some of each type.
+    body is the skeleton of the motion; own_body has the performer's bone lengths; poses are some of each type;
+    footfalls, (F, 3) for each toe, are where it stands.
     """
 
     report: FileReport
@@ -118,6 +120,7 @@ class _Prepared:
     own_body: list[list[float]]
     moment: np.ndarray | None
     poses: dict[str, np.ndarray] = field(default_factory=dict)
+    footfalls: tuple[np.ndarray, ...] = ()
 
 
 def preprocess(
@@ -265,7 +268,8 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     moment = np.einsum("tja,tjb->jab", quats, quats)
     body, own_body = motion.skeleton.offsets.tolist(), mapping.body.tolist()
     spans = [span for run in runs for span in run[2]]
-    return _Prepared(report, motion_file, runs, body, own_body, moment, type_poses(motion, spans))
+    poses, falls = type_poses(motion, spans), footfalls(motion)
+    return _Prepared(report, motion_file, runs, body, own_body, moment, poses, falls)
 
 
 def _runs(segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]) -> tuple:
@@ -368,8 +372,8 @@ def _pass_two(
     reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run[2]}))
     twin_types = mirrored_types(types, _all_poses(prepared))
-    splits = _decide_splits(prepared, options.mirror, twin_types, options.test)
-    if options.validation:
+    splits = _decide_splits(prepared, options.mirror, twin_types, "test" in options.held_out)
+    if "validation" in options.held_out:
         _hold_out_validation(prepared, splits)
     total = sum(end - start for p in prepared for start, end, *_ in p.runs)
     if len(types) > MAX_TYPES:
@@ -379,7 +383,14 @@ def _pass_two(
     clips: list[Clip] = []
     bodies: list[list[list[float]]] = []
     row = 0
-    items = [(p, reference_rotations, options.layout, options.smooth) for p in prepared if p.runs]
+    tilts = _floor_tilts(prepared) if options.level and options.smooth else {}
+    items = [
+        (p, reference_rotations, options.layout, options.smooth, tilts.get(_performer(p), np.zeros(2)))
+        for p in prepared
+        if p.runs
+    ]
+    for item, *_, tilt in items:
+        item.report.cleaning["tilt"] = [round(float(slope), 4) for slope in tilt]
     indices = [i for i, p in enumerate(prepared) if p.runs]
     with _array_writers(staging, total) as writers:
         for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
@@ -437,6 +448,21 @@ def _pass_two(
         total / FPS,
     )
     return manifest, report
+
+
+def _performer(item: _Prepared) -> str:
+    """Whose clip a file is: the performer that the labels name, or else the body."""
+    named = next((subject for *_, subject in item.runs if subject), "")
+    return named or json.dumps(_rounded(item.own_body))
+
+
+def _floor_tilts(prepared: list[_Prepared]) -> dict[str, Array]:
+    """The tilt of the floor under each performer, from all of the performer's clips."""
+    falls: dict[str, list[Array]] = defaultdict(list)
+    for item in prepared:
+        if item.runs:
+            falls[_performer(item)].extend(item.footfalls)
+    return {performer: floor_tilt(each) for performer, each in falls.items()}
 
 
 def _all_poses(prepared: list[_Prepared]) -> dict[str, np.ndarray]:
@@ -523,10 +549,10 @@ def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
 
 
 def _encode_file(
-    item: tuple[_Prepared, Array, str, bool],
+    item: tuple[_Prepared, Array, str, bool, Array],
 ) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Features, contacts and ground of each run, encoded from the whole recording so that ends have neighbours."""
-    prepared, reference_rotations, layout, smoothed = item
+    prepared, reference_rotations, layout, smoothed, tilt = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = arrays["rotations"], arrays["root"]
     for start, end, *_ in prepared.runs if smoothed else ():
@@ -534,7 +560,8 @@ def _encode_file(
         rotations[start:end] = smooth_rotations(rotations[start:end])
         root[start:end] = smooth(root[start:end])
     skeleton = canonical_skeleton(np.array(prepared.body, np.float32))
-    encoded = encode_motion(Motion(skeleton, rotations, root, FPS), reference_rotations, layout)
+    motion = levelled(Motion(skeleton, rotations, root, FPS), tilt)
+    encoded = encode_motion(motion, reference_rotations, layout)
     return [
         (
             encoded.features[start:end],

@@ -1,0 +1,116 @@
+"""The tilt of a recorded floor, found from where the feet of one performer stand, and taken out.
+
+Volumes of optical systems are calibrated by hand. Where one is off by a degree, the floor rises by 2 cm a metre, and
+one shift of the height fits only the middle of a clip.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.cleaning import TOE_HEIGHT, TOES, floor_shift, standing_toes
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_multiply, quat_normalize, quat_rotate
+
+# A toe higher than this above the standing ones (cm) is held in the air.
+HELD_UP = 12.0
+# Slopes (cm per cm) are sought around zero with this deviation; a steeper one than STEEPEST is a ramp, not an error.
+USUAL_SLOPE, STEEPEST = 0.01, 0.04
+LEAST_SLOPE = 0.003  # below it the floor of a clip is level within what feet tell
+CERTAIN = 3.0  # deviations by which a slope must differ from none
+EVENER = 0.85  # share of the unevenness that may be left, if a floor is to be levelled
+LEAST_NOISE, OUTLIER = 0.5, 1.0  # cm: deviation of the heights of footfalls, and what counts linearly beyond
+ROUNDS = 20
+CELL, STRAY = 30.0, 5.0  # cm
+
+
+def footfalls(motion: Motion) -> tuple[Array, ...]:
+    """Places (F, 3) in cm where each toe stands: one for each cell of the floor, however often it stands there.
+
+    Toes of one performer may be some millimetres higher than the other's, so each is by itself.
+
+    Args:
+        motion: its standing toes are at TOE_HEIGHT in the middle of the clip.
+    """
+    toes = motion_kinematics(motion)[1][:, list(TOES)].astype(np.float64)
+    standing = standing_toes(toes, motion.fps) & (toes[..., 1] < TOE_HEIGHT + HELD_UP)
+    return tuple(_cells(toes[standing[:, side], side]) for side in range(len(TOES)))
+
+
+def _cells(places: Array) -> Array:
+    """Mean (F, 3) of the places (N, 3) in each cell of the floor."""
+    _, cell, counts = np.unique(
+        np.floor(places[:, [0, 2]] / CELL), axis=0, return_inverse=True, return_counts=True
+    )
+    sums = np.zeros((len(counts), 3))
+    np.add.at(sums, cell.reshape(-1), places)
+    return sums / counts[:, None]
+
+
+def floor_tilt(groups: Sequence[Array]) -> Array:
+    """Slopes (2,) of the floor along x and z, in cm per cm, shared by toes and clips whose heights may differ.
+
+    Least squares with outliers counted linearly and slopes drawn towards none, so that a few steps in one place say
+    nothing. A direction in which the slope is not CERTAIN gets none, and so does a floor that becomes little evener.
+
+    Args:
+        groups: footfalls (F, 3) of each toe in each clip.
+    """
+    rows = [each for each in groups if len(each) > 1]
+    if not rows:
+        return np.zeros(2)
+    falls = np.concatenate(rows)
+    group = np.repeat(np.arange(len(rows)), [len(each) for each in rows])
+    weights: Array = np.ones(len(falls))
+    slope: Array = np.zeros(2)
+    for _ in range(ROUNDS):
+        total = np.bincount(group, weights)
+        means = np.stack([np.bincount(group, weights * falls[:, k]) / total for k in range(3)], axis=1)
+        apart = falls - means[group]
+        ground, height = apart[:, [0, 2]], apart[:, 1]
+        left = height - ground @ slope
+        noise = max(LEAST_NOISE, float(np.sqrt((weights * left**2).sum() / weights.sum())))
+        precision = (ground * weights[:, None]).T @ ground / noise**2 + np.eye(2) / USUAL_SLOPE**2
+        slope = np.linalg.solve(precision, (ground * weights[:, None]).T @ height / noise**2)
+        weights = np.minimum(1.0, OUTLIER / np.maximum(np.abs(height - ground @ slope), 1e-9))
+    sizes, axes = np.linalg.eigh(precision)
+    along = axes.T @ slope
+    slope = axes @ np.where(np.abs(along) * np.sqrt(sizes) >= CERTAIN, along, 0.0)
+    if not LEAST_SLOPE <= float(np.linalg.norm(slope)) <= STEEPEST:
+        return np.zeros(2)
+    return slope if _unevenness(rows, slope) <= EVENER * _unevenness(rows, np.zeros(2)) else np.zeros(2)
+
+
+def _unevenness(groups: Sequence[Array], slope: Array) -> float:
+    """Mean distance in cm of footfalls from a floor of some slope, far ones counted as STRAY."""
+    above = [each[:, 1] - each[:, [0, 2]] @ slope for each in groups]
+    apart = np.concatenate([np.abs(each - np.median(each)) for each in above])
+    return float(np.minimum(apart, STRAY).mean())
+
+
+def levelled(motion: Motion, tilt: Array) -> Motion:
+    """The motion turned so that a floor of some tilt is level, with its standing toes at TOE_HEIGHT again.
+
+    Args:
+        tilt: (2,) from floor_tilt.
+    """
+    if not tilt.any():
+        return motion
+    x, z = tilt
+    up = np.array([-x, 1.0, -z]) / np.sqrt(1.0 + x * x + z * z)
+    # The shortest turn from the floor's own up to +Y.
+    turn = quat_normalize(np.array([1.0 + up[1], -up[2], 0.0, up[0]])).astype(motion.local_rotations.dtype)
+    rotations = motion.local_rotations.copy()
+    rotations[:, 0] = quat_multiply(np.broadcast_to(turn, rotations[:, 0].shape), rotations[:, 0])
+    middle = motion.root_positions.mean(axis=0)
+    roots = quat_rotate(np.broadcast_to(turn, (len(motion), 4)), motion.root_positions - middle) + middle
+    turned = replace(
+        motion, local_rotations=rotations, root_positions=roots.astype(motion.root_positions.dtype)
+    )
+    lift = np.array([0.0, floor_shift(turned)[0], 0.0], motion.root_positions.dtype)
+    return replace(turned, root_positions=turned.root_positions + lift)
