@@ -232,6 +232,13 @@ def tiny_options() -> Callable[..., TrainOptions]:
     return make
 
 
+@pytest.fixture
+def unscored(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs end without roll-outs for gains and scores, which take longer than all else of a short run."""
+    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", lambda *_: {})
+    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+
+
 @pytest.fixture(scope="session")
 def tiny_model_file(
     dataset_folder: Path,

@@ -76,8 +76,8 @@ def test_nothing_that_is_read_is_written(motionkit, home: Path, words: list, com
     assert contents(home) == before
 
 
-def test_a_run_that_is_there_is_not_begun_anew_unasked(motionkit, home: Path, monkeypatch) -> None:
-    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+@pytest.mark.usefixtures("unscored")
+def test_a_run_that_is_there_is_not_begun_anew_unasked(motionkit, home: Path) -> None:
     words = ("train", "ds", "-o", "new.safetensors", *QUICK, "--steps", 1)
     assert motionkit(*words).code == 0
     (home / "new.safetensors").unlink()

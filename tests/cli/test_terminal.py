@@ -149,8 +149,8 @@ def test_every_bar_fits_and_is_taken_away(
 
 
 @pytest.mark.parametrize("columns", [80, 40])
-def test_training_in_a_terminal(in_terminal, columns: int, dataset_folder: Path, monkeypatch) -> None:
-    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+@pytest.mark.usefixtures("unscored")
+def test_training_in_a_terminal(in_terminal, columns: int, dataset_folder: Path) -> None:
     words = (
         "--preset",
         "tiny",

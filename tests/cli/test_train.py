@@ -11,10 +11,8 @@ from motionkit.models.checkpoint import load_model
 QUICK = ("--preset", "tiny", "--batch", 2, "--window", 16, "--splices", 0, "--device", "cpu")
 
 
-def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr(
-        "motionkit.training.trainer.score_rollouts", lambda *_: ()
-    )  # ten seconds of each type
+@pytest.mark.usefixtures("unscored")
+def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
     said = motionkit("train", dataset_folder, "-o", "m.safetensors", *QUICK, "--steps", 2)
     assert said.code == 0
     assert said.out.startswith("trained after 2 steps") and said.out.rstrip().endswith("wrote m.safetensors")
@@ -45,10 +43,8 @@ def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str
     assert not list(tmp_path.iterdir())
 
 
-def test_a_share_of_windows_without_reference_poses(
-    motionkit, dataset_folder: Path, tmp_path: Path, monkeypatch
-) -> None:
-    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+@pytest.mark.usefixtures("unscored")
+def test_a_share_of_windows_without_reference_poses(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
     said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--reference-dropout", 0.8)
     options = load_model(tmp_path / "model.safetensors").card["options"]
     assert said.code == 0 and options["sampler"]["controls"]["reference_dropout"] == 0.8
