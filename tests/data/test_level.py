@@ -10,6 +10,7 @@ import pytest
 from motionkit.arrays import Array
 from motionkit.data.cleaning import TOE_HEIGHT, TOES, standing_toes
 from motionkit.data.dataset import Dataset
+from motionkit.data.diagnosis import diagnose
 from motionkit.data.level import STEEPEST, floor_tilt, footfalls, levelled
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.motion.bvh import write_bvh
@@ -95,3 +96,18 @@ def test_preprocess_levels_the_floor_of_all_clips_of_a_performer(tmp_path: Path)
         tilts = [file["cleaning"]["tilt"] for file in data.manifest["files"]]
         assert len(tilts) == 3 and all(any(tilt) == (name == "level") and tilt == tilts[0] for tilt in tilts)
     assert uneven["level"] < 0.4 * min(uneven["tilted"], uneven["raw"])
+
+
+def test_doctor_says_how_much_a_floor_rises(tmp_path: Path) -> None:
+    (tmp_path / "walking").mkdir()
+    for i, yaw in enumerate((0.0, math.pi)):
+        walk = placed(make_walk(frames=300, turn=0.0, phase=0.3 * i), yaw)
+        write_bvh(tmp_path / "walking" / f"level-{i}.bvh", walk)
+    assert not diagnose([tmp_path]).warnings
+    for i, yaw in enumerate((0.0, math.pi)):
+        walk = tilted(placed(make_walk(frames=300, turn=0.0, phase=0.3 * i), yaw), 1.0)
+        (tmp_path / "walking" / f"level-{i}.bvh").unlink()
+        write_bvh(tmp_path / "walking" / f"tilted-{i}.bvh", walk)
+    (warning,) = diagnose([tmp_path]).warnings
+    assert warning.startswith("the floor under walking/tilted-0.bvh, walking/tilted-1.bvh rises by up to 1.")
+    assert warning.endswith(" cm a metre; preprocess levels it")

@@ -5,9 +5,10 @@ Nothing here goes by the names of types: a clip is compared with the others of i
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ from motionkit.data.cleaning import clean
 from motionkit.data.events import jumps_of
 from motionkit.data.glitches import find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources
+from motionkit.data.level import floor_tilt, footfalls, performer
 from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
 from motionkit.data.repeat import LEAST_FRAMES
 from motionkit.errors import MotionkitError
@@ -54,6 +56,7 @@ class ClipFacts:
         up: the axis that points up.
         floor: cm by which the motion had to be raised to stand on the floor.
         glitches: repaired pops, and leaps that cut the clip.
+        tilt: slopes (2,) of the floor along x and z that the performer's clips show, in cm per cm.
         notes: missing joints, rest-pose differences and the like.
         fault: why the file cannot be used; empty if it can.
     """
@@ -67,6 +70,7 @@ class ClipFacts:
     up: str = "Y"
     floor: float = 0.0
     glitches: int = 0
+    tilt: tuple[float, float] = (0.0, 0.0)
     notes: tuple[str, ...] = ()
     fault: str = ""
 
@@ -105,6 +109,14 @@ class _Shown:
     split: str
 
 
+@dataclass(frozen=True, eq=False)
+class _Standing:
+    """Where the toes of a clip stand, (F, 3) each, and whose they are."""
+
+    performer: str
+    footfalls: tuple[Array, ...]
+
+
 def diagnose(
     folders: Sequence[str | Path],
     labels: Path | None = None,
@@ -121,30 +133,52 @@ def diagnose(
     """
     sources, table = find_sources([Path(folder) for folder in folders], labels)
     clips: list[ClipFacts] = []
+    standing: list[_Standing | None] = []
     shown: dict[str, list[_Shown]] = defaultdict(list)
     for done, source in enumerate(sources, 1):
-        facts, stretches = _look(source)
+        facts, stretches, stands = _look(source)
         clips.append(facts)
+        standing.append(stands)
         for kind, stretch in stretches:
             shown[kind].append(stretch)
         if progress:
             progress(done, len(sources))
     types = tuple(_type_facts(kind, shown) for kind in sorted(shown))
     rigs = sorted({clip.rig for clip in clips if clip.rig})
-    warnings = (f"{len(rigs)} different rigs: {', '.join(rigs[:6])}",) if len(rigs) > 1 else ()
-    return Diagnosis(tuple(clips), types, table, warnings)
+    warnings = [f"{len(rigs)} different rigs: {', '.join(rigs[:6])}"] if len(rigs) > 1 else []
+    clips = _with_tilts(clips, standing)
+    tilted = [clip for clip in clips if any(clip.tilt)]
+    if tilted:
+        steepest = 100.0 * max(math.hypot(*clip.tilt) for clip in tilted)
+        warnings.append(
+            f"the floor under {_listed([clip.name for clip in tilted])} rises by up to {steepest:.1f} cm a metre; "
+            "preprocess levels it"
+        )
+    return Diagnosis(tuple(clips), types, table, tuple(warnings))
 
 
-def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]]]:
-    """The facts of a file, and its stretches by type."""
+def _with_tilts(clips: list[ClipFacts], standing: list[_Standing | None]) -> list[ClipFacts]:
+    """The clips with the tilt of the floor under their performers."""
+    falls: dict[str, list[Array]] = defaultdict(list)
+    for stands in filter(None, standing):
+        falls[stands.performer].extend(stands.footfalls)
+    tilts = {whose: floor_tilt(each) for whose, each in falls.items()}
+    return [
+        clip if stands is None else replace(clip, tilt=tuple(tilts[stands.performer].round(4).tolist()))
+        for clip, stands in zip(clips, standing, strict=True)
+    ]
+
+
+def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], _Standing | None]:
+    """The facts of a file, its stretches by type, and where its toes stand."""
     if source.skip_reason:
-        return ClipFacts(source.name, fault=source.skip_reason), []
+        return ClipFacts(source.name, fault=source.skip_reason), [], None
     try:
         fps = next((s.fps for s in source.segments if s.fps), None)
         motion, rig = retarget_file(source.path, fps=fps)
         cleaned, cleaning = clean(motion)
     except MotionkitError as error:
-        return ClipFacts(source.name, fault=str(error)), []
+        return ClipFacts(source.name, fault=str(error)), [], None
     whole = resample(cleaned, FPS)
     leaps = find_leaps(motion_kinematics(whole)[1])
     stretches = []
@@ -164,10 +198,11 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]]]:
         _up(rig),
         cleaning.floor_shift,
         len(cleaning.pops) + len(leaps),
-        (*((f"no {', '.join(rig.missing)}",) if rig.missing else ()), *rig.notes, *cleaning.notes),
-        fault,
+        notes=(*((f"no {', '.join(rig.missing)}",) if rig.missing else ()), *rig.notes, *cleaning.notes),
+        fault=fault,
     )
-    return facts, stretches
+    whose = performer((segment.subject for segment in source.segments), rig.body)
+    return facts, stretches, _Standing(whose, footfalls(whole)) if stretches else None
 
 
 def _up(rig: RetargetReport) -> str:

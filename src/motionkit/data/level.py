@@ -6,7 +6,8 @@ one shift of the height fits only the middle of a clip.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,11 @@ EVENER = 0.85  # share of the unevenness that may be left, if a floor is to be l
 LEAST_NOISE, OUTLIER = 0.5, 1.0  # cm: deviation of the heights of footfalls, and what counts linearly beyond
 ROUNDS = 20
 CELL, STRAY = 30.0, 5.0  # cm
+
+
+def performer(named: Iterable[str], body: Array) -> str:
+    """Whose clip it is: the first performer that labels name, or else the body (23, 3) to within 0.01 mm."""
+    return next(filter(None, named), "") or json.dumps(np.round(body, 3).tolist())
 
 
 def footfalls(motion: Motion) -> tuple[Array, ...]:

@@ -27,7 +27,7 @@ from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.folder import MANIFEST, MOTIONS, ArrayWriter, may_replace, put_in_place, staging_folder
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
-from motionkit.data.level import floor_tilt, footfalls, levelled
+from motionkit.data.level import floor_tilt, footfalls, levelled, performer
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.data.twins import mirrored_types, type_poses
@@ -451,9 +451,7 @@ def _pass_two(
 
 
 def _performer(item: _Prepared) -> str:
-    """Whose clip a file is: the performer that the labels name, or else the body."""
-    named = next((subject for *_, subject in item.runs if subject), "")
-    return named or json.dumps(_rounded(item.own_body))
+    return performer((subject for *_, subject in item.runs), np.array(item.own_body))
 
 
 def _floor_tilts(prepared: list[_Prepared]) -> dict[str, Array]:
@@ -462,7 +460,7 @@ def _floor_tilts(prepared: list[_Prepared]) -> dict[str, Array]:
     for item in prepared:
         if item.runs:
             falls[_performer(item)].extend(item.footfalls)
-    return {performer: floor_tilt(each) for performer, each in falls.items()}
+    return {whose: floor_tilt(each) for whose, each in falls.items()}
 
 
 def _all_poses(prepared: list[_Prepared]) -> dict[str, np.ndarray]:
