@@ -24,7 +24,7 @@ from motionkit.evaluation.stability import (
     stability_section,
 )
 from motionkit.evaluation.trial import Trial
-from motionkit.evaluation.variety import variety_section
+from motionkit.evaluation.variety import DRAWN, variety_section
 from motionkit.evaluation.visible import visible_section
 from motionkit.metrics.leaps import fastest_turn
 from motionkit.models.model import MotionModel
@@ -251,7 +251,12 @@ def test_variety_finds_seeds_that_do_the_same(make_trial, monkeypatch: pytest.Mo
     assert rows["cartwheel"][columns.index("recordings to the nearest other, cm")] is None, (
         "it has one recording"
     )
-    assert all(0.0 < row[columns.index("recordings drawn on")] <= 1.0 for row in rows.values())
+    learnt, of_all = columns.index("training recordings drawn on"), columns.index("of all")
+    assert all(0.0 < row[learnt] <= 1.0 and 0.0 < row[of_all] <= 1.0 for row in rows.values())
+    assert rows["running"][learnt] == rows["running"][of_all], "none is held out"
+    goal = next(goal for goal in section.goals if "of the training recordings" in goal.what)
+    reached = [row[learnt] >= DRAWN for row in rows.values()]
+    assert goal.value == pytest.approx(sum(reached) / len(reached))
 
 
 def test_the_fastest_joint_is_found(real: RealMotion) -> None:

@@ -21,6 +21,7 @@ import motionkit as mk
 from motionkit.arrays import Array, Floats
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import PathPart, make_path
+from motionkit.control.reference_player import drawn_evenly
 from motionkit.errors import ModelError, MotionkitError
 from motionkit.inference.character import CharacterStream, model_first_type
 from motionkit.inference.step import NetworkStep
@@ -223,15 +224,18 @@ def test_python_draws_the_same_clips(page: Page) -> None:
         """(seed) => {
           const player = motionkit.link.world.characters.values().next().value.driver.player;
           const random = new player.random.constructor(seed), some = Array.from({ length: 900 }, (_, n) => n);
-          return [random.random(), random.choice("abc".split(""), [5, 1, 900]), random.sample(some, 200),
-                  random.sample(some, 24), random.sample(some.slice(0, 30), 24), random.below(1)];
+          Object.assign(player, { choice: seed, draws: 0 });
+          const places = some.slice(0, 50).map(() => player.place([5, 1, 90, 40]));
+          return [random.random(), random.sample(some, 200), random.sample(some, 24),
+                  random.sample(some.slice(0, 30), 24), random.below(1), places];
         }""",
         12345,
     )
     expected = random.Random(12345)
     assert draws == [
-        expected.random(), expected.choices("abc", [5, 1, 900])[0], expected.sample(range(900), 200),
-        expected.sample(range(900), 24), expected.sample(range(30), 24), expected._randbelow(1),
+        expected.random(), expected.sample(range(900), 200), expected.sample(range(900), 24),
+        expected.sample(range(30), 24), expected._randbelow(1),
+        [drawn_evenly([5, 1, 90, 40], 12345, number) for number in range(1, 51)],
     ]  # fmt: skip
 
 

@@ -33,6 +33,7 @@ RECONSIDERED, CLEARLY = 20, 0.4
 # Share of the recorded trajectory in the one shown, where one is asked for: recorded feet stand where the recording
 # went, and the root-slip correction (inference/slip_correction.py) follows the feet.
 OWN_SHARE = 0.5
+GOLDEN = (5.0**0.5 - 1.0) / 2.0
 
 
 class Left:
@@ -93,10 +94,10 @@ class ReferencePlayer:
     """Plays one reference clip of a type after another for one character; the same choice plays the same.
 
     A type that is one performance is played from its beginning, one recording of it after another. A clip of another
-    type is drawn, the more likely the more of it has not been played yet, and entered in the middle: some frames are
-    drawn, for strikes and jumps shortly before one of them, and the frame most like the present pose is taken. Nothing
-    is played again before all has been played. Where a trajectory is asked for, the player looks for frames that go
-    that way.
+    type is drawn, the more likely the more of it has not been played yet, and by successive choices evenly among all.
+    It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them, and the frame
+    most like the present pose is taken. Nothing is played again before all has been played. Where a trajectory is asked
+    for, the player looks for frames that go that way.
     """
 
     def __init__(
@@ -118,6 +119,7 @@ class ReferencePlayer:
         self._indices: dict[str, MotionIndex] = {}
         self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
         self._since = 0  # frames since the last search
+        self._draws = 0  # clips that have been drawn
 
     def begin(
         self, kind: str, near: Array | None = None, behind: int = 0, trajectory: Array | None = None
@@ -323,7 +325,8 @@ class ReferencePlayer:
     ) -> tuple[ReferenceClip, int]:
         """Of some random entry frames that have not been played the one most like the present pose."""
         found = self._fresh(self.entry_frames(clips))
-        clip, frames = self.random.choices(found, [len(frames) for _, frames in found])[0]
+        self._draws += 1
+        clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self._draws)]
         frames = self.random.sample(frames, min(count, len(frames)))
         if near is None:
             return clip, frames[0]
@@ -371,6 +374,20 @@ class ReferencePlayer:
             for clip, movement in zip(clips, movements, strict=True)
             if (frames := np.flatnonzero((movement >= usual) & (movement <= lively)).tolist())
         ]
+
+
+def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:
+    """Which of some sizes is drawn, the larger the more often, and by successive choices evenly among all.
+
+    Multiples of the golden ratio fill 0 to 1 more evenly than random numbers do, by which twenty choices out of thirty
+    clips would show half of them.
+
+    Args:
+        choice: a whole number of at least 0.
+        number: of the draw by this choice, from 1 on.
+    """
+    share = (choice + 1) * (number * GOLDEN % 1.0) % 1.0
+    return int(np.searchsorted(np.cumsum(sizes), share * sum(sizes), side="right"))
 
 
 def last_poses(model: MotionModel, features: Array) -> Array:

@@ -33,7 +33,7 @@ MOST_RECORDINGS = 16  # of a type, the longest, that are held against the others
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """The recordings of a type as poses: each with its mirror image, and the windows of all."""
+    """Recordings of a type as poses: each with its mirror image, and the windows of all."""
 
     poses: list[Array]
     lengths: Array
@@ -78,6 +78,10 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
         places = [recorded.windows.places(poses) for poses in mine]
         gap, real_gap = mean_pose_gap(mine), mean_pose_gap(recorded.poses)
         drawn = drawn_share(places, recorded.lengths)
+        learnt = recorded_poses([stretch.body for stretch in stretches if stretch.split == "train"])
+        drawn_learnt = None if learnt is None else drawn_share(
+            [learnt.windows.places(poses) for poses in mine], learnt.lengths
+        )  # fmt: skip
         near = float(np.concatenate([place.distances for place in places]).mean())
         stretch = max(place.longest_stretch() for place in places)
         take_apart, take_stretch = _against_others(recorded)
@@ -85,24 +89,26 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
         real_loop = _recorded_loop(recorded)
         seconds = sum(stretch.body.seconds for stretch in stretches)
         rows.append((
-            kind, gap, real_gap, drawn, len(recorded.poses), near, take_apart, stretch, take_stretch, loop, real_loop,
+            kind, gap, real_gap, drawn_learnt, drawn, len(recorded.poses), near, take_apart, stretch, take_stretch,
+            loop, real_loop,
         ))  # fmt: skip
         if gap is not None and real_gap is not None:
             judge("apart", kind, gap >= APART * real_gap)
-        judge("drawn", kind, drawn >= DRAWN)
+        if drawn_learnt is not None:
+            judge("drawn", kind, drawn_learnt >= DRAWN)
         if take_apart is not None:
             judge("far", kind, near >= FROM_RECORDINGS * take_apart)
         if seconds >= LONG_SECONDS and real_loop is None and not trial.model.types[kind].steered:
             judge("loop", kind, loop is None)
         progress(0.7 + 0.3 * (number + 1) / len(kinds))
     columns = (
-        "type", "seeds apart, cm", "recordings apart, cm", "recordings drawn on", "recordings", "nearest recording, cm",
-        "recordings to the nearest other, cm", "along one recording, s", "recordings along another, s", "loop, s",
-        "recorded loop, s",
+        "type", "seeds apart, cm", "recordings apart, cm", "training recordings drawn on", "of all", "recordings",
+        "nearest recording, cm", "recordings to the nearest other, cm", "along one recording, s",
+        "recordings along another, s", "loop, s", "recorded loop, s",
     )  # fmt: skip
     names = {
         "apart": f"seeds at least {APART:g} times as far apart as recordings: share of types",
-        "drawn": f"{trial.settings.seeds} seeds draw on {DRAWN:.0%} of the recordings: share of types",
+        "drawn": f"{trial.settings.seeds} seeds draw on {DRAWN:.0%} of the training recordings: share of types",
         "far": "as far from the nearest recording as another take of it: share of types",
         "loop": f"no loop within {LONG_SECONDS:g} s where that much is recorded: share of types",
     }
@@ -113,7 +119,8 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
         "below the root and to the heading, in cm per joint",
         "apart: mean distance of the poses of two seeds, or of two recordings, at equal times from their beginnings",
         "drawn on: share of the recordings, by length, that half a second of some roll-out is nearest to, mirror "
-        "images included; nearest recording: mean distance of these half seconds; beside it, that of a recording to "
+        "images included: of those to learn from, and of all, held-out ones too; nearest recording: mean distance of "
+        "these half seconds; beside it, that of a recording to "
         "the others",
         "along one recording: longest time for which the nearest place goes on at its own pace",
         f"loop: shortest time from {LOOP_SECONDS:g} s on after which the long roll-out repeats itself; gaits repeat by "

@@ -11,6 +11,7 @@ const STATE = [0, 5, 15, 30]; // frames ago
 const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, SUITED] = [24, 200, 20, 2];
 const [SHORTEST_BLEND, LONGEST_BLEND] = [15, 45]; // frames
 const [RECONSIDERED, CLEARLY, OWN_SHARE] = [20, 0.4, 0.5];
+const GOLDEN = (Math.sqrt(5) - 1) / 2;
 
 export class Player {
   /**
@@ -19,7 +20,7 @@ export class Player {
    * @param {number} ownShare of the recorded trajectory in one that is asked for
    */
   constructor(model, choice = 0, ownShare = OWN_SHARE) {
-    Object.assign(this, { model, random: new PythonRandom(choice), choice, ownShare, type: -1, clip: null, at: 0, left: null, pause: null });
+    Object.assign(this, { model, random: new PythonRandom(choice), choice, ownShare, draws: 0, type: -1, clip: null, at: 0, left: null, pause: null });
     Object.assign(this, { played: new Map(), indices: new Map(), since: 0 });
   }
 
@@ -210,11 +211,20 @@ export class Player {
     const fresh = found.map(([clip, frames]) => [clip, frames.filter((at) => !this.#playedOf(clip)[at])]).filter(([, frames]) => frames.length);
     if (fresh.length) found = fresh;
     else found.forEach(([clip]) => this.#playedOf(clip).fill(0));
-    const [clip, all] = this.random.choice(found, found.map(([, frames]) => frames.length));
+    const [clip, all] = found[this.place(found.map(([, frames]) => frames.length))];
     const frames = this.random.sample(all, Math.min(count, all.length));
     if (!near) return [clip, frames[0]];
     const costs = frames.map((at) => squared(this.#state(clip, at), near));
     return [clip, frames[costs.indexOf(Math.min(...costs))]];
+  }
+
+  // Which of some sizes is drawn next, the larger the more often, and by successive choices evenly among all.
+  place(sizes) {
+    this.draws += 1;
+    const share = ((this.choice + 1) * ((this.draws * GOLDEN) % 1)) % 1;
+    const drawn = share * sizes.reduce((sum, size) => sum + size, 0);
+    let sum = 0;
+    return sizes.findIndex((size) => (sum += size) > drawn);
   }
 
   // The pose of a frame and those before it.

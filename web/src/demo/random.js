@@ -54,15 +54,6 @@ export class PythonRandom {
     return drawn;
   }
 
-  /** One of some, as choices(some, weights)[0] draws it. */
-  choice(some, weights) {
-    const total = weights.reduce((sum, weight) => sum + weight, 0);
-    const drawn = this.random() * total;
-    let sum = 0;
-    const found = weights.findIndex((weight) => (sum += weight) > drawn);
-    return some[found < 0 ? some.length - 1 : found];
-  }
-
   /** So many of some, each at most once, as sample(some, count) draws them. */
   sample(some, count) {
     const small = 21 + (count > 5 ? 4 ** Math.ceil(Math.log(count * 3) / Math.log(4)) : 0);
