@@ -33,7 +33,9 @@ RECONSIDERED, CLEARLY = 20, 0.4
 # Share of the recorded trajectory in the one shown, where one is asked for: recorded feet stand where the recording
 # went, and the root-slip correction (inference/slip_correction.py) follows the feet.
 OWN_SHARE = 0.5
-GOLDEN = (5.0**0.5 - 1.0) / 2.0
+# Multiples of the first number fill 0 to 1 most evenly; those of the second give each draw another beginning.
+GOLDEN, OTHER = (5.0**0.5 - 1.0) / 2.0, 2.0**0.5 - 1.0
+SIBLINGS = 32  # successive choices that draw evenly
 
 
 class Left:
@@ -379,14 +381,13 @@ class ReferencePlayer:
 def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:
     """Which of some sizes is drawn, the larger the more often, and by successive choices evenly among all.
 
-    Multiples of the golden ratio fill 0 to 1 more evenly than random numbers do, by which twenty choices out of thirty
-    clips would show half of them.
+    Random draws would show half of thirty clips by twenty choices.
 
     Args:
         choice: a whole number of at least 0.
         number: of the draw by this choice, from 1 on.
     """
-    share = (choice + 1) * (number * GOLDEN % 1.0) % 1.0
+    share = (choice * GOLDEN + number * OTHER * (choice // SIBLINGS + 1)) % 1.0
     return int(np.searchsorted(np.cumsum(sizes), share * sum(sizes), side="right"))
 
 

@@ -11,7 +11,7 @@ const STATE = [0, 5, 15, 30]; // frames ago
 const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, SUITED] = [24, 200, 20, 2];
 const [SHORTEST_BLEND, LONGEST_BLEND] = [15, 45]; // frames
 const [RECONSIDERED, CLEARLY, OWN_SHARE] = [20, 0.4, 0.5];
-const GOLDEN = (Math.sqrt(5) - 1) / 2;
+const [GOLDEN, OTHER, SIBLINGS] = [(Math.sqrt(5) - 1) / 2, Math.sqrt(2) - 1, 32];
 
 export class Player {
   /**
@@ -221,7 +221,7 @@ export class Player {
   // Which of some sizes is drawn next, the larger the more often, and by successive choices evenly among all.
   place(sizes) {
     this.draws += 1;
-    const share = ((this.choice + 1) * ((this.draws * GOLDEN) % 1)) % 1;
+    const share = (this.choice * GOLDEN + this.draws * OTHER * (Math.floor(this.choice / SIBLINGS) + 1)) % 1;
     const drawn = share * sizes.reduce((sum, size) => sum + size, 0);
     let sum = 0;
     return sizes.findIndex((size) => (sum += size) > drawn);
