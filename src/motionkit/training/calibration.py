@@ -31,7 +31,7 @@ ENOUGH = 0.95
 def calibrated_gains(
     model: MotionModel, dataset: Dataset, frames: int, seeds: Sequence[int] = SEEDS
 ) -> dict[str, float]:
-    """Return the reference gain of each type that reference poses move, but standing ones, by the speed of its joints.
+    """Return the reference gain of each type that reference poses move, by the speed of its joints.
 
     The gain is the smallest of at least 1 with which roll-outs are ENOUGH times as fast as the training recordings.
 
@@ -45,7 +45,7 @@ def calibrated_gains(
     moved = {
         kind
         for kind, known in model.types.items()
-        if kind in dataset.types and not known.stands and known.reference_clips
+        if kind in dataset.types and known.reference_clips
     }
     real = recorded_speeds(dataset, moved)
     speeds = np.stack(
