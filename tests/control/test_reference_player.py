@@ -22,7 +22,7 @@ from motionkit.control.reference_player import (
     drawn_evenly,
     last_poses,
 )
-from motionkit.control.script import TypePart, plan_controls
+from motionkit.control.script import TypePart, plan_controls, whole_performances
 from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
@@ -120,6 +120,28 @@ def test_another_performance_follows_after_a_pause_that_leads_over(flips: Motion
     steps = np.diff(asked.reference[length - 1 : length + PAUSE], axis=0)
     assert float(np.linalg.norm(steps, axis=1).max()) < 1.5 * float(np.linalg.norm(way)) / PAUSE + 1e-4
     assert flips.phase_seconds("cartwheel") == pytest.approx(length / flips.fps)
+
+
+def test_a_performance_begins_after_another_one_by_a_pause(flips: MotionModel) -> None:
+    """What stands at its end would be over its hands in a few frames."""
+    model = replace(flips, types={**flips.types, "jumping-l": flips.types["cartwheel"]})
+    clip = flips.types["cartwheel"].reference_clips[0]
+    model, length = with_clips(model, {"cartwheel": [clip], "jumping-l": [clip]}), len(clip)
+    seconds = length / flips.fps
+    parts = [TypePart("cartwheel", seconds), TypePart("jumping-l", seconds), TypePart("idle", 1.0)]
+    whole = whole_performances(model, parts)
+    assert [round(part.seconds * flips.fps) for part in whole] == [length, PAUSE + length, 60]
+    asked = plan_controls(model, whole, NEAR)
+    assert (asked.phase[length : length + PAUSE] < 0.0).all()
+    assert np.array_equal(asked.phase[length + PAUSE : 2 * length + PAUSE], clip.phases)
+    # No pause where the first is not shown to its end, and none is asked for where there is time.
+    short = [TypePart("cartwheel", 0.5 * seconds), TypePart("jumping-l", seconds), TypePart("idle", 1.0)]
+    assert [part.seconds for part in whole_performances(model, short)] == pytest.approx(
+        [part.seconds for part in short], abs=1.0 / flips.fps
+    )
+    assert (plan_controls(model, short, NEAR).phase[round(0.5 * length) : length] >= 0.0).all()
+    long = [TypePart("cartwheel", seconds), TypePart("jumping-l", seconds + 1.0), TypePart("idle", 1.0)]
+    assert sum(part.seconds for part in whole_performances(model, long)) == pytest.approx(2.0 * seconds + 2.0)
 
 
 def test_a_performance_to_the_other_side_is_not_taken_for_the_one_that_was_begun(flips: MotionModel) -> None:

@@ -124,7 +124,12 @@ class ReferencePlayer:
         self._draws = 0  # clips that have been drawn
 
     def begin(
-        self, kind: str, near: Array | None = None, behind: int = 0, trajectory: Array | None = None
+        self,
+        kind: str,
+        near: Array | None = None,
+        behind: int = 0,
+        trajectory: Array | None = None,
+        paused: bool = False,
     ) -> None:
         """Change to a type.
 
@@ -132,6 +137,7 @@ class ReferencePlayer:
             near: (S, 24) embeddings of the present pose and of those STATE_FRAMES ago; those played by default.
             behind: frames of a performance that have been shown already.
             trajectory: (24,) the trajectory asked for, which the frame entered should suit.
+            paused: lead to the beginning of a performance over a pause, from the end of another one (ends).
         """
         if near is None:
             near = self._present()
@@ -154,6 +160,13 @@ class ReferencePlayer:
         # A performance begins without a blend: a handspring is over the hands before the blend would be.
         if left is not None and not self.clip.performed:
             self.left = Left(left, left_at, self.clip, self.at, before)
+        elif left is not None and paused:
+            self.pause = Pause(left, self.clip, self.at)
+
+    @property
+    def ends(self) -> bool:
+        """Whether a performance has been played to its end."""
+        return self.clip is not None and self.clip.performed and self.at >= len(self.clip)
 
     @property
     def speed(self) -> float | None:

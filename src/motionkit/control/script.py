@@ -85,18 +85,24 @@ def whole_performances(model: MotionModel, parts: Sequence[TypePart], behind: in
     """The parts with whole performances: what is left of their time goes to the next part.
 
     A body whose type changes while it is upside down has no way to go on but to flip over. The last part keeps its
-    time, and so does one that is shorter than a performance.
+    time, and so does one that is shorter than a performance. A performance after another begins after a pause, and gets
+    the time of the pause besides where it would lack it.
 
     Args:
         behind: frames of the first part's performance that have been shown already.
     """
-    out, left = [], 0.0
+    out, left, ended = [], 0.0, False
+    pause, frame = PAUSE / model.fps, 1.0 / model.fps
     for number, part in enumerate(parts):
         seconds, left = round(part.seconds * model.fps) / model.fps + left, 0.0
         length = model.phase_seconds(part.type) if _turns_over(model, part.type) else 0.0
         first = length - (behind / model.fps if number == 0 else 0.0)
+        if length and ended:
+            first += pause
+            seconds = first if first - pause - frame < seconds < first else seconds
+        ended = bool(length) and seconds > first - frame
         if length and first > 0.0 and number + 1 < len(parts) and seconds > first:
-            again = length + PAUSE / model.fps
+            again = length + pause
             whole = round((first + again * int((seconds - first) / again)) * model.fps) / model.fps
             seconds, left = whole, seconds - whole
         out.append(TypePart(part.type, seconds))
@@ -151,11 +157,11 @@ def plan_controls(
     player = ReferencePlayer(model, choice)
     asked = []
     for number, part in enumerate(parts):
-        before = player.speed
-        player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0)
+        before, paused = player.speed, player.ends and _turns_over(model, part.type)
+        player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0, paused=paused)
         clip, at = player.clip, player.at
         controls = player.play(max(1, round(part.seconds * model.fps)))
-        if before is not None and clip is not None:
+        if before is not None and clip is not None and not paused:
             controls = carried_over(controls, clip.ground[at:], before, model.fps)
         asked.append(controls)
     weights = plan_weights(model, parts)

@@ -42,11 +42,7 @@ def calibrated_gains(
     """
     if not model.uses_references:
         return {}
-    moved = {
-        kind
-        for kind, known in model.types.items()
-        if kind in dataset.types and known.reference_clips
-    }
+    moved = {kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips}
     real = recorded_speeds(dataset, moved)
     speeds = np.stack(
         [_speeds(with_gains(model, dict.fromkeys(real, gain)), frames, seeds) for gain in GAINS]
