@@ -27,7 +27,7 @@ from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import ReferenceClip
+from motionkit.models.motion_type import ReferenceClip, recorded_rhythm
 
 NEAR = np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32)
 
@@ -361,6 +361,27 @@ def test_without_recordings_a_clock_counts_the_phase(flips: MotionModel) -> None
     assert player.event_frames() == length
     player.begin("walking")
     assert player.event_frames() == 0
+
+
+def test_jumps_without_recordings_keep_their_pace_and_period(tiny_model: MotionModel) -> None:
+    jump = np.r_[np.full(10, -1.0), np.arange(60) / 60.0, np.full(20, -1.0)].astype(
+        np.float32
+    )  # one in 90 frames
+    twice = np.r_[np.arange(45) / 60.0, np.arange(45) / 60.0, np.full(60, -1.0)].astype(
+        np.float32
+    )  # two in 150
+    clips = [recording(90, jump), recording(150, twice), recording(90, jump)]
+    model = with_clips(tiny_model, {"jumping-l": clips}).with_reference("none")
+    rhythm = model.types["jumping-l"].rhythm
+    assert rhythm is not None and rhythm.frames == pytest.approx(60.0) and rhythm.period == 90
+    phases = plan_controls(model, [TypePart("jumping-l", 3.0)], NEAR).phase
+    assert phases[[0, 30, 59]] == pytest.approx([0.0, 0.5, 59 / 60], abs=1e-4) and (phases[60:90] < 0.0).all()
+    assert phases[90] == 0.0
+    assert ReferencePlayer(model).event_frames() == 0, "of no type"
+    # Of strikes one half of the phase is left and one is right: a clock goes through both.
+    strike = np.r_[np.full(10, -1.0), 0.5 + np.arange(30) / 60.0, np.full(20, -1.0)].astype(np.float32)
+    assert recorded_rhythm([recording(60, strike)]) is None
+    assert recorded_rhythm([recording(60)]) is None
 
 
 def test_references_are_auto_or_none(flips: MotionModel) -> None:

@@ -14,7 +14,7 @@ from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
 from motionkit.features.control import Controls, future_trajectory
 from motionkit.features.reference import reference_signal
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionType, ReferenceClip
+from motionkit.models.motion_type import MotionType, ReferenceClip, Rhythm
 
 # Random entry frames of a clip, of which the one most like the present pose is taken. Few at a change of type: of many,
 # the one most like a standing body is one where nothing happens. Many to go on within a type.
@@ -147,7 +147,10 @@ class ReferencePlayer:
         self.left = self.pause = None
         clips = self._type.reference_clips
         if not clips:
-            self.at = behind
+            self.at, self.rights = (
+                behind,
+                not behind and bool(self.choice % 2),
+            )  # start poses begin with a left one
             return
         if self._type.performed:
             self.clip = self._performance(clips, near, behind)
@@ -178,7 +181,7 @@ class ReferencePlayer:
     def event_frames(self) -> int:
         """Frames from here to the end of the next strike or jump, zero if none comes."""
         if self.clip is None:
-            return self._cycle_frames
+            return 0 if self._rhythm is None else round(self._rhythm.frames)
         ahead = (self.clip.phases[self.at :] >= 0.0).tolist()
         if True not in ahead:
             return 0
@@ -265,17 +268,17 @@ class ReferencePlayer:
         return asked if trajectory is None else replace(asked, trajectory=trajectory).with_mask(1.0)
 
     @property
-    def _cycle_frames(self) -> int:
-        """Frames of a performance, strike or jump of the type; 0 without."""
-        return round(self.model.phase_seconds(self.kind) * self.model.fps)
+    def _rhythm(self) -> Rhythm | None:
+        """Of the performances, strikes or jumps of a type without recordings; None for other types."""
+        length = round(self.model.phase_seconds(self.kind) * self.model.fps)
+        return (self._type.rhythm or Rhythm(length, length + PAUSE)) if length else None
 
     def _clock(self, count: int) -> Array:
-        """Phases (count,) of a type without recordings: one performance after another, with pauses between them."""
-        length = self._cycle_frames
-        if not length:
+        """Phases (count,) of a type without recordings, in its rhythm."""
+        rhythm = self._rhythm
+        if rhythm is None:
             return np.full(count, -1.0, np.float32)
-        frame = np.arange(self.at, self.at + count) % (length + PAUSE)
-        return np.where(frame < length, frame / length, -1.0).astype(np.float32)
+        return rhythm.phases(self.at, count)
 
     def _trajectory(self, clip: ReferenceClip, frames: Array, trajectories: Array | None) -> Array | None:
         """The trajectories (T, 24) to show at frames of a clip, None for none."""

@@ -15,7 +15,7 @@ from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
 from motionkit.models.architectures import PredictorConfig
-from motionkit.models.motion_type import MotionType
+from motionkit.models.motion_type import MotionType, recorded_rhythm
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 
@@ -115,8 +115,8 @@ class MotionModel:
     def with_reference(self, choice: str) -> MotionModel:
         """The model as it is ("auto"), or without its reference recordings ("none").
 
-        Without them no poses, phases or ground paths of a recording are played. Performances, strikes and jumps keep
-        their length, from which their phase is counted.
+        Without them no poses, phases or ground paths of a recording are played. Performances and strikes keep
+        their length and jumps their rhythm, by which their phase is counted.
 
         Raises:
             ControlError: for another choice.
@@ -127,10 +127,11 @@ class MotionModel:
             return self
         changes: dict[str, dict[str, Any]] = {}
         for name, kind in self.types.items():
-            changes[name] = {"reference_clips": ()}
+            rhythm = None if kind.performed else recorded_rhythm(kind.reference_clips)
+            changes[name] = {"reference_clips": (), "rhythm": rhythm}
             if kind.gait is not None:
-                cycle = replace(kind.gait, cycle_seconds=self.phase_seconds(name))
-                changes[name]["gait"] = cycle
+                seconds = self.phase_seconds(name) if rhythm is None else rhythm.frames / self.fps
+                changes[name]["gait"] = replace(kind.gait, cycle_seconds=seconds)
         return replace(self.with_types(changes), uses_references=False)
 
     def character(self, name: str) -> Skeleton:

@@ -14,6 +14,7 @@ from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT
 
 MOVEMENT_FRAMES = 120
+JUMP_OF_PHASE = 0.1  # in a frame, between one strike or jump and the next
 # A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
 # Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
 # mean (RMS over joints). On CMU motion gaits have 12 to 18 cm, ducking under obstacles 24, hops 23, balancing 18.
@@ -102,6 +103,44 @@ class ReferenceClip:
         return (sums[ends] - sums[frames]) / (ends - frames)
 
 
+@dataclass(frozen=True)
+class Rhythm:
+    """How jumps or performances of a type follow one another, in frames.
+
+    Attributes:
+        frames: in which the phase goes from 0 to 1.
+        period: from the beginning of one to that of the next.
+    """
+
+    frames: float
+    period: int
+
+    def phases(self, begin: int, count: int) -> Array:
+        """Phases (count,) of frames from one on, counted from the beginning of the first; negative between two."""
+        phase = np.arange(begin, begin + count) % self.period / self.frames
+        return np.where(phase < 1.0, phase, -1.0).astype(np.float32)
+
+
+def recorded_rhythm(clips: Sequence[ReferenceClip]) -> Rhythm | None:
+    """The usual rhythm of the jumps in reference clips: their pace, and how many a clip has of what length.
+
+    None without any, and for strikes, whose sides take half of the phase each.
+    """
+    rates, periods = [], []
+    for clip in clips:
+        step = np.diff(clip.phases)
+        within = (clip.phases[1:] >= 0.0) & (clip.phases[:-1] >= 0.0) & (np.abs(step) < JUMP_OF_PHASE)
+        rates += step[within & (step > 0.0)].tolist()
+        begins = clip.phases[1:][(clip.phases[1:] >= 0.0) & ~within]
+        if (np.abs(begins - 0.5) < 0.5 * JUMP_OF_PHASE).any():
+            return None
+        if len(begins):
+            periods.append(len(clip) / len(begins))
+    if not rates or not periods:
+        return None
+    return Rhythm(round(1.0 / float(np.median(rates)), 1), round(float(np.median(periods))))
+
+
 @dataclass(frozen=True, eq=False)
 class MotionType:
     """One motion type of a model.
@@ -112,6 +151,7 @@ class MotionType:
         gait: how it moves over the ground; None where nothing was measured.
         preset: how its frames are drawn.
         steered: whether velocity alone steers it, without reference poses: gaits, and standing still.
+        rhythm: of the jumps of a model whose recordings have been left out; None for other types.
     """
 
     start_poses: tuple[StartPose, ...] = ()
@@ -119,6 +159,7 @@ class MotionType:
     gait: Gait | None = None
     preset: SamplingPreset = field(default_factory=SamplingPreset)
     steered: bool = False
+    rhythm: Rhythm | None = None
 
     @property
     def stands(self) -> bool:
