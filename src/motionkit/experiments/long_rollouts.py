@@ -33,7 +33,8 @@ LONG_HEADER = (
 )  # fmt: skip
 CHUNK = 200  # frames that are compared at a time
 # Of the recording that was held out: a roll-out that is further from the training clips than this many times its
-# distance, or whose feet swing this many times more or less, has fallen apart.
+# distance, or whose feet swing this many times more or less, has fallen apart; so has one that goes faster than any
+# training stretch of its type.
 APART = 2.0
 
 
@@ -127,6 +128,7 @@ def long_rollout(
     ]
     swings = [_swing(features[part][:, feet]) for part in parts]
     swing = _swing(data.features[INITIAL:, feet])
+    speeds, fastest = [_speed(motion, part) for part in parts], _fastest(dataset, kind)
     facts = {
         "type": kind,
         "clip": sequence.clip.name,
@@ -136,9 +138,12 @@ def long_rollout(
         "distance-recorded": float(f"{real:.4g}"),
         "swing": swings,
         "swing-recorded": swing,
-        "speed": [_speed(motion, part) for part in parts],
+        "speed": speeds,
         "speed-recorded": _speed(recorded, after),
-        "holds": max(apart) < APART * real and all(swing / APART < s < swing * APART for s in swings),
+        "speed-fastest": fastest,
+        "holds": max(apart) < APART * real
+        and all(swing / APART < s < swing * APART for s in swings)
+        and max(speeds) <= fastest,
     }
     return LongRollout(kind, motion, facts)
 
@@ -175,6 +180,18 @@ def _speed(motion: Motion, frames: Array) -> float:
     """Mean speed of the root over the ground in cm/s."""
     way = np.diff(motion.root_positions[frames][:, [0, 2]].astype(np.float64), axis=0)
     return float(f"{np.linalg.norm(way, axis=1).mean() * motion.fps:.4g}")
+
+
+def _fastest(dataset: Dataset, kind: str) -> float:
+    """Mean speed over the ground, in cm/s, of the fastest training stretch of a type that lasts a second."""
+    number, speeds = dataset.types.index(kind), [0.0]
+    for clip in dataset.select("train"):
+        data = dataset.read(clip)
+        for start, end, shown in type_stretches(data.types):
+            if shown == number and end - start >= dataset.fps:
+                steps = np.linalg.norm(np.diff(data.ground[start:end, :2].astype(np.float64), axis=0), axis=1)
+                speeds.append(float(steps.mean()) * dataset.fps)
+    return float(f"{max(speeds):.4g}")
 
 
 def long_row(facts: dict[str, Any]) -> tuple[str, ...]:

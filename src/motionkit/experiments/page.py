@@ -98,11 +98,11 @@ network's own prediction, fed back, and frames are drawn at full sigma. Each rol
 distance of its poses to the nearest pose in the training clips of the type (root mean square over joints, in the
 heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
 those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
-recording is, and its feet swing between half and {apart:g} times as far. `motionkit experiment long MODEL` makes them,
-and `motionkit train datasets/paper --preset tptn-paper --budget medium --steps 6000 --from-scratch` a model for it,
-of all types; tptn-paper-3500 is such a run, stopped after 3,498 steps, tptn-paper-600 one with `--budget short
---steps 600`. The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
-tptn-medium is the first seed of TPTN at that budget.
+recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest training
+clip of its type. `motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset tptn-paper
+--budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all types; tptn-paper-26500 is such a run on
+one core, stopped after 26,496 steps and 100 minutes. The networks of `experiment run` lie in experiments/checkpoints;
+those of D_L know no dance (`--type`). tptn-medium is the first seed of TPTN at that budget.
 """
 
 
