@@ -98,7 +98,7 @@ LEG_JOINTS = np.array(
 HIPS, KNEES, ANKLES, TOES = LEG_JOINTS
 
 # Knees bent less than this (sine of the angle) take their axis more and more from the thigh.
-BENT, THIGH_SHARE = 0.3, 0.3
+BENT, THIGH_SHARE = 0.3, 0.2
 # Cosine between the axis a knee is bent about and the thigh's side from which on it counts as that of its hinge.
 ALIKE = 0.3
 # A knee that is bent backwards is stretched, and goes over to bending forwards while its leg shortens; so many times as
