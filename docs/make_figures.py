@@ -256,7 +256,7 @@ def reference_poses(model: MotionModel) -> Any:
     )
     below.plot(time, positions[:, hand, 1], color=RIGHT, label="made")
     below.axvline(at / 60, color=FAINT, lw=4, zorder=0)
-    below.set(xlabel="seconds", ylabel="right hand, cm", ylim=(85, 130))
+    below.set(xlabel="seconds", ylabel="right hand, cm", ylim=(85, None))
     below.legend(loc="upper right", ncols=2)
     return figure
 
