@@ -116,7 +116,7 @@ def command(
         if count > MAX_MOTIONS:
             raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
     from motionkit.control.keys import check_length, read_keys
-    from motionkit.control.script import parse_types
+    from motionkit.control.script import parse_types, whole_performances
     from motionkit.control.synthesize import SynthesisOptions, synthesize
 
     if loops and keys_file is not None:
@@ -138,7 +138,8 @@ def command(
     check_length(keys, min(sum(part.seconds for part in plan) for plan in plans))
     drawn = make_noise(noise, temperature, model)
     options = SynthesisOptions(count, seed, drawn, character, init, ik, fps, keys=keys)
-    frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in plans)
+    whole = [whole_performances(model, plan) for plan in plans]
+    frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in whole)
     announce(frames / model.fps, model.fps, options)
     with progress_bar() as bar:
 
