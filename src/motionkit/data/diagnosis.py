@@ -18,7 +18,7 @@ from motionkit.data.cleaning import clean
 from motionkit.data.events import jumps_of
 from motionkit.data.glitches import find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources
-from motionkit.data.level import floor_tilt, footfalls, performer
+from motionkit.data.level import floor_tilts, footfalls, performer
 from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
 from motionkit.data.repeat import LEAST_FRAMES
 from motionkit.errors import MotionkitError
@@ -159,10 +159,7 @@ def diagnose(
 
 def _with_tilts(clips: list[ClipFacts], standing: list[_Standing | None]) -> list[ClipFacts]:
     """The clips with the tilt of the floor under their performers."""
-    falls: dict[str, list[Array]] = defaultdict(list)
-    for stands in filter(None, standing):
-        falls[stands.performer].extend(stands.footfalls)
-    tilts = {whose: floor_tilt(each) for whose, each in falls.items()}
+    tilts = floor_tilts((stands.performer, stands.footfalls) for stands in standing if stands is not None)
     return [
         clip if stands is None else replace(clip, tilt=tuple(tilts[stands.performer].round(4).tolist()))
         for clip, stands in zip(clips, standing, strict=True)

@@ -7,6 +7,7 @@ one shift of the height fits only the middle of a clip.
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
@@ -56,6 +57,18 @@ def _cells(places: Array) -> Array:
     sums = np.zeros((len(counts), 3))
     np.add.at(sums, cell.reshape(-1), places)
     return sums / counts[:, None]
+
+
+def floor_tilts(standing: Iterable[tuple[str, Sequence[Array]]]) -> dict[str, Array]:
+    """The tilt (2,) of the floor under each performer, from all of the performer's clips.
+
+    Args:
+        standing: performer and footfalls of each clip.
+    """
+    falls: dict[str, list[Array]] = defaultdict(list)
+    for whose, each in standing:
+        falls[whose].extend(each)
+    return {whose: floor_tilt(groups) for whose, groups in falls.items()}
 
 
 def floor_tilt(groups: Sequence[Array]) -> Array:

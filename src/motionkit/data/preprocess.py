@@ -27,7 +27,7 @@ from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.folder import MANIFEST, MOTIONS, ArrayWriter, may_replace, put_in_place, staging_folder
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
-from motionkit.data.level import floor_tilt, footfalls, levelled, performer
+from motionkit.data.level import floor_tilts, footfalls, levelled, performer
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
 from motionkit.data.twins import mirrored_types, type_poses
@@ -383,7 +383,8 @@ def _pass_two(
     clips: list[Clip] = []
     bodies: list[list[list[float]]] = []
     row = 0
-    tilts = _floor_tilts(prepared) if options.level and options.smooth else {}
+    levels = options.level and options.smooth
+    tilts = floor_tilts((_performer(p), p.footfalls) for p in prepared if p.runs) if levels else {}
     items = [
         (p, reference_rotations, options.layout, options.smooth, tilts.get(_performer(p), np.zeros(2)))
         for p in prepared
@@ -452,15 +453,6 @@ def _pass_two(
 
 def _performer(item: _Prepared) -> str:
     return performer((subject for *_, subject in item.runs), np.array(item.own_body))
-
-
-def _floor_tilts(prepared: list[_Prepared]) -> dict[str, Array]:
-    """The tilt of the floor under each performer, from all of the performer's clips."""
-    falls: dict[str, list[Array]] = defaultdict(list)
-    for item in prepared:
-        if item.runs:
-            falls[_performer(item)].extend(item.footfalls)
-    return {whose: floor_tilt(each) for whose, each in falls.items()}
 
 
 def _all_poses(prepared: list[_Prepared]) -> dict[str, np.ndarray]:
