@@ -14,13 +14,15 @@ from motionkit.training.options import OptimizerOptions, Stage, TrainOptions, wi
 from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 
-# A run from random weights. At first no prediction is near enough to be an input. Feet are to stand where they stood
+# A run from random weights. At first no prediction is near enough to be an input. To follow reference poses is soon
+# learnt, to move without them is not: for most of the run few windows have them. Feet are to stand where they stood
 # once there are steps to speak of, and what is still hard is shown more often at the end (docs/learning.md).
 STAGES = (
-    Stage(0.0, {"share": 0.0}),
+    Stage(0.0, {"share": 0.0, "reference_dropout": 0.8}),
     Stage(0.04, {"share": 0.4}),
     Stage(0.4, {"step_weight": 35.0}),
     Stage(0.6, {"balance": 0.9}),
+    Stage(0.8, {"reference_dropout": 0.5}),
 )
 
 # Paper section 4.3: 56 windows of 300 frames cut at intervals by type, AdamW, learning rate 1e-4 halved every 500 of
