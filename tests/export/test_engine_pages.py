@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -89,14 +88,29 @@ def test_a_vrm_avatar_dances(node: str, site: str, open_page: Callable[..., Any]
 
 
 def lines_of(words: list[str], folder: Path, count: int) -> list[str]:
-    """The first lines of numbers that a program which goes on for ever prints."""
+    """The first lines of numbers that a program prints, which goes on for ever or is stopped after a minute."""
     client = subprocess.Popen(words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     assert client.stdout is not None
+    stop = threading.Timer(60, client.kill)
+    stop.start()
+    said: list[str] = []
     try:
-        return list(islice((line for line in client.stdout if re.match(r"\(|\d", line)), count))
+        for line in client.stdout:
+            said.append(line)
+            if sum(map(is_numbers, said)) == count:
+                break
     finally:
+        stop.cancel()
         client.kill()
         client.communicate()
+    found = [line for line in said if is_numbers(line)]
+    assert len(found) == count, f"{words} printed {''.join(said[-20:])!r}"
+    return found
+
+
+def is_numbers(line: str) -> bool:
+    """Whether a line begins as a number or a vector does."""
+    return re.match(r"\(|\d", line) is not None
 
 
 @pytest.fixture
@@ -114,9 +128,7 @@ def live_lines(server: Running, folder: Path, page: str, words: list[str]) -> se
     assert server.addresses.tcp is not None
     text = program(page, words[-1]).replace("8643", str(server.addresses.tcp[1]))
     (folder / words[-1]).write_text(text)
-    found = lines_of(words, folder, 60)
-    assert len(found) == 60
-    return set(found)
+    return set(lines_of(words, folder, 60))
 
 
 def test_node_reads_live_frames(node: str, serve: Callable[..., Running], tmp_path: Path) -> None:  # noqa: F811
@@ -128,13 +140,24 @@ def test_godot_reads_live_frames(godot: str, serve: Callable[..., Running], tmp_
 
 
 def import_files(godot: str, folder: Path) -> None:
-    """Let the editor import what lies in a project; it does not always end by itself afterwards."""
-    words = [godot, "--editor", "--quit"]
-    with subprocess.Popen(words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as editor:
-        end = time.monotonic() + 100
-        while editor.poll() is None and not list(folder.glob(".import/*.md5")) and time.monotonic() < end:
-            time.sleep(0.2)
-        editor.kill()
+    """Let the editor import what lies in a project. Now and then it hangs before, and often afterwards."""
+    for _ in range(4):
+        words = [godot, "--editor", "--quit"]
+        with subprocess.Popen(
+            words, cwd=folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        ) as editor:
+            end = time.monotonic() + 25
+            while editor.poll() is None and not imported(folder) and time.monotonic() < end:
+                time.sleep(0.2)
+            editor.kill()
+        if imported(folder):
+            return
+    raise AssertionError(f"{godot} did not import the files of {folder}")
+
+
+def imported(folder: Path) -> bool:
+    """Whether the editor has written what it makes of a project's files; the checksum comes last."""
+    return any(folder.glob(".import/*.md5"))
 
 
 def test_godot_takes_root_motion(godot: str, tmp_path: Path) -> None:
@@ -143,6 +166,5 @@ def test_godot_takes_root_motion(godot: str, tmp_path: Path) -> None:
     import_files(godot, tmp_path)
     steps = lines_of([godot, "--script", "root_motion.gd"], tmp_path, 30)
     moved = [float(line.strip("()\n").split(",")[2]) for line in steps]
-    assert len(moved) == 30
     speed = float(make_walk(90).root_positions[-1, 2] - make_walk(90).root_positions[0, 2]) / 100 / 89
     assert sum(moved) / 30 == pytest.approx(speed, rel=0.15)
