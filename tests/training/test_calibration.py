@@ -1,8 +1,9 @@
-"""Reference gains, found by the speed of roll-outs."""
+"""Reference gains, found by how roll-outs move."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,52 +13,93 @@ from motionkit.data.dataset import Dataset
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.training import calibration
-from motionkit.training.calibration import ENOUGH, GAINS, calibrated_gains, recorded_speeds, with_gains
+from motionkit.training.calibration import (
+    GAINS,
+    Manner,
+    calibrated_gains,
+    made_manners,
+    manner_of,
+    recorded_manners,
+    with_gains,
+)
 from motionkit.training.trainer import train
+from synthetic_motions import make_walk
+
+RECORDED = Manner(2.0, 50.0, 0.5)
 
 
 @pytest.mark.parametrize(
-    ("ratios", "gain"),
+    ("made", "cost"),
     [
-        ((0.95, 1.2, 1.3), 1.0),  # as fast as 95 % of the recorded without more
-        ((0.8, 0.9, 1.1), 1.62),  # between two that were tried
-        ((0.5, 0.6, 0.7), 1.83),  # never as fast: 95 % of the fastest
-        ((0.9, 0.9, 0.9), 1.0),  # no gain helps
+        (Manner(2.0, 50.0, 0.5), 0.0),
+        (Manner(2.0, 10.0, 0.5), 0.0),  # smoother is no fault
+        (Manner(2.0, 60.0, 0.5), 0.0),
+        (Manner(2.0, 75.0, 0.5), 0.3),  # beyond 1.2 times the jerk
+        (Manner(1.5, 50.0, 0.5), 0.25),
+        (Manner(2.5, 50.0, 0.5), 0.25),  # too fast is as bad as too slow
+        (Manner(1.5, 75.0, 0.1), 0.95),
     ],
 )
-def test_the_smallest_gain_that_is_as_fast_as_recorded(ratios: tuple[float, ...], gain: float) -> None:
-    assert calibration._gain(np.array(ratios)) == pytest.approx(gain, abs=0.011)
+def test_the_cost_of_a_manner(made: Manner, cost: float) -> None:
+    assert made.cost(RECORDED) == pytest.approx(cost)
 
 
-def test_types_that_references_move_get_a_gain_by_their_speed(
+@pytest.mark.parametrize(
+    ("costs", "gain"),
+    [
+        ((0.5, 0.4, 0.3, 0.1, 0.2, 0.4), 1.5),
+        ((0.1, 0.4, 0.5, 0.6, 0.7, 0.8), 0.4),  # less than the whole pose
+        ((0.5, 0.4, 0.3, 0.28, 0.27, 0.26), 1.0),  # hardly better
+        ((0.5, 0.4, 0.32, 0.31, 0.27, 0.26), 1.5),
+    ],
+)
+def test_the_gain_nearest_to_1_that_is_nearly_the_best(costs: tuple[float, ...], gain: float) -> None:
+    assert calibration._cheapest(GAINS, costs) == gain
+
+
+def test_the_manner_of_a_motion() -> None:
+    walk = make_walk(120)
+    found, faster = manner_of(walk), manner_of(replace(walk, fps=2.0 * walk.fps))
+    assert 0.5 < found.planted <= 1.0 and found.speed > 0.1
+    assert faster.speed == pytest.approx(2.0 * found.speed) and faster.jerk == pytest.approx(8.0 * found.jerk)
+    lifted = replace(walk, root_positions=walk.root_positions + np.float32([0.0, 50.0, 0.0]))
+    assert manner_of(lifted).planted == 0.0
+
+
+def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
     tiny_model: MotionModel, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Roll-outs that move in proportion to their gain, half as fast as recorded at 1."""
+    """Roll-outs whose speed is half of the recorded one times their gain, and that are planted as long."""
     kinds = list(tiny_model.types)
-    recorded = recorded_speeds(dataset, kinds)
-    real = [recorded.get(kind, 0.0) for kind in kinds]
-    assert recorded["running"] > recorded["walking"] > 2.0 * recorded["idle"]
+    recorded = recorded_manners(dataset, kinds)
+    assert recorded["running"].speed > recorded["walking"].speed > 2.0 * recorded["idle"].speed
+    assert recorded["running"].planted < recorded["walking"].planted
 
-    def speeds(model: MotionModel, frames: int, seeds: tuple[int, ...]) -> np.ndarray:
-        gains = [kind.preset.reference_gain for kind in model.types.values()]
-        return 0.6 * np.array(gains) * np.array(real)
+    def made(model: MotionModel, moved: list[str], frames: int, repeats: int) -> dict[str, Manner]:
+        return {
+            kind: Manner(
+                0.5 * model.types[kind].preset.reference_gain * recorded[kind].speed,
+                0.0,
+                recorded[kind].planted,
+            )
+            for kind in moved
+        }
 
-    monkeypatch.setattr(calibration, "_speeds", speeds)
+    monkeypatch.setattr(calibration, "made_manners", made)
     found = calibrated_gains(tiny_model, dataset, 10)
     moved = {name for name, kind in tiny_model.types.items() if kind.reference_clips}
     assert {"walking", "cartwheel"} <= moved == set(found)
-    assert all(gain == pytest.approx(ENOUGH / 0.6, abs=0.01) for gain in found.values())
+    assert set(found.values()) == {2.0}
 
 
-def test_more_of_a_reference_moves_a_body_more(tiny_model: MotionModel, dataset: Dataset) -> None:
-    gains = calibrated_gains(tiny_model, dataset, 20, seeds=(500,))
-    assert gains and all(GAINS[0] <= gain <= GAINS[-1] for gain in gains.values())
+def test_roll_outs_depend_on_the_gain(tiny_model: MotionModel, dataset: Dataset) -> None:
+    gains = calibrated_gains(tiny_model, dataset, 20, repeats=1, gains=(0.4, 2.5))
+    assert gains and set(gains.values()) <= {0.4, 2.5}
     louder = with_gains(tiny_model, {"cartwheel": 2.0})
     assert louder.types["cartwheel"].preset.reference_gain == 2.0
     assert louder.types["walking"].preset == tiny_model.types["walking"].preset
-    place = list(tiny_model.types).index("cartwheel")
-    soft = calibration._speeds(with_gains(tiny_model, {"cartwheel": 1.0}), 20, (500,))[place]
-    assert calibration._speeds(louder, 20, (500,))[place] != soft
+    soft, loud = (made_manners(model, ["cartwheel"], 20, 1) for model in (tiny_model, louder))
+    assert soft["cartwheel"] != loud["cartwheel"]
 
 
 def test_a_model_without_references_has_nothing_to_find(tiny_model: MotionModel, dataset: Dataset) -> None:

@@ -1,54 +1,74 @@
 """Reference gains from roll-outs: how much of a reference pose a type needs to be shown to move as recorded.
 
 A network falls short of the movements it is shown, in some types more than in others, and more after a short training
-than after a long one. A gain makes up for it; more of it than needed makes the motion jerk.
+than after a long one. A gain makes up for it. More of it than needed makes the motion jerk and lifts the feet, and some
+types, which a network shakes through, look best with less than the whole pose.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.control.script import TypePart
+from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
-from motionkit.inference.rollout import rollout_motion
+from motionkit.features.contacts import foot_contacts
 from motionkit.metrics.body_movement import angular_speed
+from motionkit.metrics.ground import TOES
+from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.model import MotionModel
+from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT
-from motionkit.training.scores import rollout_types
 
-GAINS = (1.0, 1.5, 2.0)  # that are tried; between them the speed is taken to change evenly
-SEEDS = (500, 501, 502)  # of the validation split
-# Share of the recorded speed that is enough, or of what the largest gain brings where that is less: the last twentieth
-# would cost a type more jerk than it is worth.
-ENOUGH = 0.95
+GAINS = (0.4, 0.7, 1.0, 1.5, 2.0, 2.5)  # that are tried
+SEED, REPEATS = 500, 3  # of the validation split
+LEAST_FRAMES = 8  # of a recorded stretch that counts
+JERK = 1.2  # times the recorded jerk that cost nothing: a network shakes a little at any gain
+NEARLY = 0.05  # a gain nearer to 1 is taken where it costs at most so much more than the best
+
+
+@dataclass(frozen=True)
+class Manner:
+    """How a motion moves: joints in rad/s, their jerk in m/s^3, and the share of the time that a toe is planted."""
+
+    speed: float
+    jerk: float
+    planted: float
+
+    def cost(self, recorded: Manner) -> float:
+        """How far it is from a recorded one: shares of its speed, and of its jerk beyond JERK, and planted time."""
+        faster, shakier = self.speed / max(recorded.speed, 1e-3), self.jerk / max(recorded.jerk, 1e-3)
+        return abs(faster - 1.0) + max(0.0, shakier - JERK) + abs(self.planted - recorded.planted)
 
 
 def calibrated_gains(
-    model: MotionModel, dataset: Dataset, frames: int, seeds: Sequence[int] = SEEDS
+    model: MotionModel, dataset: Dataset, frames: int, repeats: int = REPEATS, gains: Sequence[float] = GAINS
 ) -> dict[str, float]:
-    """Return the reference gain of each type that reference poses move, by the speed of its joints.
+    """Return the reference gain of each type that reference poses move, by the manner of default roll-outs.
 
-    The gain is the smallest of at least 1 with which roll-outs are ENOUGH times as fast as the training recordings.
+    It is the gain with which they move most as the training recordings do, or one nearer to 1 that is nearly as good.
 
     Args:
         dataset: has the recordings; types without any are left out.
         frames: length of each roll-out.
-        seeds: of the roll-outs of each type.
+        repeats: roll-outs of each type, with successive seeds.
     """
     if not model.uses_references:
         return {}
-    moved = {kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips}
-    real = recorded_speeds(dataset, moved)
-    speeds = np.stack(
-        [_speeds(with_gains(model, dict.fromkeys(real, gain)), frames, seeds) for gain in GAINS]
-    )
-    place = list(model.types).index
-    return {kind: _gain(speeds[:, place(kind)] / max(speed, 1e-3)) for kind, speed in real.items()}
+    moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
+    real = recorded_manners(dataset, moved)
+    costs: dict[str, list[float]] = {kind: [] for kind in real}
+    for gain in gains:
+        made = made_manners(with_gains(model, dict.fromkeys(real, gain)), list(real), frames, repeats)
+        for kind, manner in made.items():
+            costs[kind].append(manner.cost(real[kind]))
+    return {kind: _cheapest(gains, found) for kind, found in costs.items()}
 
 
 def with_gains(model: MotionModel, gains: Mapping[str, float]) -> MotionModel:
@@ -57,46 +77,52 @@ def with_gains(model: MotionModel, gains: Mapping[str, float]) -> MotionModel:
     return model.with_types({kind: {"preset": preset} for kind, preset in presets.items()})
 
 
-def recorded_speeds(dataset: Dataset, kinds: Collection[str]) -> dict[str, float]:
-    """Mean angular speed (rad/s) of the joints in the training recordings of each type that has any."""
-    sums: dict[str, Array] = {kind: np.zeros(2) for kind in kinds}
+def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Manner]:
+    """How the training recordings of each type move that has any of at least LEAST_FRAMES."""
+    found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
     for clip in dataset.select("train"):
         stretches = [
             (start, end, dataset.types[kind])
             for start, end, kind in type_stretches(dataset.clip_types(clip))
-            if dataset.types[kind] in sums and end - start > 1
+            if dataset.types[kind] in found and end - start >= LEAST_FRAMES
         ]
         if not stretches:
             continue
         motion = dataset.motion(clip, dataset.read(clip))
         for start, end, kind in stretches:
-            frames = end - start
-            sums[kind] += frames * np.array([_speed(motion.cut(start, end)), 1.0])
-    return {kind: float(total / frames) for kind, (total, frames) in sums.items() if frames}
+            found[kind].append((manner_of(motion.cut(start, end)), end - start))
+    return {kind: _mean(each) for kind, each in found.items() if each}
 
 
-def _speeds(model: MotionModel, frames: int, seeds: Sequence[int]) -> Array:
-    """Mean angular speeds of the joints (types,) of roll-outs in rad/s."""
-    skeleton = model.character("default")
-    rolled = [rollout_types(model, frames, seed) for seed in seeds]
-    return np.array(
-        [
-            [_speed(rollout_motion(model, each, i, skeleton)) for i in range(len(model.types))]
-            for each in rolled
-        ]
-    ).mean(axis=0)
+def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats: int) -> dict[str, Manner]:
+    """How roll-outs of each type move, made as `synthesize` does by default."""
+    found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
+    plans = [[TypePart(kind, frames / model.fps)] for kind in kinds]
+    for repeat in range(repeats if plans else 0):
+        options = SynthesisOptions(len(plans), SEED + repeat * len(plans))
+        for kind, made in zip(kinds, synthesize(model, plans, options).motions, strict=True):
+            found[kind].append((manner_of(made.motion), len(made.motion)))
+    return {kind: _mean(each) for kind, each in found.items()}
 
 
-def _speed(motion: Motion) -> float:
-    return angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps)
-
-
-def _gain(ratios: Array) -> float:
-    """The smallest gain that reaches the recorded speed, from speeds over the recorded one (gains,)."""
-    wanted = ENOUGH * min(1.0, float(ratios.max()))
-    if ratios[0] >= wanted:
-        return GAINS[0]
-    reached = int((ratios >= wanted).argmax())
-    return round(
-        float(np.interp(wanted, ratios[reached - 1 : reached + 1], GAINS[reached - 1 : reached + 1])), 2
+def manner_of(motion: Motion) -> Manner:
+    """How a motion of at least LEAST_FRAMES moves."""
+    positions = motion_kinematics(motion)[1]
+    planted = foot_contacts(positions, motion.fps)[:, list(TOES)].any(axis=-1)
+    return Manner(
+        angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
+        mean_jerk(positions, motion.fps, motion.fps).value,
+        float(planted.mean()),
     )
+
+
+def _mean(found: Sequence[tuple[Manner, int]]) -> Manner:
+    """The mean of manners, by the number of frames of each."""
+    values = np.array([[manner.speed, manner.jerk, manner.planted] for manner, _ in found])
+    return Manner(*np.average(values, axis=0, weights=[frames for _, frames in found]).tolist())
+
+
+def _cheapest(gains: Sequence[float], costs: Sequence[float]) -> float:
+    """Of the gains that cost nearly the least, the one nearest to 1."""
+    near = [gain for gain, cost in zip(gains, costs, strict=True) if cost <= min(costs) + NEARLY]
+    return min(near, key=lambda gain: abs(math.log(gain)))
