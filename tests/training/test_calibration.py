@@ -60,7 +60,7 @@ def test_the_gain_nearest_to_1_that_is_nearly_the_best(costs: tuple[float, ...],
 def test_the_manner_of_a_motion() -> None:
     walk = make_walk(120)
     found, faster = manner_of(walk), manner_of(replace(walk, fps=2.0 * walk.fps))
-    assert 0.5 < found.planted <= 1.0 and found.speed > 0.1
+    assert 0.1 < found.planted <= 1.0 and found.speed > 0.1
     assert faster.speed == pytest.approx(2.0 * found.speed) and faster.jerk == pytest.approx(8.0 * found.jerk)
     lifted = replace(walk, root_positions=walk.root_positions + np.float32([0.0, 50.0, 0.0]))
     assert manner_of(lifted).planted == 0.0

@@ -111,7 +111,7 @@ def manner_of(motion: Motion) -> Manner:
     planted = foot_contacts(positions, motion.fps)[:, list(TOES)].any(axis=-1)
     return Manner(
         angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
-        mean_jerk(positions, motion.fps, motion.fps).value,
+        mean_jerk(positions, motion.fps, motion.fps).value or 0.0,
         float(planted.mean()),
     )
 
