@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.control.momentum import CHANGE, LEAST, carried_over, carried_speeds, forward_speeds
+from motionkit.control.momentum import (
+    CHANGE,
+    LEAST,
+    asked_speed,
+    carried_over,
+    carried_speeds,
+    forward_speeds,
+    ground_speeds,
+)
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_trajectory
 
 FPS = 60.0
@@ -29,6 +37,14 @@ def test_speed_is_measured_where_the_body_faces() -> None:
     backwards[:, 2] = np.pi
     assert forward_speeds(backwards, FPS) == pytest.approx(np.full(40, -120.0), abs=0.1)
     assert forward_speeds(straight(120.0, 1), FPS) == pytest.approx([0.0])
+
+
+def test_speed_over_the_ground_goes_any_way() -> None:
+    sideways = straight(120.0, 40, 2.0)
+    sideways[:, 2] = 0.5
+    assert ground_speeds(sideways, FPS) == pytest.approx(np.full(40, 120.0), abs=0.1)
+    trajectory = future_trajectory(sideways, np.array([3]))[0]
+    assert asked_speed(trajectory, FPS) == pytest.approx(120.0, abs=0.1)
 
 
 @pytest.mark.parametrize("before", [330.0, -20.0])

@@ -21,6 +21,7 @@ from motionkit.control.reference_player import (
     ReferencePlayer,
     drawn_evenly,
     last_poses,
+    last_speed,
 )
 from motionkit.control.script import TypePart, plan_controls, whole_performances
 from motionkit.errors import ControlError
@@ -314,6 +315,45 @@ def test_recordings_of_a_few_frames_are_entered_too(tiny_model: MotionModel, fra
     player.begin("walking", NEAR)
     assert player.clip is reference_clip and 0 <= player.at < frames
     assert len(player.play(10).phase) == 10
+
+
+def hop(speed: float) -> ReferenceClip:
+    """A hop of 40 frames in the middle of 100, straight ahead at a speed in cm/s."""
+    phases = np.full(100, -1.0, np.float32)
+    phases[30:70] = np.arange(40) / 40
+    made = recording(100, phases)
+    made.ground[:, 1] = np.arange(100, dtype=np.float32) * np.float32(speed / 60.0)
+    return made
+
+
+@pytest.mark.parametrize(("speed", "suited"), [(0.0, {0, 1}), (160.0, {1, 2}), (900.0, {3})])
+def test_a_jump_is_about_as_fast_as_the_body(tiny_model: MotionModel, speed: float, suited: set[int]) -> None:
+    clips = [hop(0.0), hop(50.0), hop(220.0), hop(300.0)]
+    model = with_clips(tiny_model, {"jumping-l": clips})
+    entered = set()
+    for choice in range(20):
+        player = ReferencePlayer(model, choice)
+        player.begin("jumping-l", NEAR, speed=speed)
+        entered |= {n for n, clip in enumerate(clips) if clip is player.clip}
+        player.play(200)
+        now = {n for n, clip in enumerate(clips) if clip is player.clip}
+        assert now <= ({0, 1} if speed < 100.0 else {0, 1, 2, 3})
+    assert entered == suited
+
+
+def test_without_a_known_speed_any_jump_is_drawn(tiny_model: MotionModel) -> None:
+    clips = [hop(0.0), hop(300.0)]
+    model = with_clips(tiny_model, {"jumping-l": clips})
+    players = [ReferencePlayer(model, choice) for choice in range(8)]
+    for player in players:
+        player.begin("jumping-l", NEAR)
+    assert {id(player.clip) for player in players} == {id(clip) for clip in clips}
+
+
+def test_the_speed_of_the_last_frames(tiny_model: MotionModel) -> None:
+    running, idle = (tiny_model.types[kind].start_poses[0].features for kind in ("running", "idle"))
+    assert last_speed(tiny_model, running) > 150.0 > 20.0 > last_speed(tiny_model, idle)
+    assert last_speed(tiny_model, running[:1]) == 0.0
 
 
 @pytest.mark.parametrize("share", [0.0, OWN_SHARE])

@@ -159,7 +159,7 @@ class Driver:
         self._waiting = None
         length = round(self.model.phase_seconds(kind) * self.model.fps)
         player = ReferencePlayer(self.model, choice)
-        player.begin(kind)
+        player.begin(kind, speed=math.hypot(*self.steering.velocity))
         if not self.model.types[kind].performed:
             event = player.event_frames()
             length = event + AFTER_EVENT if event else 0
@@ -189,7 +189,7 @@ class Driver:
     def _with_reference(self, kind: str, trajectory: Array | None) -> tuple[str, Controls]:
         """A type with its reference clips, for as long as it is wished."""
         if kind != self._played:
-            self._player.begin(kind)
+            self._player.begin(kind, speed=math.hypot(*self.steering.velocity))
             self._played = kind
         asked = self._player.play(1, trajectory)
         return kind, asked if trajectory is not None else without_trajectory(asked)

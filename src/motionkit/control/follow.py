@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
@@ -112,7 +113,8 @@ class PathFollower:
             asked = Controls.of_types(self._type_weights(standing=standing)[None])
         else:
             if part != self.entered:
-                self.player.begin(kind, None, self.behind if self.entered < 0 else 0)
+                behind = self.behind if self.entered < 0 else 0
+                self.player.begin(kind, behind=behind, speed=asked_speed(trajectory, self.fps))
                 self.entered = part
             asked = replace(self.player.play(1, trajectory[None]), type_weights=self._type_weights()[None])
         # On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.

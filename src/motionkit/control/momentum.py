@@ -22,12 +22,27 @@ def forward_speeds(ground: Array, fps: float) -> Array:
     Args:
         ground: (T, 3) root x, z (cm) and heading (radians).
     """
+    ahead = np.stack([np.sin(ground[:, 2]), np.cos(ground[:, 2])], axis=-1)
+    return (_velocities(ground, fps) * ahead).sum(axis=-1)
+
+
+def ground_speeds(ground: Array, fps: float) -> Array:
+    """Speeds (T,) in cm/s in any direction, over SPAN frames around each; ground as for forward_speeds."""
+    return np.linalg.norm(_velocities(ground, fps), axis=-1)
+
+
+def _velocities(ground: Array, fps: float) -> Array:
     last = len(ground) - 1
     frames = np.arange(last + 1)
     before, after = np.maximum(frames - SPAN // 2, 0), np.minimum(frames + SPAN // 2, last)
     moved = ground[after, :2] - ground[before, :2]
-    ahead = np.stack([np.sin(ground[:, 2]), np.cos(ground[:, 2])], axis=-1)
-    return (moved * ahead).sum(axis=-1) * fps / np.maximum(after - before, 1)
+    return moved * (fps / np.maximum(after - before, 1))[:, None]
+
+
+def asked_speed(trajectory: Array, fps: float) -> float:
+    """Mean speed in cm/s, to its last place as the crow flies, of a trajectory (24,) that is asked for."""
+    count = 2 * len(TRAJECTORY_OFFSETS)
+    return float(np.linalg.norm(trajectory[count - 2 : count])) * fps / TRAJECTORY_OFFSETS[-1]
 
 
 def carried_speeds(speeds: Array, before: float, fps: float) -> Array:

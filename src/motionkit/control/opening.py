@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import frames_behind, last_poses
+from motionkit.control.reference_player import frames_behind, last_poses, last_speed
 from motionkit.inference.start import Start, clip_start, on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -22,12 +22,14 @@ class Opening:
         near: (S, 24) pose embeddings of the last of them (last_poses).
         length: frames of the performance that the start pose begins; 0 for other types, and for frames of a clip.
         behind: frames of the first type's performance that they have shown already.
+        speed: over the ground in cm/s at their end.
     """
 
     start: Start
     near: Array
     length: float
     behind: int
+    speed: float
 
 
 def opening(
@@ -45,10 +47,11 @@ def opening(
         MotionkitError: for a file that cannot be used, or a type without start poses.
     """
     start = type_start(model, kind, choice=choice) if init is None else clip_start(model, init, 1)
-    near = last_poses(model, start.features[0])
+    shown = start.features[0]
+    near, speed = last_poses(model, shown), last_speed(model, shown)
     if init is not None:
-        return Opening(on_body(model, start, body), near, 0.0, frames_behind(model, kind, near))
+        return Opening(on_body(model, start, body), near, 0.0, frames_behind(model, kind, near), speed)
     # A start pose is the beginning of a performance; what comes after it goes on from there.
     length = model.phase_seconds(kind) * model.fps
-    behind = start.features.shape[1] if length else 0
-    return Opening(on_body(model, start, body), near, length, behind)
+    behind = len(shown) if length else 0
+    return Opening(on_body(model, start, body), near, length, behind, speed)

@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array, lerp
-from motionkit.control.momentum import forward_speeds
+from motionkit.control.momentum import asked_speed, forward_speeds, ground_speeds
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state, pose_states
 from motionkit.features.control import Controls, future_trajectory
+from motionkit.features.decode import integrate_ground
 from motionkit.features.reference import reference_signal
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip, Rhythm
@@ -27,6 +28,9 @@ SHORTEST_BLEND, LONGEST_BLEND = 15, 45
 ENTRY_MOVEMENT = (0.4, 0.8)
 LEAST_SECONDS = 1.5  # of a clip that must follow the frame it is entered at
 BEFORE_EVENT = 15  # a clip of strikes or jumps is entered so many frames before one begins
+# cm/s by which a strike or jump may go faster or slower than the body, beyond the nearest of all: a leap out of a run
+# needs the run.
+OTHER_SPEED = 60.0
 # With a trajectory, every so many frames the player looks for a frame that suits it better, and jumps there if its
 # cost is less than this share of the present one.
 RECONSIDERED, CLEARLY = 20, 0.4
@@ -97,9 +101,9 @@ class ReferencePlayer:
 
     A type that is one performance is played from its beginning, one recording of it after another. A clip of another
     type is drawn, the more likely the more of it has not been played yet, and by successive choices evenly among all.
-    It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them, and the frame
-    most like the present pose is taken. Nothing is played again before all has been played. Where a trajectory is asked
-    for, the player looks for frames that go that way.
+    It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them and about as
+    fast as the body goes, and the frame most like the present pose is taken. Nothing is played again before all has
+    been played. Where a trajectory is asked for, the player looks for frames that go that way.
     """
 
     def __init__(
@@ -130,6 +134,7 @@ class ReferencePlayer:
         behind: int = 0,
         trajectory: Array | None = None,
         paused: bool = False,
+        speed: float | None = None,
     ) -> None:
         """Change to a type.
 
@@ -138,9 +143,12 @@ class ReferencePlayer:
             behind: frames of a performance that have been shown already.
             trajectory: (24,) the trajectory asked for, which the frame entered should suit.
             paused: lead to the beginning of a performance over a pause, from the end of another one (ends).
+            speed: of the body over the ground in cm/s; that of the recording played by default.
         """
         if near is None:
             near = self._present()
+        if speed is None and self.clip is not None:
+            speed = float(self._speeds(self.clip)[min(self.at, len(self.clip) - 1)])
         count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
         left, left_at, before = self.clip, self.at, self.left
         self.kind, self.clip, self.at, self._since = kind, None, 0, 0
@@ -159,7 +167,7 @@ class ReferencePlayer:
             number, self.at = self._index().nearest(near, trajectory, RECONSIDERED)
             self.clip = clips[number]
         else:
-            self.clip, self.at = self._drawn(clips, count, near)
+            self.clip, self.at = self._drawn(clips, count, near, speed)
         # A performance begins without a blend: a handspring is over the hands before the blend would be.
         if left is not None and not self.clip.performed:
             self.left = Left(left, left_at, self.clip, self.at, before)
@@ -224,7 +232,8 @@ class ReferencePlayer:
         """Enter the next clip at the end of one; after a pause where there is no time for a blend."""
         left = self.clip
         assert left is not None
-        self.begin(self.kind, trajectory=None if self._type.has_phase else trajectory)
+        speed = None if trajectory is None else asked_speed(trajectory, self.model.fps)
+        self.begin(self.kind, trajectory=None if self._type.has_phase else trajectory, speed=speed)
         assert self.clip is not None
         if left.performed or (self.clip.phases[self.at : self.at + SHORTEST_BLEND] >= 0.0).any():
             self.pause, self.left = Pause(left, self.clip, self.at), None
@@ -339,10 +348,10 @@ class ReferencePlayer:
         return (fresh or suited)[self.choice % len(fresh or suited)]
 
     def _drawn(
-        self, clips: Sequence[ReferenceClip], count: int, near: Array | None
+        self, clips: Sequence[ReferenceClip], count: int, near: Array | None, speed: float | None
     ) -> tuple[ReferenceClip, int]:
         """Of some random entry frames that have not been played the one most like the present pose."""
-        found = self._fresh(self.entry_frames(clips))
+        found = self._fresh(self._as_fast(self.entry_frames(clips), speed))
         self._draws += 1
         clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self._draws)]
         frames = self.random.sample(frames, min(count, len(frames)))
@@ -354,6 +363,27 @@ class ReferencePlayer:
     def entry_frames(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
         """The frames at which clips that are no performances are entered, for each clip that has some."""
         return self._before_events(clips) or self._anywhere(clips)
+
+    def _as_fast(
+        self, found: list[tuple[ReferenceClip, list[int]]], speed: float | None
+    ) -> list[tuple[ReferenceClip, list[int]]]:
+        """The entry frames at which strikes or jumps go about as fast as the body (cm/s), for each clip that has some.
+
+        Other movements have time to change their speed.
+        """
+        if speed is None or not self._type.has_phase:
+            return found
+        gaps = [np.abs(self._speeds(clip)[frames] - speed) for clip, frames in found]
+        most = OTHER_SPEED + min(float(gap.min()) for gap in gaps)
+        kept = [
+            (clip, [at for at, gap in zip(frames, each.tolist(), strict=True) if gap <= most])
+            for (clip, frames), each in zip(found, gaps, strict=True)
+        ]
+        return [each for each in kept if each[1]]
+
+    def _speeds(self, clip: ReferenceClip) -> Array:
+        """Speeds (L,) in cm/s with which a recording goes over the ground."""
+        return ground_speeds(clip.ground, self.model.fps)
 
     def _fresh(self, found: list[tuple[ReferenceClip, list[int]]]) -> list[tuple[ReferenceClip, list[int]]]:
         """The entry frames of clips that have not been played; all of them again after the last."""
@@ -410,6 +440,14 @@ def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:
 def last_poses(model: MotionModel, features: Array) -> Array:
     """Pose embeddings (S, 24) of the frames of (T, 276) that are STATE_FRAMES before the last."""
     return model.pose_embedding.of(features[[max(0, len(features) - 1 - before) for before in STATE_FRAMES]])
+
+
+def last_speed(model: MotionModel, features: Array) -> float:
+    """Speed over the ground in cm/s at the last of frames (T, 276); 0 at one alone."""
+    if len(features) < 2:
+        return 0.0
+    ground = integrate_ground(features, np.zeros(3), model.fps, model.config.layout)
+    return float(ground_speeds(ground, model.fps)[-1])
 
 
 def frames_behind(model: MotionModel, kind: str, near: Array) -> int:

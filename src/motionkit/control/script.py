@@ -120,6 +120,7 @@ def crowd_controller(
     near: list[Array],
     behind: list[int],
     choice: int = 0,
+    speeds: Sequence[float] | None = None,
 ) -> Controller:
     """Controls of a crowd: characters take the plans in turn, and repeat the last frame of theirs.
 
@@ -127,9 +128,13 @@ def crowd_controller(
         near: for each character the pose embeddings of its last start frames (last_poses).
         behind: for each character the frames of its first performance that the start frames have shown.
         choice: picks among reference clips; each character makes a choice of its own.
+        speeds: of the characters over the ground in cm/s, if they are known.
     """
     turn = [i % len(plans) for i in range(len(near))]
-    asked = [plan_controls(model, plans[t], near[i], behind[i], choice + i) for i, t in enumerate(turn)]
+    asked = [
+        plan_controls(model, plans[t], near[i], behind[i], choice + i, speeds[i] if speeds else None)
+        for i, t in enumerate(turn)
+    ]
     together = Controls.side_by_side(asked)
     last = len(together.phase) - 1
 
@@ -145,7 +150,12 @@ def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Array:
 
 
 def plan_controls(
-    model: MotionModel, parts: Sequence[TypePart], near: Array, behind: int = 0, choice: int = 0
+    model: MotionModel,
+    parts: Sequence[TypePart],
+    near: Array,
+    behind: int = 0,
+    choice: int = 0,
+    speed: float | None = None,
 ) -> Controls:
     """Controls (T, ...) of the parts one after another, with reference poses.
 
@@ -153,12 +163,16 @@ def plan_controls(
         near: (S, 24) pose embeddings of the frames before (last_poses).
         behind: frames of the first part's performance that have been shown already.
         choice: picks among the reference clips of the types.
+        speed: of the body over the ground in cm/s, if it is known.
     """
     player = ReferencePlayer(model, choice)
     asked = []
     for number, part in enumerate(parts):
         before, paused = player.speed, player.ends and _turns_over(model, part.type)
-        player.begin(part.type, near if number == 0 else None, behind if number == 0 else 0, paused=paused)
+        if number == 0:
+            player.begin(part.type, near, behind, speed=speed)
+        else:
+            player.begin(part.type, paused=paused)
         clip, at = player.clip, player.at
         controls = player.play(max(1, round(part.seconds * model.fps)))
         if before is not None and clip is not None and not paused:

@@ -126,7 +126,8 @@ def synthesize(
         ground,
         [each.length for each in openings],
     )
-    controller = crowd_controller(model, plans, near, behind, options.seed)
+    speeds = [each.speed for each in openings]
+    controller = crowd_controller(model, plans, near, behind, options.seed, speeds)
     if options.keys:
         if len(plans) > 1:
             raise ControlError("keys are met by characters with the same types; give one list of types")

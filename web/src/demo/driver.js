@@ -65,7 +65,7 @@ export class Driver {
     const [type, seconds, choice] = this.waiting;
     this.waiting = null;
     const player = new Player(model, choice);
-    player.begin(type);
+    player.begin(type, null, Math.hypot(...this.springs.velocity));
     let length = Math.round(model.types[type].seconds * model.fps);
     if (!model.types[type].performed) {
       const event = player.eventFrames();
@@ -92,7 +92,7 @@ export class Driver {
 
   // A type with its reference clips, for as long as it is wished.
   #recorded(kind, trajectory = null) {
-    if (kind !== this.played) this.player.begin(kind);
+    if (kind !== this.played) this.player.begin(kind, null, Math.hypot(...this.springs.velocity));
     this.played = kind;
     const [asked] = this.player.play(1, trajectory);
     return [kind, trajectory ? asked : { ...asked, trajectory: null }];

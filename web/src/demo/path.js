@@ -1,7 +1,7 @@
 // Paths and the controls that follow them, as Python's Path2D and PathFollower (control/path.py, control/follow.py).
 
 import { free, typeNumber } from "./kernel.js";
-import { Player } from "./player.js";
+import { Player, askedSpeed } from "./player.js";
 import { TRAJECTORY, stands } from "./springs.js";
 
 const SPACING = 2; // cm between the points of a path
@@ -112,7 +112,7 @@ export class Follower {
       this.entered = part;
       return { ...free(model, type), weights, trajectory, slip: 0 };
     }
-    if (part !== this.entered) this.player.begin(type);
+    if (part !== this.entered) this.player.begin(type, null, askedSpeed(trajectory, model.fps));
     this.entered = part;
     return { ...this.player.play(1, trajectory)[0], weights, trajectory, slip: 0 };
   }

@@ -11,6 +11,7 @@ const STATE = [0, 5, 15, 30]; // frames ago
 const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, SUITED] = [24, 200, 20, 2];
 const [SHORTEST_BLEND, LONGEST_BLEND] = [15, 45]; // frames
 const [RECONSIDERED, CLEARLY, OWN_SHARE] = [20, 0.4, 0.5];
+const [OTHER_SPEED, SPEED_SPAN] = [60, 10]; // cm/s, frames
 const [GOLDEN, OTHER, SIBLINGS] = [(Math.sqrt(5) - 1) / 2, Math.sqrt(2) - 1, 32];
 
 export class Player {
@@ -24,9 +25,11 @@ export class Player {
     Object.assign(this, { played: new Map(), indices: new Map(), since: 0 });
   }
 
-  /** Changes to a type by its number; the frame entered suits the trajectory, if one is given. */
-  begin(type, trajectory = null) {
-    const near = this.clip && this.#state(this.clip, Math.min(this.at, this.clip.frames - 1));
+  /** Changes to a type by its number; the frame entered suits the trajectory, if one is given, or the body's speed in cm/s. */
+  begin(type, trajectory = null, speed = null) {
+    const last = this.clip && Math.min(this.at, this.clip.frames - 1);
+    const near = this.clip && this.#state(this.clip, last);
+    if (speed === null && this.clip) speed = this.#speed(this.clip, last);
     const count = type === this.type ? CANDIDATES_WITHIN : CANDIDATES;
     const { clip: left, at: leftAt, left: before } = this;
     Object.assign(this, { type, clip: null, at: 0, left: null, pause: null, since: 0 });
@@ -34,7 +37,7 @@ export class Player {
     if (!clips.length) return;
     if (performed) this.clip = this.#performance(clips, near);
     else if (trajectory && near) [this.clip, this.at] = this.#index().nearest(near, trajectory, RECONSIDERED);
-    else [this.clip, this.at] = this.#drawn(clips, count, near);
+    else [this.clip, this.at] = this.#drawn(clips, count, near, speed);
     // A performance begins without a blend: a handspring is over the hands before the blend would be.
     if (left && !this.clip.performed) this.left = this.#leaving(left, leftAt, before);
   }
@@ -110,7 +113,7 @@ export class Player {
   // Enters the next clip at the end of one; after a pause where there is no time for a blend.
   #goOn(trajectory) {
     const left = this.clip;
-    this.begin(this.type, this.model.types[this.type].phased ? null : trajectory);
+    this.begin(this.type, this.model.types[this.type].phased ? null : trajectory, trajectory && askedSpeed(trajectory, this.model.fps));
     const { clip, at, model } = this;
     const phases = clip.phases === null ? [] : model.arrays.phases.subarray(clip.phases + at, clip.phases + Math.min(at + SHORTEST_BLEND, clip.frames));
     if (left.performed || phases.some((phase) => phase >= 0)) Object.assign(this, { pause: { left, shown: 0 }, left: null });
@@ -206,8 +209,9 @@ export class Player {
   }
 
   // Of some random entry frames that have not been played the one most like the present pose.
-  #drawn(clips, count, near) {
-    let found = clips.filter((clip) => clip.entries.length).map((clip) => [clip, clip.entries.flatMap(([from, to]) => range(from, to))]);
+  #drawn(clips, count, near, speed) {
+    const entries = clips.filter((clip) => clip.entries.length).map((clip) => [clip, clip.entries.flatMap(([from, to]) => range(from, to))]);
+    let found = this.#asFast(entries, speed);
     const fresh = found.map(([clip, frames]) => [clip, frames.filter((at) => !this.#playedOf(clip)[at])]).filter(([, frames]) => frames.length);
     if (fresh.length) found = fresh;
     else found.forEach(([clip]) => this.#playedOf(clip).fill(0));
@@ -216,6 +220,22 @@ export class Player {
     if (!near) return [clip, frames[0]];
     const costs = frames.map((at) => squared(this.#state(clip, at), near));
     return [clip, frames[costs.indexOf(Math.min(...costs))]];
+  }
+
+  // The entry frames at which strikes and jumps go about as fast as the body: a leap out of a run needs the run.
+  #asFast(found, speed) {
+    if (speed === null || !this.model.types[this.type].phased) return found;
+    const gap = (clip, at) => Math.abs(this.#speed(clip, at) - speed);
+    const most = OTHER_SPEED + found.reduce((least, [clip, frames]) => frames.reduce((m, at) => Math.min(m, gap(clip, at)), least), Infinity);
+    return found.map(([clip, frames]) => [clip, frames.filter((at) => gap(clip, at) <= most)]).filter(([, frames]) => frames.length);
+  }
+
+  // The speed in cm/s with which a recording goes over the ground at a frame.
+  #speed(clip, at) {
+    const { ground } = this.model.arrays;
+    const [from, to] = [Math.max(at - SPEED_SPAN / 2, 0), Math.min(at + SPEED_SPAN / 2, clip.frames - 1)];
+    const place = (frame, k) => ground[(clip.ground + frame) * 3 + k];
+    return (Math.hypot(place(to, 0) - place(from, 0), place(to, 1) - place(from, 1)) * this.model.fps) / Math.max(to - from, 1);
   }
 
   // Which of some sizes is drawn next, the larger the more often, and by successive choices evenly among all.
@@ -243,6 +263,9 @@ export class Player {
     return this.played.get(clip);
   }
 }
+
+/** The mean speed in cm/s, to its last place as the crow flies, of a trajectory that is asked for. */
+export const askedSpeed = (trajectory, fps) => (Math.hypot(trajectory[10], trajectory[11]) * fps) / TRAJECTORY[5];
 
 const range = (from, to) => Array.from({ length: to - from }, (_, n) => from + n);
 
