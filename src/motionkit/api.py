@@ -170,6 +170,7 @@ def follow_path(
     types: str | None = None,
     size: float | None = None,
     speed: float | None = None,
+    strict: bool = False,
     seed: int = 0,
     noise: Noise | None = None,
     reference: str = "auto",
@@ -187,16 +188,18 @@ def follow_path(
             by default.
         size: for a named shape: length, radius or side in metres.
         speed: for a named shape: metres per second; each type's own by default.
+        strict: refuse speeds at which a gait does not look right, by its recordings; without it the nearest is taken.
         seed, noise, reference, character, init, ik, fps: as in synthesize.
 
     Returns:
         The motion, its distance from the path in cm, and whether it reached the end.
 
     Raises:
-        ControlError: for an unknown type, shape or character, or a path that cannot be read.
+        ControlError: for an unknown type, shape or character, a path that cannot be read, or, if strict, its speed.
     """
     from motionkit.control import follow
     from motionkit.control.path import Path2D, read_path, shape_path
+    from motionkit.control.speeds import check_speeds
     from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
 
@@ -208,6 +211,8 @@ def follow_path(
     else:
         kinds = [walking_type(model)] if types is None else [word.strip() for word in types.split(",")]
         target = shape_path(str(path), size, kinds, speed)
+    if strict:
+        check_speeds(model, target)
     options = SynthesisOptions(1, seed, noise, character, init, ik, fps)
     return follow.follow_path(model.with_reference(reference), target, options)
 

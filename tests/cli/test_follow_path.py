@@ -19,7 +19,7 @@ def follow(motionkit, tiny_model_file: Path):
 
 
 def test_a_named_shape(follow, tmp_path: Path) -> None:
-    said = follow("line", "--size", 0.5, "--speed", 3, "--types", "walking,running")
+    said = follow("line", "--size", 0.5, "--types", "walking,running")
     assert said.code == 0 and said.err == ""
     assert [p.name for p in tmp_path.iterdir()] == ["line-walking.bvh"]
     assert "along 0.5 m" in said.out and "reach" in said.out

@@ -200,15 +200,24 @@ def test_a_fault_while_writing_leaves_nothing(tmp_path: Path) -> None:
 def test_more_than_memory_holds_is_refused_before_it_is_asked_for(
     motionkit, home: Path, words: list, complaint: str
 ) -> None:
-    part = {"type": "walking", "speed": 0.05, "points": [[0, 0], [0, 9999.99]]}
+    part = {"type": "cartwheel", "speed": 0.05, "points": [[0, 0], [0, 9999.99]]}
     (home / "far.json").write_text(json.dumps({"parts": [part]}))
     before = contents(home)
     assert motionkit(*words, "--model", "m.safetensors").failed_with(complaint)
     assert contents(home) == before
 
 
+def test_a_speed_that_no_recording_has_is_said_or_refused(motionkit, home: Path) -> None:
+    words = ["follow-path", "line", "--size", 1, "--speed", 0.3, "--model", "m.safetensors"]
+    said = motionkit(*words, "-o", "walk.bvh")
+    assert said.code == 0 and said.err.startswith("part 1: walking goes at 0.89 m/s instead of 0.3: 0.89 to ")
+    refused = motionkit(*words, "--strict", "-o", "other.bvh")
+    assert refused.failed_with("part 1: expected a speed at which walking looks right, 0.89 to ")
+    assert (home / "walk.bvh").exists() and not (home / "other.bvh").exists()
+
+
 def test_long_work_says_so_before_it_begins(motionkit, home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    part = {"type": "walking", "speed": 0.5, "points": [[0, 0], [0, 2500]]}
+    part = {"type": "walking", "speed": 1.0, "points": [[0, 0], [0, 5000]]}
     (home / "far.json").write_text(json.dumps({"parts": [part]}))
 
     def refuse(*_: object) -> None:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import default_output, print_json, progress_bar
+from motionkit.cli.common import default_output, print_json, progress_bar, remark
 from motionkit.cli.motion_options import RootMotion
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 )
 @click.option("--size", type=float, help="Named shapes: length, radius or side in metres.")
 @click.option("--speed", type=float, help="Named shapes: speed in m/s; each type's own by default.")
+@click.option("--strict", is_flag=True, help="Refuse speeds at which a gait does not look right.")
 @synthesis_options
 def command(
     path: str,
@@ -45,6 +46,7 @@ def command(
     types: str | None,
     size: float | None,
     speed: float | None,
+    strict: bool,
     model_path: Path | None,
     seed: int,
     character: str,
@@ -64,9 +66,12 @@ def command(
     PATH is a JSON or CSV file in metres, whose parts have points, a type and a speed (docs/paths.md), or a
     named shape: line, circle, figure-eight, square, pentagram, u-turn. The command prints the distance
     between the root's track and the path.
+
+    A gait goes no slower and no faster than its recordings look right, and the command says so.
     """
     from motionkit.control.follow import expected_seconds, follow_path
     from motionkit.control.path import read_path, shape_path
+    from motionkit.control.speeds import check_speeds, other_speeds
     from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.files import check_outputs
@@ -89,8 +94,12 @@ def command(
     inputs = (path if is_file else None, model_path, init, *choice.files)
     check_outputs([file, page_file] if view else [] if file == STDOUT else [file], inputs)
     model = model or open_model(model_path, reference)
+    if strict:
+        check_speeds(model, target)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature, model), character, init, ik, fps)
     announce(expected_seconds(model, target), model.fps, options)
+    for line in other_speeds(model, target):
+        remark(line)
     with progress_bar() as bar:
         task = bar.add_task("following", total=100)
         result = follow_path(model, target, options, lambda share: bar.update(task, completed=100 * share))

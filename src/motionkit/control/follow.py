@@ -14,6 +14,7 @@ from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.speeds import part_speeds
 from motionkit.control.steering import usual_gaits
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
@@ -27,7 +28,6 @@ from motionkit.motion.rotations import rotate_ground
 # The place on the path is sought from a little behind the last one to a little ahead, so that a path
 # that crosses itself is not cut short.
 SEARCH_BACK, SEARCH_AHEAD = 30.0, 60.0
-DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
 PATIENCE = 1.6  # times the expected duration, after which the end is given up
 BLEND_SAMPLES = 16
 # cm/s^2 by which a path's speed changes at most: what 98 % of the frames of recorded runs brake less than.
@@ -181,15 +181,6 @@ class PathFollower:
             weights *= 1.0 - standing
             weights[self.stand] += standing
         return weights
-
-
-def part_speeds(model: MotionModel, path: Path2D) -> Array:
-    """Speed (N,) in cm/s on each part of the path: what is asked for, else what is usual for its type."""
-    known = [model.types.get(part.type) for part in path.parts]
-    gaits = [None if kind is None else kind.gait for kind in known]
-    typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
-    wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
-    return np.maximum(np.array(wanted, np.float32), 20.0)
 
 
 def speed_profile(model: MotionModel, path: Path2D) -> Array:

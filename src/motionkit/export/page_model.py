@@ -131,6 +131,7 @@ def _types(model: MotionModel) -> list[dict[str, Any]]:
                 "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
                 "seconds": model.phase_seconds(name),
                 "steered": kind.steered,
+                "speeds": model.speed_range(name),
                 "performed": kind.performed,
                 "phased": kind.has_phase,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,

@@ -15,7 +15,7 @@ from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
 from motionkit.models.architectures import PredictorConfig
-from motionkit.models.motion_type import MotionType, recorded_rhythm
+from motionkit.models.motion_type import MotionType, recorded_rhythm, recorded_speeds
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 
@@ -90,6 +90,13 @@ class MotionModel:
         """Length in seconds of a performance, strike or jump of a type; 0 for types without a phase."""
         return self.types[kind].phase_seconds(self.fps) if kind in self.types else 0.0
 
+    def speed_range(self, kind: str) -> tuple[float, float] | None:
+        """Slowest and fastest speed in cm/s at which a gait looks right, by its recordings; None for other types."""
+        known = self.types.get(kind)
+        if known is None or not known.steered or known.stands:
+            return None
+        return known.speeds or recorded_speeds(known.reference_clips, self.fps)
+
     def root_hold(self, type_weights: Array) -> Array:
         """Share (...) of the sliding of feet in contact that is taken out of the root's way, by type weights (..., N).
 
@@ -128,7 +135,7 @@ class MotionModel:
         changes: dict[str, dict[str, Any]] = {}
         for name, kind in self.types.items():
             rhythm = None if kind.performed else recorded_rhythm(kind.reference_clips)
-            changes[name] = {"reference_clips": (), "rhythm": rhythm}
+            changes[name] = {"reference_clips": (), "rhythm": rhythm, "speeds": self.speed_range(name)}
             if kind.gait is not None:
                 seconds = self.phase_seconds(name) if rhythm is None else rhythm.frames / self.fps
                 changes[name]["gait"] = replace(kind.gait, cycle_seconds=seconds)

@@ -14,6 +14,8 @@ from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT
 
 MOVEMENT_FRAMES = 120
+# Share of the recorded seconds that is left out at each end of a range of speeds, and share by which it is widened.
+SPEED_SHARE, SPEED_MARGIN = 0.02, 0.1
 JUMP_OF_PHASE = 0.1  # in a frame, between one strike or jump and the next
 # A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
 # Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
@@ -141,6 +143,20 @@ def recorded_rhythm(clips: Sequence[ReferenceClip]) -> Rhythm | None:
     return Rhythm(round(1.0 / float(np.median(rates)), 1), round(float(np.median(periods))))
 
 
+def recorded_speeds(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, float] | None:
+    """Slowest and fastest speed in cm/s at which a type looks right, from its recordings; None without any.
+
+    Speeds are means over a second; the slowest and the fastest of them are beginnings, ends and outliers.
+    """
+    second = round(fps)
+    ways = [clip.ground[second:, :2] - clip.ground[:-second, :2] for clip in clips if len(clip) > second]
+    if not ways:
+        return None
+    speeds = np.linalg.norm(np.concatenate(ways), axis=-1) * fps / second
+    slow, fast = np.quantile(speeds, [SPEED_SHARE, 1.0 - SPEED_SHARE]).tolist()
+    return slow * (1.0 - SPEED_MARGIN), fast * (1.0 + SPEED_MARGIN)
+
+
 @dataclass(frozen=True, eq=False)
 class MotionType:
     """One motion type of a model.
@@ -152,6 +168,7 @@ class MotionType:
         preset: how its frames are drawn.
         steered: whether velocity alone steers it, without reference poses: gaits, and standing still.
         rhythm: of the jumps of a model whose recordings have been left out; None for other types.
+        speeds: recorded_speeds of a gait whose recordings have been left out; None for other types.
     """
 
     start_poses: tuple[StartPose, ...] = ()
@@ -160,6 +177,7 @@ class MotionType:
     preset: SamplingPreset = field(default_factory=SamplingPreset)
     steered: bool = False
     rhythm: Rhythm | None = None
+    speeds: tuple[float, float] | None = None
 
     @property
     def stands(self) -> bool:

@@ -162,7 +162,12 @@ export class Follower {
   // The speed at each point, which changes no faster than bodies brake and start, to each stop.
   #profile(numbers) {
     const { model, path } = this;
-    const asked = path.parts.map(({ speed }, n) => Math.max(SLOWEST, Math.fround(speed ?? model.types[numbers[n]].gait?.speed ?? DEFAULT_SPEED)));
+    const asked = path.parts.map(({ speed }, n) => {
+      const { gait, speeds } = model.types[numbers[n]];
+      const wanted = Math.max(SLOWEST, Math.fround(speed ?? gait?.speed ?? DEFAULT_SPEED));
+      // Beyond its recordings a gait glides.
+      return speeds && speed != null ? Math.fround(Math.min(Math.max(wanted, speeds[0]), speeds[1])) : wanted;
+    });
     const speeds = path.part.map((part) => asked[part]);
     for (const [place] of this.stops) speeds[path.nearest(place)] = CREEP;
     // The square of the speed changes evenly along the way: no point's is more than so much above another's.

@@ -1,0 +1,65 @@
+"""How fast a path is gone along: what is asked for, within what recordings of the type show."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.path import METRE, Path2D
+from motionkit.errors import ControlError
+from motionkit.models.model import MotionModel
+
+DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
+SLOWEST = 20.0  # cm/s, at least
+
+
+def asked_speeds(model: MotionModel, path: Path2D) -> Array:
+    """Speed (N,) in cm/s that is asked for on each part, else what is usual for its type."""
+    known = [model.types.get(part.type) for part in path.parts]
+    gaits = [None if kind is None else kind.gait for kind in known]
+    typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
+    wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
+    return np.maximum(np.array(wanted, np.float32), SLOWEST)
+
+
+def part_speeds(model: MotionModel, path: Path2D) -> Array:
+    """Speed (N,) in cm/s with which each part is gone along: a gait's goes no further than its speed range.
+
+    Beyond it a network glides: feet hardly leave the ground, or hardly touch it.
+    """
+    speeds = asked_speeds(model, path)
+    for number, part in enumerate(path.parts):
+        span = model.speed_range(part.type)
+        if span is not None and part.speed is not None:
+            speeds[number] = np.clip(speeds[number], *span)
+    return speeds
+
+
+def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
+    """A line for each part that is gone along at another speed than asked for."""
+    lines = []
+    pairs = zip(asked_speeds(model, path).tolist(), part_speeds(model, path).tolist(), strict=True)
+    for number, (part, (asked, gone)) in enumerate(zip(path.parts, pairs, strict=True), 1):
+        if asked != gone:
+            lines.append(
+                f"part {number}: {part.type} goes at {gone / METRE:.2f} m/s instead of {asked / METRE:g}: "
+                f"{_recorded(model, part.type)}"
+            )
+    return lines
+
+
+def check_speeds(model: MotionModel, path: Path2D) -> None:
+    """Refuse speeds that no recording comes near; raises ControlError for the first."""
+    pairs = zip(asked_speeds(model, path).tolist(), part_speeds(model, path).tolist(), strict=True)
+    for number, (part, (asked, gone)) in enumerate(zip(path.parts, pairs, strict=True), 1):
+        if asked != gone:
+            raise ControlError(
+                f"part {number}: expected a speed at which {part.type} looks right, "
+                f"{_recorded(model, part.type)}, found {asked / METRE:g} m/s"
+            )
+
+
+def _recorded(model: MotionModel, kind: str) -> str:
+    span = model.speed_range(kind)
+    assert span is not None, "only types with recorded speeds have limits"
+    return f"{span[0] / METRE:.2f} to {span[1] / METRE:.2f} m/s by its recordings"
