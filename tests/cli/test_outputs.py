@@ -210,9 +210,9 @@ def test_more_than_memory_holds_is_refused_before_it_is_asked_for(
 def test_a_speed_that_no_recording_has_is_said_or_refused(motionkit, home: Path) -> None:
     words = ["follow-path", "line", "--size", 1, "--speed", 0.3, "--model", "m.safetensors"]
     said = motionkit(*words, "-o", "walk.bvh")
-    assert said.code == 0 and said.err.startswith("part 1: walking goes at 0.89 m/s instead of 0.3: 0.89 to ")
+    assert said.code == 0 and said.err.startswith("part 1: walking goes at 0.75 m/s instead of 0.3: 0.75 to ")
     refused = motionkit(*words, "--strict", "-o", "other.bvh")
-    assert refused.failed_with("part 1: expected a speed at which walking looks right, 0.89 to ")
+    assert refused.failed_with("part 1: expected a speed at which walking looks right, 0.75 to ")
     assert (home / "walk.bvh").exists() and not (home / "other.bvh").exists()
 
 

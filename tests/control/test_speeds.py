@@ -38,6 +38,7 @@ def test_the_range_is_that_of_the_recordings_and_a_tenth_more() -> None:
     clips = [recording(100.0), recording(150.0), recording(900.0, 30)]
     assert recorded_speeds(clips, 60.0) == pytest.approx((90.0, 165.0), rel=1e-4)
     assert recorded_speeds(clips[2:], 60.0) is None, "less than a second tells no speed"
+    assert recorded_speeds(clips[:1], 60.0) == pytest.approx((75.0, 125.0), rel=1e-4), "all alike"
 
 
 @pytest.mark.parametrize(("asked", "gone"), [(1.2, 120.0), (0.3, 90.0), (5.0, 165.0)])

@@ -14,8 +14,9 @@ from motionkit.motion.rotations import rotate_ground
 from motionkit.motion.skeleton import JOINT_COUNT
 
 MOVEMENT_FRAMES = 120
-# Share of the recorded seconds that is left out at each end of a range of speeds, and share by which it is widened.
-SPEED_SHARE, SPEED_MARGIN = 0.02, 0.1
+# Share of the recorded seconds that is left out at each end of a range of speeds, share by which it is widened, and
+# share of the usual speed that it reaches to both sides at least.
+SPEED_SHARE, SPEED_MARGIN, LEAST_MARGIN = 0.02, 0.1, 0.25
 JUMP_OF_PHASE = 0.1  # in a frame, between one strike or jump and the next
 # A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
 # Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
@@ -146,15 +147,19 @@ def recorded_rhythm(clips: Sequence[ReferenceClip]) -> Rhythm | None:
 def recorded_speeds(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, float] | None:
     """Slowest and fastest speed in cm/s at which a type looks right, from its recordings; None without any.
 
-    Speeds are means over a second; the slowest and the fastest of them are beginnings, ends and outliers.
+    Speeds are means over a second; the slowest and the fastest of them are beginnings, ends and outliers. Recordings
+    that all go alike are no reason to go like them: a share of the usual speed to both sides looks right, too.
     """
     second = round(fps)
     ways = [clip.ground[second:, :2] - clip.ground[:-second, :2] for clip in clips if len(clip) > second]
     if not ways:
         return None
     speeds = np.linalg.norm(np.concatenate(ways), axis=-1) * fps / second
-    slow, fast = np.quantile(speeds, [SPEED_SHARE, 1.0 - SPEED_SHARE]).tolist()
-    return slow * (1.0 - SPEED_MARGIN), fast * (1.0 + SPEED_MARGIN)
+    slow, usual, fast = np.quantile(speeds, [SPEED_SHARE, 0.5, 1.0 - SPEED_SHARE]).tolist()
+    return (
+        min(slow * (1.0 - SPEED_MARGIN), usual * (1.0 - LEAST_MARGIN)),
+        max(fast * (1.0 + SPEED_MARGIN), usual * (1.0 + LEAST_MARGIN)),
+    )
 
 
 @dataclass(frozen=True, eq=False)
