@@ -150,7 +150,7 @@ def test_clients_of_the_live_page(tmp_path: Path) -> None:
         clients = [text for page in pages for language, text in blocks(page) if language == "python"]
         assert len(clients) == 3
         for text in clients:
-            code = text.replace("8642", str(web)).replace("8643", str(tcp))
+            code = re.sub("8642|8643", lambda found: str(web if found[0] == "8642" else tcp), text)
             command = [sys.executable, "-u", "-c", code]
             client = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
             assert client.stdout is not None and client.stderr is not None

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.flight import falling_freely
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
 from motionkit.control.opening import opening
@@ -180,7 +181,7 @@ def finish_motion(
     options: SynthesisOptions,
     hold: Array | float = 0.0,
 ) -> Motion:
-    """One character of a roll-out as a motion to write: on its skeleton, feet locked, at its rate.
+    """One character of a roll-out as a motion to write: on its skeleton, feet locked, flights falling, at its rate.
 
     A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
@@ -192,6 +193,8 @@ def finish_motion(
     if options.ik:
         motion = lock_feet(motion, rollout.contacts[index], hold)
     motion = on_character(motion, skeleton)
+    if options.ik:
+        motion = falling_freely(motion)
     return motion if options.fps is None else resample(motion, options.fps)
 
 

@@ -1,0 +1,81 @@
+"""Flights of whole motions fall freely."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import motionkit as mk
+from motionkit.control.flight import EASE, NEAR, falling_freely
+from motionkit.metrics.flight import flights
+from motionkit.metrics.touch import touching
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from synthetic_motions import make_walk
+
+
+def jump(acceleration: float, frames: int = 30) -> Motion:
+    """A stiff body that stands, flies for some frames under an acceleration in m/s^2, and stands."""
+    still = make_walk(4)
+    stand = 20
+    count = frames + 2 * stand
+    lowest = float(motion_kinematics(still)[1][0, :, 1].min())
+    t = np.clip(np.arange(count) - stand, 0, frames)
+    heights = -0.5 * 100.0 * acceleration * t * (frames - t) / 60.0**2
+    roots = np.repeat(still.root_positions[:1], count, axis=0)
+    roots[:, 1] += (heights - lowest + 3.0).astype(np.float32)
+    return replace(
+        still, local_rotations=np.repeat(still.local_rotations[:1], count, axis=0), root_positions=roots
+    )
+
+
+def fall(motion: Motion) -> float:
+    """The acceleration of the only flight of a motion."""
+    positions = motion_kinematics(motion)[1]
+    (flight,) = flights(positions, ~touching(positions))
+    return flight.acceleration
+
+
+@pytest.mark.parametrize("acceleration", [-13.0, -8.0, -6.0])
+def test_a_flight_falls_freely_between_the_same_ends(acceleration: float) -> None:
+    before = jump(acceleration)
+    assert fall(before) == pytest.approx(acceleration, abs=0.1)
+    after = falling_freely(before)
+    assert fall(after) == pytest.approx(-9.81, abs=0.8)
+    moved = after.root_positions - before.root_positions
+    assert np.abs(moved[:, [0, 2]]).max() == 0.0 and np.array_equal(
+        after.local_rotations, before.local_rotations
+    )
+    assert np.abs(moved[:20]).max() == 0.0 and np.abs(moved[-20:]).max() == 0.0, "who stands stays"
+    assert (moved[35, 1] > 0.0) == (acceleration > -9.81)
+
+
+def test_a_correction_comes_and_goes_smoothly() -> None:
+    before = jump(-13.0)
+    moved = (falling_freely(before).root_positions - before.root_positions)[:, 1]
+    ends = np.flatnonzero(moved)
+    assert np.abs(np.diff(moved, n=2)).max() < 0.35 * np.abs(moved).max()
+    assert (
+        np.abs(moved[ends[0] : ends[0] + 2]).max() < 0.3 * np.abs(moved[ends[0] : ends[0] + EASE + 1]).max()
+    )
+
+
+@pytest.mark.parametrize("acceleration", [-9.81 - NEAR - 1.0, -9.81 + NEAR + 1.0])
+def test_what_is_no_flight_stays(acceleration: float) -> None:
+    before = jump(acceleration, 40)
+    assert np.array_equal(falling_freely(before).root_positions, before.root_positions)
+
+
+def test_a_flight_at_the_end_of_a_motion_stays() -> None:
+    whole = jump(-13.0)
+    for cut in (whole.cut(30, len(whole)), whole.cut(0, 45), whole.cut(0, 2)):
+        assert np.array_equal(falling_freely(cut).root_positions, cut.root_positions)
+
+
+def test_synthesized_jumps_fall_freely_unless_feet_are_free() -> None:
+    held = mk.synthesize("jumping-b:6", seed=3)
+    positions = motion_kinematics(held.motion)[1]
+    found = flights(positions, ~touching(positions))
+    assert found and all(abs(each.error) < 1.5 for each in found if abs(each.error) < NEAR)
