@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -37,26 +39,27 @@ def part_speeds(model: MotionModel, path: Path2D) -> Array:
 
 def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
     """A line for each part that is gone along at another speed than asked for."""
-    lines = []
-    pairs = zip(asked_speeds(model, path).tolist(), part_speeds(model, path).tolist(), strict=True)
-    for number, (part, (asked, gone)) in enumerate(zip(path.parts, pairs, strict=True), 1):
-        if asked != gone:
-            lines.append(
-                f"part {number}: {part.type} goes at {gone / METRE:.2f} m/s instead of {asked / METRE:g}: "
-                f"{_recorded(model, part.type)}"
-            )
-    return lines
+    return [
+        f"part {number}: {kind} goes at {gone / METRE:.2f} m/s instead of {asked / METRE:g}: {_recorded(model, kind)}"
+        for number, kind, asked, gone in _changed(model, path)
+    ]
 
 
 def check_speeds(model: MotionModel, path: Path2D) -> None:
     """Refuse speeds that no recording comes near; raises ControlError for the first."""
-    pairs = zip(asked_speeds(model, path).tolist(), part_speeds(model, path).tolist(), strict=True)
-    for number, (part, (asked, gone)) in enumerate(zip(path.parts, pairs, strict=True), 1):
+    for number, kind, asked, _ in _changed(model, path):
+        raise ControlError(
+            f"part {number}: expected a speed at which {kind} looks right, {_recorded(model, kind)}, "
+            f"found {asked / METRE:g} m/s"
+        )
+
+
+def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float, float]]:
+    """Number, type, asked speed and speed gone in cm/s of each part where these differ."""
+    speeds = asked_speeds(model, path).tolist(), part_speeds(model, path).tolist()
+    for number, (part, asked, gone) in enumerate(zip(path.parts, *speeds, strict=True), 1):
         if asked != gone:
-            raise ControlError(
-                f"part {number}: expected a speed at which {part.type} looks right, "
-                f"{_recorded(model, part.type)}, found {asked / METRE:g} m/s"
-            )
+            yield number, part.type, asked, gone
 
 
 def _recorded(model: MotionModel, kind: str) -> str:
