@@ -9,7 +9,7 @@ from dataclasses import fields
 import pytest
 
 from motionkit.training.options import GROUP_OF, GROUPS, Stage, TrainOptions, flat_options, with_changes
-from motionkit.training.presets import STAGES, train_options
+from motionkit.training.presets import STAGES, fine_tune_options, train_options
 
 TWO = (Stage(0.0, {"share": 0.0}), Stage(0.5, {"share": 0.3, "step_weight": 7.0}))
 
@@ -31,7 +31,17 @@ def test_what_is_asked_for_holds_in_all_stages() -> None:
     options = train_options("tptn", steps=1, share=0.1, step_weight=0.0)
     for x in (0.0, 0.5, 1.0):
         assert options.at(x).scheduled_sampling.share == 0.1 and options.at(x).losses.step_weight == 0.0
-    assert options.at(1.0).sampler.balance == STAGES[-1].changes["balance"]
+    assert options.at(1.0).sampler.balance == 0.9 > options.at(0.0).sampler.balance
+
+
+def test_references_are_rare_until_late_in_a_run() -> None:
+    options = train_options("tptn", steps=1)
+    dropouts = [options.at(x).sampler.controls.reference_dropout for x in (0.0, 0.5, 0.79, 0.8, 1.0)]
+    assert dropouts == [0.8, 0.8, 0.8, 0.5, 0.5]
+    tuned = fine_tune_options("tptn", steps=1)
+    assert tuned.at(0.0).sampler.controls.reference_dropout == 0.5
+    asked = train_options("tptn", steps=1, reference_dropout=0.3)
+    assert {asked.at(x).sampler.controls.reference_dropout for x in (0.0, 1.0)} == {0.3}
 
 
 def test_the_paper_has_no_stages() -> None:
