@@ -205,6 +205,8 @@ def test_the_page_names_networks_that_hardly_move_and_the_command() -> None:
     assert "`motionkit experiment run all --set D_L --budget cpu --frames 240 --seeds 3`" in page(lively)
     short = [each | {"folder": "D_L/cpu-300"} for each in lively]
     assert "--frames 240 --steps 300 --seeds 3`" in page(short)
+    more = [result("FPTN-R", "fptn-r", seed, 30.0) for seed in (0, 1)]
+    assert "--seeds 3 --every-seed`" in page(lively + more), "a table needs one of FPTN-R"
 
 
 def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) -> None:

@@ -308,17 +308,20 @@ def budget_lines(results: Results) -> list[str]:
                     f"little dropout: {words}. Absolute head is TPTN without these changes."
                 )
         lines.append(
-            f"{line} At most {here[0]['longest']} frames are made of a sequence. {_command(here[0], folder)}"
+            f"{line} At most {here[0]['longest']} frames are made of a sequence. {_command(here, folder)}"
         )
     return lines
 
 
-def _command(result: dict[str, Any], folder: str) -> str:
-    """How these runs are made again, in words."""
+def _command(here: list[dict[str, Any]], folder: str) -> str:
+    """How the runs of a folder are made again, in words."""
     budget, _, steps = folder.partition("/")[2].partition("-")
-    words = f"--set {result['data']} --budget {budget} --frames {result['longest']}"
+    words = f"--set {here[0]['data']} --budget {budget} --frames {here[0]['longest']}"
+    needed = {variant.name: variant.seeds for variant in VARIANTS}
+    more = any(result["seed"] >= needed.get(result["name"], 1) for result in here)
     return (
-        f"Made with `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds 3`."
+        f"Made with `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds 3"
+        f"{' --every-seed' if more else ''}`."
     )
 
 
