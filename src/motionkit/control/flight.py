@@ -11,11 +11,12 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.metrics.flight import FREE_FALL, centre_of_mass, flights
-from motionkit.metrics.touch import touching
+from motionkit.metrics.touch import FALL_ERROR, touching
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 
-# m/s^2; what is further from free fall is no flight but a body on its hands, or one that glides.
+# m/s^2; what is further from free fall is no flight but a body on its hands, or one that glides. What is nearer than
+# FALL_ERROR stays as it is.
 NEAR = 4.5
 EASE = 5  # frames over which a correction comes and goes, since a corner in the way jerks
 
@@ -29,7 +30,7 @@ def falling_freely(motion: Motion) -> Motion:
     roots = motion.root_positions.copy()
     for flight in flights(positions, ~touching(positions)):
         before, after = flight.start - 1, flight.end
-        if before < 0 or after >= len(positions) or abs(flight.error) > NEAR:
+        if before < 0 or after >= len(positions) or not FALL_ERROR < abs(flight.error) <= NEAR:
             continue
         frames = np.arange(before, after + 1)
         since, left = frames - before, after - frames
