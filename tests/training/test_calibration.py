@@ -47,13 +47,12 @@ def test_the_cost_of_a_manner(made: Manner, cost: float) -> None:
 @pytest.mark.parametrize(
     ("costs", "gain"),
     [
-        ((0.5, 0.4, 0.3, 0.1, 0.2, 0.4), 1.5),
-        ((0.1, 0.4, 0.5, 0.6, 0.7, 0.8), 0.4),  # less than the whole pose
-        ((0.5, 0.4, 0.3, 0.28, 0.27, 0.26), 1.0),  # hardly better
-        ((0.5, 0.4, 0.32, 0.31, 0.27, 0.26), 1.5),
+        ((0.3, 0.1, 0.2, 0.4), 1.5),
+        ((0.28, 0.27, 0.26, 0.26), 1.0),  # more is hardly better
+        ((0.32, 0.31, 0.27, 0.26), 1.5),
     ],
 )
-def test_the_gain_nearest_to_1_that_is_nearly_the_best(costs: tuple[float, ...], gain: float) -> None:
+def test_the_smallest_gain_that_is_nearly_the_best(costs: tuple[float, ...], gain: float) -> None:
     assert calibration._cheapest(GAINS, costs) == gain
 
 
@@ -93,8 +92,8 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
 
 
 def test_roll_outs_depend_on_the_gain(tiny_model: MotionModel, dataset: Dataset) -> None:
-    gains = calibrated_gains(tiny_model, dataset, 20, repeats=1, gains=(0.4, 2.5))
-    assert gains and set(gains.values()) <= {0.4, 2.5}
+    gains = calibrated_gains(tiny_model, dataset, 20, repeats=1, gains=(1.0, 2.5))
+    assert gains and set(gains.values()) <= {1.0, 2.5}
     louder = with_gains(tiny_model, {"cartwheel": 2.0})
     assert louder.types["cartwheel"].preset.reference_gain == 2.0
     assert louder.types["walking"].preset == tiny_model.types["walking"].preset
