@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -34,10 +35,10 @@ RECORDED = Manner(2.0, 50.0, 0.5)
         (Manner(2.0, 50.0, 0.5), 0.0),
         (Manner(2.0, 10.0, 0.5), 0.0),  # smoother is no fault
         (Manner(2.0, 60.0, 0.5), 0.0),
-        (Manner(2.0, 75.0, 0.5), 0.3),  # beyond 1.2 times the jerk
-        (Manner(1.5, 50.0, 0.5), 0.25),
-        (Manner(2.5, 50.0, 0.5), 0.25),  # too fast is as bad as too slow
-        (Manner(1.5, 75.0, 0.1), 0.95),
+        (Manner(2.0, 120.0, 0.5), 0.25 * math.log(2.0)),  # twice 1.2 times the jerk
+        (Manner(1.0, 50.0, 0.5), math.log(2.0)),
+        (Manner(4.0, 50.0, 0.5), math.log(2.0)),  # too fast is as bad as too slow
+        (Manner(1.0, 120.0, 0.1), 1.25 * math.log(2.0) + 0.4),
     ],
 )
 def test_the_cost_of_a_manner(made: Manner, cost: float) -> None:

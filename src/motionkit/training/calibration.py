@@ -6,6 +6,7 @@ than after a long one. A gain makes up for it; more of it than needed makes the 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -29,7 +30,10 @@ from motionkit.motion.skeleton import JOINT_COUNT
 GAINS = (1.0, 1.5, 2.0, 2.5)
 SEED, REPEATS = 500, 3  # of the validation split
 LEAST_FRAMES = 8  # of a recorded stretch that counts
-JERK = 1.2  # times the recorded jerk that cost nothing: a network shakes a little at any gain
+JERK, JERK_WEIGHT = (
+    1.2,
+    0.25,
+)  # times the recorded jerk that cost nothing: a network shakes a little at any gain
 NEARLY = 0.05  # a smaller gain is taken where it costs at most so much more than the best
 
 
@@ -42,9 +46,20 @@ class Manner:
     planted: float
 
     def cost(self, recorded: Manner) -> float:
-        """How far it is from a recorded one: shares of its speed, and of its jerk beyond JERK, and planted time."""
-        faster, shakier = self.speed / max(recorded.speed, 1e-3), self.jerk / max(recorded.jerk, 1e-3)
-        return abs(faster - 1.0) + max(0.0, shakier - JERK) + abs(self.planted - recorded.planted)
+        """How far it is from a recorded one: in speed, a little in jerk beyond JERK times, and in planted time.
+
+        Speed and jerk count by the logarithms of their ratios. Jerk counts little, since recordings that have been
+        smoothed have hardly any.
+        """
+        faster, shakier = (
+            math.log(max(made, 1e-3) / max(real, 1e-3))
+            for made, real in ((self.speed, recorded.speed), (self.jerk, recorded.jerk))
+        )
+        return (
+            abs(faster)
+            + JERK_WEIGHT * max(0.0, shakier - math.log(JERK))
+            + abs(self.planted - recorded.planted)
+        )
 
 
 def calibrated_gains(
