@@ -22,6 +22,11 @@ def normalized(vectors: Array, eps: float = 1e-12) -> Array:
     return vectors / np.maximum(length(vectors), eps)[..., None]
 
 
+def smoothstep(x: Array) -> Array:
+    """Shares that rise from 0 at 0 to 1 at 1, without speed at both ends; x (...) is between 0 and 1."""
+    return x * x * (3.0 - 2.0 * x)
+
+
 def lerp(a: Array, b: Array, share: Array | float) -> Array:
     """Linear interpolation from a (share 0) to b (share 1); share is broadcast against both."""
     return a + share * (b - a)

@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from motionkit.arrays import smoothstep
 from motionkit.metrics.flight import FREE_FALL, centre_of_mass, flights
 from motionkit.metrics.touch import FALL_ERROR, touching
 from motionkit.motion.kinematics import motion_kinematics
@@ -36,7 +37,6 @@ def falling_freely(motion: Motion) -> Motion:
         since, left = frames - before, after - frames
         straight = np.interp(frames, [before, after], heights[[before, after]])
         wanted = straight - 0.5 * 100.0 * FREE_FALL * since * left / motion.fps**2
-        ease = np.clip(np.minimum(since, left) / EASE, 0.0, 1.0)
-        ease = ease * ease * (3.0 - 2.0 * ease)
+        ease = smoothstep(np.minimum(np.minimum(since, left) / EASE, 1.0))
         roots[frames, 1] += (ease * (wanted - heights[frames])).astype(roots.dtype)
     return replace(motion, root_positions=roots)

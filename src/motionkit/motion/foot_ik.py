@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from motionkit.arrays import Array, length, lower_median
+from motionkit.arrays import Array, length, lower_median, smoothstep
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import (
     ANKLES,
@@ -173,8 +173,7 @@ def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, 
 
 def _easing(frames: int, ease: int) -> Array:
     """The first frames of a share that falls to 0 in `ease` frames."""
-    x = 1.0 - np.arange(1, frames + 1) / ease
-    return x * x * (3.0 - 2.0 * x)
+    return smoothstep(1.0 - np.arange(1, frames + 1) / ease)
 
 
 def _smoothed(values: Array, half: int) -> Array:
