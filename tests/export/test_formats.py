@@ -15,7 +15,8 @@ import numpy as np
 import pytest
 
 from motionkit.errors import MotionkitError, SkeletonError
-from motionkit.export.clip import Clip, Figure, make_figure, skin_weights
+from motionkit.export.clip import Clip
+from motionkit.export.figure import Figure, make_figure, skin_weights
 from motionkit.export.formats import WRITERS, read_motion, write_motion
 from motionkit.export.gltf import GltfDocument, GltfFile
 from motionkit.export.usda import joint_paths

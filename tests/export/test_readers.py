@@ -21,7 +21,8 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.export.clip import Clip, make_figure
+from motionkit.export.clip import Clip
+from motionkit.export.figure import make_figure
 from motionkit.export.formats import write_motion
 from motionkit.export.glb import add_figure
 from motionkit.export.gltf import GltfDocument

@@ -12,14 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.export.clip import (
-    Clip,
-    Figure,
-    joint_translations,
-    make_figure,
-    materials,
-    skin_weights,
-)
+from motionkit.export.clip import Clip
+from motionkit.export.figure import Figure, joint_translations, make_figure, materials, skin_weights
 from motionkit.files import atomic_write
 from motionkit.motion.rotations import quat_continuous, quat_normalize
 from motionkit.motion.skeleton import Skeleton

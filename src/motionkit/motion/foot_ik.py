@@ -40,7 +40,7 @@ LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise a
 RISE_FRAMES = 10  # a body is raised so many frames early for a hand that would go through the floor
 RATE = 60.0
 # Joints that the floor keeps up by raising all of the body; feet are moved by themselves.
-ABOVE = np.setdiff1d(np.arange(JOINT_COUNT), FOOT_JOINTS)
+ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
 
 
 def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Motion:
