@@ -45,9 +45,10 @@ def test_faults(motionkit, dataset_folder: Path, tmp_path: Path, words: list[str
 
 @pytest.mark.usefixtures("unscored")
 def test_a_share_of_windows_without_reference_poses(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
-    said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--reference-dropout", 0.8)
-    options = load_model(tmp_path / "model.safetensors").card["options"]
-    assert said.code == 0 and options["sampler"]["controls"]["reference_dropout"] == 0.8
+    words = ("--reference-dropout", 0.8, "--trajectory-drift", 0.1)
+    said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, *words)
+    controls = load_model(tmp_path / "model.safetensors").card["options"]["sampler"]["controls"]
+    assert said.code == 0 and (controls["reference_dropout"], controls["trajectory_drift"]) == (0.8, 0.1)
     said = motionkit("train", dataset_folder, *QUICK, "--steps", 1, "--reference-dropout", 1.5)
     assert said.code == 2 and "1.5 is not in the range 0.0<=x<=1.0" in said.err
 

@@ -7,6 +7,7 @@ import torch
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
+from motionkit.features.control import ControlLayout
 from motionkit.training.presets import train_options
 from motionkit.training.sampler import SamplerOptions, WindowSampler
 
@@ -174,6 +175,28 @@ def test_gaps_in_reference_poses_last_half_a_second_to_a_second(dataset: Dataset
     assert float(missing.max()) > 30 and 0 < float(missing.min()) and float(missing.max()) < 60
     for row, frames in zip(gain, recorded.tolist(), strict=True):
         assert int((row[:frames].diff() < 0).sum()) <= 1, "one gap a window"
+
+
+def test_drifting_trajectories_are_too_long_or_too_short(dataset: Dataset) -> None:
+    given = {"trajectory_dropout": 0.0, "reference_dropout": 1.0, "lead_share": 0.0}
+    true, drifting = (
+        sampler(dataset, window=24, splices=0, trajectory_drift=drift, **given).batch(0, 8)
+        for drift in (0.0, 0.2)
+    )
+    # Which windows are drawn, and the trajectory to be predicted, stay as they are.
+    assert torch.equal(true.targets, drifting.targets) and torch.equal(true.trajectory, drifting.trajectory)
+    columns = ControlLayout(dataset.types).trajectory
+    scaling = dataset.trajectory_scaling
+    before, after = (scaling.denormalize(batch.controls[..., columns].numpy()) for batch in (true, drifting))
+    factors = []
+    for row in range(8):
+        frames = int((true.mask[row] > 0).sum())
+        straight, drifted = (each[row, :frames] for each in (before, after))
+        assert np.allclose(straight[:, 12:], drifted[:, 12:], atol=1e-3)  # directions
+        straight, drifted = straight[:, :12], drifted[:, :12]
+        factors.append(float((drifted * straight).sum() / (straight * straight).sum()))
+        assert np.allclose(drifted, factors[-1] * straight, atol=1e-2)
+    assert 0.05 < np.std(factors) < 0.5
 
 
 def test_a_sampler_changes_its_options_but_not_its_splices(dataset: Dataset) -> None:

@@ -19,6 +19,8 @@ from motionkit.data.phases import type_stretches
 from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
 from motionkit.features.control import (
+    TRAJECTORY_COUNT,
+    TRAJECTORY_OFFSETS,
     ControlLayout,
     Controls,
     blend_types,
@@ -39,9 +41,12 @@ MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
 
 @dataclass(frozen=True)
 class ControlSampling:
-    """How often windows go without some of their controls, so that the network learns to do without."""
+    """How often windows go without some of their controls, or with wrong ones, so that the network learns to cope."""
 
     trajectory_dropout: float = 0.5  # share of windows without a trajectory
+    # Standard deviation of a factor on the length of a window's trajectory. A network that is fed its own trajectory,
+    # and has only seen true ones, hands on whatever speed it is given, a little higher every time.
+    trajectory_drift: float = 0.0
     # Share of windows without reference poses; before and after a change of type it is sampled separately.
     reference_dropout: float = 0.5
     reference_gaps: float = 0.25  # share of windows that lack reference poses for half a second to a second
@@ -262,7 +267,7 @@ class WindowSampler:
         inputs = x[:frames] + noise * options.noise
         asked = Controls(
             weights,
-            trajectory[:frames],
+            self._drifted(trajectory[:frames], generator),
             np.full(frames, float(u >= options.controls.trajectory_dropout), np.float32),
             data.phases[:frames],
             data.reference[:frames],
@@ -288,6 +293,15 @@ class WindowSampler:
         padded = {name: _pad(value, T) for name, value in window.items()}
         padded["offsets"] = self.dataset.bodies[body]
         return padded
+
+    def _drifted(self, trajectory: Array, generator: torch.Generator) -> Array:
+        """Trajectories (T, 24) of a window, longer or shorter by one factor where the options ask for it."""
+        drift = self.options.controls.trajectory_drift
+        if drift == 0.0:
+            return trajectory
+        factor = np.ones(TRAJECTORY_COUNT, np.float32)
+        factor[: 2 * len(TRAJECTORY_OFFSETS)] += drift * float(torch.randn((), generator=generator))
+        return trajectory * factor
 
     def _with_reference(self, types: Array, generator: torch.Generator) -> Array:
         """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it, and gaps."""
