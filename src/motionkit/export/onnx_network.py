@@ -20,7 +20,7 @@ from motionkit.export.onnx_graph import Graph
 from motionkit.export.onnx_slip_correction import hold_ground
 from motionkit.export.onnx_small import balance_heads, spread_channels, whole_numbers
 from motionkit.features.control import skeleton_signal
-from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
 from motionkit.inference.rollout import blended_columns
 from motionkit.inference.step_weights import NORM_EPS, StepWeights
 from motionkit.models.model import MotionModel
@@ -105,11 +105,38 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     velocity_blends = model.presets("velocity_blend")[:, None] * blended_columns(config.layout)
     late = g.add("Sub", g.add("Add", "pose", moved), drawn)
     late = g.add("Mul", late, g.add("MatMul", "type_weights", velocity_blends))
-    slip_corrections = bool(model.presets("slip_correction").any())
-    pose = g.add("Add", drawn, late, out=None if slip_corrections else "present_pose")
-    if slip_corrections:
+    pose = g.add("Add", drawn, late)
+    if feature_layout(config.layout).root_is_sixd:
+        pose = _keep_rotation(g, model, pose)
+    if model.presets("slip_correction").any():
         pose = hold_ground(g, model, pose)
+    else:
+        g.add("Identity", pose, out="present_pose")
     return g.add("Add", g.add("Mul", pose, model.scaling.std), model.scaling.mean, out="features")
+
+
+def _keep_rotation(g: Graph, model: MotionModel, drawn: str) -> str:
+    """Write a drawn pose (1, 276) whose root rotation, two matrix columns, is orthonormal, and return its name."""
+    start = feature_layout(model.config.layout).blocks["root_rotation"].start
+    before, first, second, rest = g.split(drawn, [start, 3, 3, FEATURE_COUNT - start - 6], axis=1)
+    root = slice(start, start + 6)
+    mean, std = model.scaling.mean[root].reshape(2, 3), model.scaling.std[root].reshape(2, 3)
+    first, second = (
+        g.add("Gemm", each, np.diag(s), m) for each, m, s in zip((first, second), mean, std, strict=True)
+    )
+    first = _unit(g, first)
+    along = g.add("Gemm", second, first, transB=1)
+    second = _unit(g, g.add("Sub", second, g.add("Mul", along, first)))
+    columns = (
+        g.add("Gemm", each, np.diag(1.0 / s), -m / s)
+        for each, m, s in zip((first, second), mean, std, strict=True)
+    )
+    return g.add("Concat", before, *columns, rest, axis=1)
+
+
+def _unit(g: Graph, vector: str) -> str:
+    """Write a vector (1, 3) divided by its length, and return its name."""
+    return g.add("Div", vector, g.add("ReduceL2", vector, axes=[1], keepdims=1))
 
 
 def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list[list[str]]:

@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 11; }
+int64_t frame_kernel_version(void) { return 12; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -109,9 +109,36 @@ static void move_root(const Draw *d, int64_t row) {
     ground[1] += cosine * z - sine * x;
 }
 
+static double larger(double a, double b) { return a > b ? a : b; }
+
+/* Two matrix columns made orthonormal (Gram-Schmidt). */
+static void orthonormal(const float *sixd, double *a, double *b) {
+    double along = 0;
+    double size = larger(sqrt((double)sixd[0] * sixd[0] + (double)sixd[1] * sixd[1] + (double)sixd[2] * sixd[2]), 1e-8);
+    for (int i = 0; i < 3; i++) a[i] = sixd[i] / size;
+    for (int i = 0; i < 3; i++) along += a[i] * sixd[3 + i];
+    for (int i = 0; i < 3; i++) b[i] = sixd[3 + i] - along * a[i];
+    size = larger(sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]), 1e-8);
+    for (int i = 0; i < 3; i++) b[i] /= size;
+}
+
+/* The root's rotation is made a rotation again before the network sees it: RolloutState in rollout.py. */
+static void keep_rotation(const Draw *d, int64_t row) {
+    if (d->sixd < 0) return;
+    float *x = d->x + row * d->features + d->sixd, *features = d->denormalised + row * d->features + d->sixd;
+    const float *mean = d->scaling_mean + d->sixd, *std = d->scaling_std + d->sixd;
+    double columns[6];
+    orthonormal(features, columns, columns + 3);
+    for (int i = 0; i < 6; i++) {
+        features[i] = (float)columns[i];
+        x[i] = (features[i] - mean[i]) / std[i];
+    }
+}
+
 void draw_frames(const Draw *d, int64_t rows) {
     for (int64_t row = 0; row < rows; row++) {
         draw_pose(d, row);
+        keep_rotation(d, row);
         take_contacts(d, row);
         hold_ground(d, row);
         move_root(d, row);
@@ -136,17 +163,10 @@ static void quat_of_columns(const double *a, const double *b, const double *c, d
     for (int i = 0; i < 4; i++) quat[i] = forms[best][i] / size;
 }
 
-static double larger(double a, double b) { return a > b ? a : b; }
-
-/* Two matrix columns made orthonormal (Gram-Schmidt), as a quaternion. */
+/* Two matrix columns, made orthonormal, as a quaternion. */
 static void sixd_to_quat(const float *sixd, double *quat) {
-    double a[3], b[3], c[3], along = 0;
-    double size = larger(sqrt((double)sixd[0] * sixd[0] + (double)sixd[1] * sixd[1] + (double)sixd[2] * sixd[2]), 1e-8);
-    for (int i = 0; i < 3; i++) a[i] = sixd[i] / size;
-    for (int i = 0; i < 3; i++) along += a[i] * sixd[3 + i];
-    for (int i = 0; i < 3; i++) b[i] = sixd[3 + i] - along * a[i];
-    size = larger(sqrt(b[0] * b[0] + b[1] * b[1] + b[2] * b[2]), 1e-8);
-    for (int i = 0; i < 3; i++) b[i] /= size;
+    double a[3], b[3], c[3];
+    orthonormal(sixd, a, b);
     for (int i = 0; i < 3; i++) c[i] = a[(i + 1) % 3] * b[(i + 2) % 3] - a[(i + 2) % 3] * b[(i + 1) % 3];
     quat_of_columns(a, b, c, quat);
 }

@@ -9,6 +9,7 @@
 /* How a frame is drawn from the network's Gaussians and taken in: RolloutState in rollout.py. */
 typedef struct {
     int64_t features, contacts, yaw, xz; /* counts, and columns of the root's velocities */
+    int64_t sixd;                        /* columns of the root's rotation, if it is two matrix columns, else -1 */
     int64_t gaussian_stride, logit_stride;
     int64_t feet[4]; /* columns of the foot joints' positions */
     double floor, reaches[4], shares[4], ease, stiffness, enough, limit; /* of slip_correction.py */

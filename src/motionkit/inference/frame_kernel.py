@@ -27,12 +27,12 @@ from motionkit.native import load_library
 if TYPE_CHECKING:
     from motionkit.inference.pose import PoseDecoder
 
-VERSION = 11  # of frame_kernel.c
+VERSION = 12  # of frame_kernel.c
 
 
 class _Draw(Structure):
     _fields_ = (
-        *((n, c_int64) for n in "features contacts yaw xz gaussian_stride logit_stride".split()),
+        *((n, c_int64) for n in "features contacts yaw xz sixd gaussian_stride logit_stride".split()),
         ("feet", c_int64 * 4),
         ("floor", c_double),
         *((n, c_double * 4) for n in ("reaches", "shares")),
@@ -154,14 +154,15 @@ def bind_draw(library: ctypes.CDLL, words: Structure, arrays: DrawArrays) -> Cal
 
 def draw_words(
     arrays: DrawArrays,
-    columns: tuple[int, int, NDArray[np.intp]],
+    columns: tuple[int, int, int, NDArray[np.intp]],
     noise: tuple[float, float, float, float, float],
     fps: float,
 ) -> Structure:
     """How draw_frames is told of the arrays, which it keeps no hold of.
 
     Args:
-        columns: of the root's yaw velocity, of the first of its ground velocities, and of the foot joints (4, 3).
+        columns: of the root's yaw velocity, of the first of its ground velocities, of its rotation if that is two
+            matrix columns, else -1, and of the foot joints (4, 3).
         noise: Noise.filters and the temperature.
     """
     made, filters, frame = arrays.prediction, arrays.noise, tuple(vars(arrays.frame).values())
@@ -170,10 +171,10 @@ def draw_words(
     whole = (*arrays.scaling, *followed, *frame)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
     assert made.log_sigma.strides == made.mean.strides
-    yaw, xz, feet = columns
+    *root, feet = columns
     four = c_double * 4
     return _Draw(
-        FEATURE_COUNT, CONTACT_COUNT, yaw, xz, *strides,
+        FEATURE_COUNT, CONTACT_COUNT, *root, *strides,
         (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
         four(*slip_correction.REACHES), four(*leg_ik.FOOT_SHARES),
         leg_ik.HOLD.ease, slip_correction.STIFFNESS, leg_ik.HOLD.enough, slip_correction.LIMIT,

@@ -85,8 +85,8 @@ def expmap_to_quat(expmap: Floats) -> Floats:
     return quat
 
 
-def sixd_to_quat(sixd: list[float]) -> tuple[float, float, float, float]:
-    """A unit quaternion of two matrix columns (6,), made orthonormal first (Gram-Schmidt).
+def orthonormal(sixd: list[float]) -> tuple[float, float, float, float, float, float]:
+    """Two matrix columns (6,) made orthonormal (Gram-Schmidt).
 
     In plain floats: for one rotation that is ten times as fast as forty small arrays.
     """
@@ -96,7 +96,12 @@ def sixd_to_quat(sixd: list[float]) -> tuple[float, float, float, float]:
     along = ax * bx + ay * by + az * bz
     bx, by, bz = bx - along * ax, by - along * ay, bz - along * az
     size = max(math.sqrt(bx * bx + by * by + bz * bz), 1e-8)
-    bx, by, bz = bx / size, by / size, bz / size
+    return ax, ay, az, bx / size, by / size, bz / size
+
+
+def sixd_to_quat(sixd: list[float]) -> tuple[float, float, float, float]:
+    """A unit quaternion of two matrix columns (6,), made orthonormal first."""
+    ax, ay, az, bx, by, bz = orthonormal(sixd)
     cx, cy, cz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
     # Four forms of the same; the one with the largest leading number is well-conditioned.
     w, x, y, z = max(

@@ -31,6 +31,7 @@ from motionkit.inference.frame_kernel import (
     frame_library,
 )
 from motionkit.inference.height_correction import raised
+from motionkit.inference.pose import orthonormal
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.stepping import TorchStep, stepper
 from motionkit.models.model import MotionModel
@@ -131,7 +132,9 @@ class RolloutState:
         seeds = seed if isinstance(seed, Sequence) else range(seed, seed + batch)
         self.random = [np.random.default_rng(each) for _, each in zip(range(batch), seeds, strict=True)]
         self.network = stepper(model.network, batch, self.random)
-        blocks = feature_layout(model.config.layout).blocks
+        layout = feature_layout(model.config.layout)
+        blocks = layout.blocks
+        self._sixd = blocks["root_rotation"] if layout.root_is_sixd else None
         self._yaw, self._xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"]
         self._mean, self._std = model.scaling.mean, model.scaling.std
         self._layout = model.controls
@@ -338,7 +341,7 @@ class RolloutState:
             FrameArrays(self._x, self._contacts, self._features, self._ground),
         )
         noise = (*self.noise.filters, self.noise.temperature)
-        columns = (self._yaw, self._xz.start, self._feet)
+        columns = (self._yaw, self._xz.start, self._sixd.start if self._sixd else -1, self._feet)
         return draw_words(arrays, columns, noise, self.model.fps), arrays
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")  # step() looks at what comes out
@@ -359,6 +362,8 @@ class RolloutState:
         self._contacts[:] = 1.0 / (1.0 + np.exp(-network.contact_logits, dtype=np.float64))
         features = np.multiply(self._x, self._std, out=self._features)
         features += self._mean
+        if self._sixd:
+            self._keep_rotation(self._sixd)
         if self._slip_correction.any():
             self._hold_ground()
         ground, fps = self._ground, np.float32(self.model.fps)
@@ -367,6 +372,14 @@ class RolloutState:
         velocity = features[:, self._xz] / fps
         ground[:, 0] += cosine * velocity[:, 0] + sine * velocity[:, 1]
         ground[:, 1] += cosine * velocity[:, 1] - sine * velocity[:, 0]
+
+    def _keep_rotation(self, root: slice) -> None:
+        """Make the two columns of the root's rotation orthonormal, as all that the network has learnt from are.
+
+        Drawn frame by frame they shrink; where one goes through zero, the body turns over in a frame.
+        """
+        self._features[:, root] = [orthonormal(row) for row in self._features[:, root].tolist()]
+        self._x[:, root] = (self._features[:, root] - self._mean[root]) / self._std[root]
 
     def _hold_ground(self) -> None:
         """Take out of the root's velocities, in part, what feet on the ground would slide."""
