@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import random
 from collections.abc import Sequence
 from dataclasses import replace
@@ -37,9 +38,11 @@ RECONSIDERED, CLEARLY = 20, 0.4
 # Share of the recorded trajectory in the one shown, where one is asked for: recorded feet stand where the recording
 # went, and the root-slip correction (inference/slip_correction.py) follows the feet.
 OWN_SHARE = 0.5
-# Multiples of the first number fill 0 to 1 most evenly; those of the second give each draw another beginning.
-GOLDEN, OTHER = (5.0**0.5 - 1.0) / 2.0, 2.0**0.5 - 1.0
-SIBLINGS = 32  # successive choices that draw evenly
+PLAYED = 0.5  # a frame is not entered if more than this share of the LEAST_SECONDS from it on has been played
+# Multiples of the first number fill 0 to 1 most evenly; those of the others, nearly as well. They lead from draw to
+# draw, one for as many successive choices as draw evenly.
+GOLDEN, STEPS = (math.sqrt(5.0) - 1.0) / 2.0, tuple(math.sqrt(n) % 1.0 for n in (2.0, 3.0, 7.0, 11.0))
+SIBLINGS = 32
 
 
 class Left:
@@ -350,7 +353,7 @@ class ReferencePlayer:
     def _drawn(
         self, clips: Sequence[ReferenceClip], count: int, near: Array | None, speed: float | None
     ) -> tuple[ReferenceClip, int]:
-        """Of some random entry frames that have not been played the one most like the present pose."""
+        """Of some random entry frames of what has not been played the one most like the present pose."""
         found = self._fresh(self._as_fast(self.entry_frames(clips), speed))
         self._draws += 1
         clip, frames = found[drawn_evenly([len(frames) for _, frames in found], self.choice, self._draws)]
@@ -386,13 +389,24 @@ class ReferencePlayer:
         return ground_speeds(clip.ground, self.model.fps)
 
     def _fresh(self, found: list[tuple[ReferenceClip, list[int]]]) -> list[tuple[ReferenceClip, list[int]]]:
-        """The entry frames of clips that have not been played; all of them again after the last."""
-        fresh = [(clip, [at for at in frames if not self._played_of(clip)[at]]) for clip, frames in found]
+        """The entry frames before what has not been played, at least in part; all of them again after the last."""
+        played = [self._played_after(clip) for clip, _ in found]
+        fresh = [
+            (clip, [at for at in frames if after[at] <= PLAYED])
+            for (clip, frames), after in zip(found, played, strict=True)
+        ]
         if any(frames for _, frames in fresh):
             return [each for each in fresh if each[1]]
         for clip, _ in found:
             self._played_of(clip)[:] = False
         return found
+
+    def _played_after(self, clip: ReferenceClip) -> Array:
+        """Share of the LEAST_SECONDS from each frame (L,) on, or of what is left of the clip, that has been played."""
+        frames = np.arange(len(clip))
+        ends = np.minimum(frames + round(LEAST_SECONDS * self.model.fps), len(clip))
+        played = np.concatenate([[0], np.cumsum(self._played_of(clip))])
+        return np.asarray((played[ends] - played[frames]) / (ends - frames))
 
     def _played_of(self, clip: ReferenceClip) -> Array:
         return self._played.setdefault(id(clip), np.zeros(len(clip), bool))
@@ -433,7 +447,7 @@ def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:
         choice: a whole number of at least 0.
         number: of the draw by this choice, from 1 on.
     """
-    share = (choice * GOLDEN + number * OTHER * (choice // SIBLINGS + 1)) % 1.0
+    share = (choice * GOLDEN + number * STEPS[choice // SIBLINGS % len(STEPS)]) % 1.0
     return int(np.searchsorted(np.cumsum(sizes), share * sum(sizes), side="right"))
 
 

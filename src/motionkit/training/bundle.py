@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -152,12 +152,14 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
     """Reference clips of a type: performances the longest first, others from many recordings; none without clips.
 
     Of types made of strikes or jumps those parts come first that show most of them, of others those that move
-    about as much as the type does in the mean: recordings begin and end with standing.
+    about as much as the type does in the mean: recordings begin and end with standing. Where
+    there is no room for all recordings, mirror images wait until every recording has been taken once.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
     longest = round(LONGEST_REFERENCE * fps)
     performed = dataset.phase_events.get(kind) == ""
     found: list[tuple[str, ReferenceClip]] = []
+    recordings: dict[str, int] = {}  # where the recording of a clip begins: a mirror image has the same
     for clip in dataset.select("train"):
         for start, end, type_id in type_stretches(dataset.clip_types(clip)):
             if type_id != wanted:
@@ -175,6 +177,7 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
                     whole.phases[first:last],
                 )
                 found.append((clip.name, reference_clip))
+                recordings[clip.name] = clip.start
     if not found:
         return []
     found = _not_too_short(found, fps)
@@ -187,9 +190,19 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
             len(o) for _, o in found
         )
         found = [(name, before_rest(reference_clip, REST * usual)) for name, reference_clip in found]
-        ordered = typical_first(_not_too_short(found, fps))
+        found = _not_too_short(found, fps)
+        ordered = typical_first(found)
+        kept = {id(reference_clip) for reference_clip in _with_room(ordered, fps)}
+        shown = {recordings[name] for name, reference_clip in found if id(reference_clip) in kept}
+        if len(shown) < len({recordings[name] for name, _ in found}):
+            ordered = typical_first([(str(recordings[name]), each) for name, each in found])
+    return _with_room(ordered, fps)
+
+
+def _with_room(ordered: Sequence[ReferenceClip], fps: float) -> list[ReferenceClip]:
+    """The first reference clips, until they have REFERENCE_SECONDS."""
     out: list[ReferenceClip] = []
-    frames = 0.0
+    frames = 0
     for reference_clip in ordered:
         if frames < REFERENCE_SECONDS * fps:
             out.append(reference_clip)

@@ -12,7 +12,8 @@ const [CANDIDATES, CANDIDATES_WITHIN, PAUSE, SUITED] = [24, 200, 20, 2];
 const [SHORTEST_BLEND, LONGEST_BLEND] = [15, 45]; // frames
 const [RECONSIDERED, CLEARLY, OWN_SHARE] = [20, 0.4, 0.5];
 const [OTHER_SPEED, SPEED_SPAN] = [60, 10]; // cm/s, frames
-const [GOLDEN, OTHER, SIBLINGS] = [(Math.sqrt(5) - 1) / 2, Math.sqrt(2) - 1, 32];
+const [GOLDEN, STEPS, SIBLINGS] = [(Math.sqrt(5) - 1) / 2, [2, 3, 7, 11].map((n) => Math.sqrt(n) % 1), 32];
+const [PLAYED, LEAST_SECONDS] = [0.5, 1.5];
 
 export class Player {
   /**
@@ -208,11 +209,11 @@ export class Player {
     return some[this.choice % some.length];
   }
 
-  // Of some random entry frames that have not been played the one most like the present pose.
+  // Of some random entry frames of what has not been played the one most like the present pose.
   #drawn(clips, count, near, speed) {
     const entries = clips.filter((clip) => clip.entries.length).map((clip) => [clip, clip.entries.flatMap(([from, to]) => range(from, to))]);
     let found = this.#asFast(entries, speed);
-    const fresh = found.map(([clip, frames]) => [clip, frames.filter((at) => !this.#playedOf(clip)[at])]).filter(([, frames]) => frames.length);
+    const fresh = found.map(([clip, frames]) => [clip, this.#fresh(clip, frames)]).filter(([, frames]) => frames.length);
     if (fresh.length) found = fresh;
     else found.forEach(([clip]) => this.#playedOf(clip).fill(0));
     const [clip, all] = found[this.place(found.map(([, frames]) => frames.length))];
@@ -220,6 +221,16 @@ export class Player {
     if (!near) return [clip, frames[0]];
     const costs = frames.map((at) => squared(this.#state(clip, at), near));
     return [clip, frames[costs.indexOf(Math.min(...costs))]];
+  }
+
+  // The entry frames before what has not been played, at least in part.
+  #fresh(clip, frames) {
+    const sums = [0];
+    this.#playedOf(clip).forEach((played) => sums.push(sums.at(-1) + played));
+    return frames.filter((at) => {
+      const end = Math.min(at + Math.round(LEAST_SECONDS * this.model.fps), clip.frames);
+      return sums[end] - sums[at] <= PLAYED * (end - at);
+    });
   }
 
   // The entry frames at which strikes and jumps go about as fast as the body: a leap out of a run needs the run.
@@ -241,7 +252,8 @@ export class Player {
   // Which of some sizes is drawn next, the larger the more often, and by successive choices evenly among all.
   place(sizes) {
     this.draws += 1;
-    const share = (this.choice * GOLDEN + this.draws * OTHER * (Math.floor(this.choice / SIBLINGS) + 1)) % 1;
+    const step = STEPS[Math.floor(this.choice / SIBLINGS) % STEPS.length];
+    const share = (this.choice * GOLDEN + this.draws * step) % 1;
     const drawn = share * sizes.reduce((sum, size) => sum + size, 0);
     let sum = 0;
     return sizes.findIndex((size) => (sum += size) > drawn);
