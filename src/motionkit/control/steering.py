@@ -135,6 +135,11 @@ def walking_type(model: MotionModel) -> str:
     return usual_gaits(model).walk or steered_type(model, (0.0, WALK_SPEED), 0.0)
 
 
+def neutral_types(model: MotionModel) -> tuple[str, ...]:
+    """Return the types characters perform before a command: the one that stands, and the one that walks."""
+    return tuple(dict.fromkeys((steered_type(model, (0.0, 0.0), None), walking_type(model))))
+
+
 class Steering:
     """The state behind the trajectories of one character: spring and halting place."""
 

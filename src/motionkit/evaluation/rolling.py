@@ -14,7 +14,7 @@ from motionkit.control.drive import Driver, together
 from motionkit.control.follow import follow_path
 from motionkit.control.path import Path2D
 from motionkit.control.script import TypePart
-from motionkit.control.steering import steered_type, walking_type
+from motionkit.control.steering import neutral_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body, body_of
@@ -57,11 +57,6 @@ class Walk:
     take: Take
     finished: bool
     part_frames: tuple[int, ...]
-
-
-def neutral_types(model: MotionModel) -> tuple[str, ...]:
-    """Return the types characters perform before a command: the one that stands, and the one that walks."""
-    return tuple(dict.fromkeys((steered_type(model, (0.0, 0.0), None), walking_type(model))))
 
 
 def commanded_plans(

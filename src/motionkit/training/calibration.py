@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
 from motionkit.control.script import TypePart
+from motionkit.control.steering import neutral_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
@@ -20,46 +21,53 @@ from motionkit.features.contacts import foot_contacts
 from motionkit.metrics.body_movement import angular_speed
 from motionkit.metrics.ground import TOES
 from motionkit.metrics.smoothness import mean_jerk
+from motionkit.metrics.touch import hover_share
 from motionkit.models.model import MotionModel
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT
 
-# That are tried. With less than its poses a type that a network shakes through would shake less and stand more firmly,
-# but its body now and then flips over (docs/results-log.md), and a quiet type freezes.
-GAINS = (1.0, 1.5, 2.0, 2.5)
-SEED, REPEATS = 500, 3  # of the validation split
+# That are tried. With less than its poses a type that a network shakes through shakes less and stands more firmly.
+GAINS = (0.5, 0.7, 1.0, 1.5, 2.0, 2.5)
+SEED, REPEATS = 500, 8  # of the validation split
+# A roll-out stands or walks for so many seconds before it is told a type, and is on its way to it for so many more: a
+# type that is begun from its own poses moves more than one that is changed to.
+BEFORE, CHANGE = 0.5, 1.0
 LEAST_FRAMES = 8  # of a recorded stretch that counts
-JERK, JERK_WEIGHT = (
-    1.2,
-    0.25,
-)  # times the recorded jerk that cost nothing: a network shakes a little at any gain
-NEARLY = 0.05  # a smaller gain is taken where it costs at most so much more than the best
+JERK = 1.2  # times the recorded jerk costs nothing: a network shakes a little at any gain
+JERK_WEIGHT = 0.25
+SELDOM = 0.05  # share of time that hardly counts beside more
+NEARLY = 0.05  # a gain nearer to 1 is taken where it costs at most so much more than the best
 
 
 @dataclass(frozen=True)
 class Manner:
-    """How a motion moves: joints in rad/s, their jerk in m/s^3, and the share of the time that a toe is planted."""
+    """How a motion moves: joints in rad/s, their jerk in m/s^3, and the shares of time that it stands and hovers.
+
+    planted: a toe is; hovering: nothing touches the ground, and the body does not fall freely.
+    """
 
     speed: float
     jerk: float
     planted: float
+    hovering: float
 
     def cost(self, recorded: Manner) -> float:
-        """How far it is from a recorded one: in speed, a little in jerk beyond JERK times, and in planted time.
+        """How far it is from a recorded one: in speed, planted time, more hovering, a little in jerk beyond JERK times.
 
-        Speed and jerk count by the logarithms of their ratios. Jerk counts little, since recordings that have been
-        smoothed have hardly any.
+        All count by the logarithms of their ratios. Jerk counts little, since recordings that have been smoothed have
+        hardly any.
         """
         faster, shakier = (
             math.log(max(made, 1e-3) / max(real, 1e-3))
             for made, real in ((self.speed, recorded.speed), (self.jerk, recorded.jerk))
         )
-        return (
-            abs(faster)
-            + JERK_WEIGHT * max(0.0, shakier - math.log(JERK))
-            + abs(self.planted - recorded.planted)
+        longer, higher = (
+            math.log((made + SELDOM) / (real + SELDOM))
+            for made, real in ((self.planted, recorded.planted), (self.hovering, recorded.hovering))
         )
+        shaking = JERK_WEIGHT * max(0.0, shakier - math.log(JERK))
+        return abs(faster) + abs(longer) + max(0.0, higher) + shaking
 
 
 def calibrated_gains(
@@ -67,7 +75,7 @@ def calibrated_gains(
 ) -> dict[str, float]:
     """Return the reference gain of each type that reference poses move, by the manner of default roll-outs.
 
-    It is the smallest of the gains with which they move nearly as much as the training recordings do as with any.
+    Of the gains with which they move nearly as much like training recordings as with any it is the one nearest to 1.
 
     Args:
         dataset: has the recordings; types without any are left out.
@@ -110,13 +118,17 @@ def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Mann
 
 
 def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats: int) -> dict[str, Manner]:
-    """How roll-outs of each type move, made as `synthesize` does by default."""
+    """How roll-outs of each type move for so many frames, made as `synthesize` does by default."""
     found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
-    plans = [[TypePart(kind, frames / model.fps)] for kind in kinds]
-    for repeat in range(repeats if plans else 0):
-        options = SynthesisOptions(len(plans), SEED + repeat * len(plans))
-        for kind, made in zip(kinds, synthesize(model, plans, options).motions, strict=True):
-            found[kind].append((manner_of(made.motion), len(made.motion)))
+    neutral, seconds = neutral_types(model), CHANGE + frames / model.fps
+    begun = round((BEFORE + CHANGE) * model.fps)
+    # Of one type with successive seeds, which draw its recordings evenly.
+    each = [(kind, neutral[repeat % len(neutral)]) for kind in found for repeat in range(repeats)]
+    plans = [[TypePart(before, BEFORE), TypePart(kind, seconds)] for kind, before in each]
+    made = synthesize(model, plans, SynthesisOptions(len(plans), SEED)).motions if plans else ()
+    for (kind, _), one in zip(each, made, strict=True):
+        motion = one.motion.cut(begun, len(one.motion))
+        found[kind].append((manner_of(motion), len(motion)))
     return {kind: _mean(each) for kind, each in found.items()}
 
 
@@ -128,15 +140,17 @@ def manner_of(motion: Motion) -> Manner:
         angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
         mean_jerk(positions, motion.fps, motion.fps).value or 0.0,
         float(planted.mean()),
+        hover_share(positions).value or 0.0,
     )
 
 
 def _mean(found: Sequence[tuple[Manner, int]]) -> Manner:
     """The mean of manners, by the number of frames of each."""
-    values = np.array([[manner.speed, manner.jerk, manner.planted] for manner, _ in found])
+    values = np.array([astuple(manner) for manner, _ in found])
     return Manner(*np.average(values, axis=0, weights=[frames for _, frames in found]).tolist())
 
 
 def _cheapest(gains: Sequence[float], costs: Sequence[float]) -> float:
-    """The smallest of the gains that cost nearly the least."""
-    return min(gain for gain, cost in zip(gains, costs, strict=True) if cost <= min(costs) + NEARLY)
+    """Of the gains that cost nearly the least the one nearest to 1, which shows the poses as they are."""
+    good = [gain for gain, cost in zip(gains, costs, strict=True) if cost <= min(costs) + NEARLY]
+    return min(good, key=lambda gain: abs(math.log(gain)))

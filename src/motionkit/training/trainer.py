@@ -553,7 +553,7 @@ class TrainingRun:
         return self._score() or calibrated
 
     def _calibrate(self, frames: int) -> None:
-        gains = calibrated_gains(self.model(), self.dataset, frames)
+        gains = calibrated_gains(self.model(), self.dataset, frames // 2)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in self.kept}
 
     def _score(self) -> bool:
