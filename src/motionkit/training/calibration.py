@@ -120,7 +120,7 @@ def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Mann
 def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats: int) -> dict[str, Manner]:
     """How roll-outs of each type move for so many frames, made as `synthesize` does by default."""
     found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
-    neutral, seconds = neutral_types(model), CHANGE + frames / model.fps
+    neutral, seconds = neutral_types(model), CHANGE + max(frames, LEAST_FRAMES) / model.fps
     begun = round((BEFORE + CHANGE) * model.fps)
     # Of one type with successive seeds, which draw its recordings evenly.
     each = [(kind, neutral[repeat % len(neutral)]) for kind in found for repeat in range(repeats)]
