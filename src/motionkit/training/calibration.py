@@ -30,6 +30,7 @@ from motionkit.motion.skeleton import JOINT_COUNT
 # That are tried. With less than its poses a type that a network shakes through shakes less and stands more firmly.
 GAINS = (0.5, 0.7, 1.0, 1.5, 2.0, 2.5)
 SEED, REPEATS = 500, 8  # of the validation split
+TOGETHER = 128  # roll-outs that are made at once
 # A roll-out stands or walks for so many seconds before it is told a type, and is on its way to it for so many more: a
 # type that is begun from its own poses moves more than one that is changed to.
 BEFORE, CHANGE = 0.5, 1.0
@@ -124,11 +125,13 @@ def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats:
     begun = round((BEFORE + CHANGE) * model.fps)
     # Of one type with successive seeds, which draw its recordings evenly.
     each = [(kind, neutral[repeat % len(neutral)]) for kind in found for repeat in range(repeats)]
-    plans = [[TypePart(before, BEFORE), TypePart(kind, seconds)] for kind, before in each]
-    made = synthesize(model, plans, SynthesisOptions(len(plans), SEED)).motions if plans else ()
-    for (kind, _), one in zip(each, made, strict=True):
-        motion = one.motion.cut(begun, len(one.motion))
-        found[kind].append((manner_of(motion), len(motion)))
+    for first in range(0, len(each), TOGETHER):
+        some = each[first : first + TOGETHER]
+        plans = [[TypePart(before, BEFORE), TypePart(kind, seconds)] for kind, before in some]
+        made = synthesize(model, plans, SynthesisOptions(len(plans), SEED + first)).motions
+        for (kind, _), one in zip(some, made, strict=True):
+            motion = one.motion.cut(begun, len(one.motion))
+            found[kind].append((manner_of(motion), len(motion)))
     return {kind: _mean(each) for kind, each in found.items()}
 
 
