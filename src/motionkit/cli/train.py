@@ -113,7 +113,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option(
     "--trajectory-drift",
     type=click.FloatRange(0.0, 1.0),
-    help="Make the trajectories of a training window too long or too short, by this share in the mean; 0 by default. "
+    help="Standard deviation of a factor on the trajectories of a training window; 0 by default. "
     "0.15 keeps a tptn-paper that is fed its own trajectory at its speed.",
 )
 @click.option(

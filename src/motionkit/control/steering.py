@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from motionkit.control.script import TypePart
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.models.model import MotionModel
 
@@ -23,6 +24,7 @@ LEAVE_ANCHOR = 60.0  # cm; one who stands and was carried so far away stays ther
 Pair = tuple[float, float]
 # A run is faster than this (cm/s), a walk about as fast as that.
 RUN_SPEED, WALK_SPEED = 200.0, 130.0
+NEUTRAL_SECONDS = 0.5  # of a neutral type before a command
 FORWARDS = math.pi / 4  # radians between facing and direction up to which a gait goes forwards
 
 
@@ -138,6 +140,12 @@ def walking_type(model: MotionModel) -> str:
 def neutral_types(model: MotionModel) -> tuple[str, ...]:
     """Return the types characters perform before a command: the one that stands, and the one that walks."""
     return tuple(dict.fromkeys((steered_type(model, (0.0, 0.0), None), walking_type(model))))
+
+
+def commanded(model: MotionModel, kind: str, seconds: float, seed: int) -> tuple[TypePart, TypePart]:
+    """Return what a roll-out does that is to show a type: one of the neutral types by turns, then the type."""
+    neutral = neutral_types(model)
+    return TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS), TypePart(kind, seconds)
 
 
 class Steering:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections import defaultdict
 from dataclasses import dataclass
 
-from motionkit.control.steering import neutral_types
+from motionkit.control.steering import NEUTRAL_SECONDS, neutral_types
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import HOLD, LEAST_WINDOW, detection_windows
 from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.report import Cell, Goal, Section, Table
-from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Progress, Take, commanded_plans
+from motionkit.evaluation.rolling import Progress, Take, commanded_plans
 from motionkit.evaluation.trial import Trial
 from motionkit.models.model import MotionModel
 

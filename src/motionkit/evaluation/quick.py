@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.control.path import shape_path
-from motionkit.control.steering import RUN_SPEED
+from motionkit.control.steering import NEUTRAL_SECONDS, RUN_SPEED
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import detection_windows
@@ -21,7 +21,7 @@ from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.paths import PathTrial, follow_trials
 from motionkit.evaluation.real import PROFILE_SECONDS
 from motionkit.evaluation.report import Goal, Section, Table
-from motionkit.evaluation.rolling import NEUTRAL_SECONDS, Take, commanded_plans, roll_plans
+from motionkit.evaluation.rolling import Take, commanded_plans, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
 from motionkit.metrics.foot_sliding import average_foot_sliding

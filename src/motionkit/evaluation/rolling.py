@@ -14,7 +14,7 @@ from motionkit.control.drive import Driver, together
 from motionkit.control.follow import follow_path
 from motionkit.control.path import Path2D
 from motionkit.control.script import TypePart
-from motionkit.control.steering import neutral_types
+from motionkit.control.steering import commanded
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body, body_of
@@ -24,7 +24,6 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 
 BATCH = 24  # characters that are rolled out together, by one process
-NEUTRAL_SECONDS = 0.5
 
 # Called with the share of the work that is done (0 to 1).
 Progress = Callable[[float], None]
@@ -63,12 +62,7 @@ def commanded_plans(
     model: MotionModel, kinds: Iterable[str], seeds: Sequence[int], seconds: float
 ) -> list[Plan]:
     """Return plans that command each of kinds for some seconds after a neutral type, type by type and seed by seed."""
-    neutral = neutral_types(model)
-    return [
-        Plan((TypePart(neutral[seed % len(neutral)], NEUTRAL_SECONDS), TypePart(kind, seconds)), seed)
-        for kind in kinds
-        for seed in seeds
-    ]
+    return [Plan(commanded(model, kind, seconds, seed), seed) for kind in kinds for seed in seeds]
 
 
 def roll_plans(

@@ -152,8 +152,8 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
     """Reference clips of a type: performances the longest first, others from many recordings; none without clips.
 
     Of types made of strikes or jumps those parts come first that show most of them, of others those that move
-    about as much as the type does in the mean: recordings begin and end with standing. Where
-    there is no room for all recordings, mirror images wait until every recording has been taken once.
+    about as much as the type does in the mean: recordings begin and end with standing. Where there is no room for all
+    recordings, mirror images wait until every recording has been taken once.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
     longest = round(LONGEST_REFERENCE * fps)

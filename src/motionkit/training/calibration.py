@@ -12,16 +12,13 @@ from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
-from motionkit.control.script import TypePart
-from motionkit.control.steering import neutral_types
+from motionkit.control.steering import NEUTRAL_SECONDS, commanded
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
-from motionkit.features.contacts import foot_contacts
 from motionkit.metrics.body_movement import angular_speed
-from motionkit.metrics.ground import TOES
 from motionkit.metrics.smoothness import mean_jerk
-from motionkit.metrics.touch import hover_share
+from motionkit.metrics.touch import hover_share, planted_share
 from motionkit.models.model import MotionModel
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -31,9 +28,9 @@ from motionkit.motion.skeleton import JOINT_COUNT
 GAINS = (0.5, 0.7, 1.0, 1.5, 2.0, 2.5)
 SEED, REPEATS = 500, 8  # of the validation split
 TOGETHER = 128  # roll-outs that are made at once
-# A roll-out stands or walks for so many seconds before it is told a type, and is on its way to it for so many more: a
-# type that is begun from its own poses moves more than one that is changed to.
-BEFORE, CHANGE = 0.5, 1.0
+# Seconds in which a roll-out, which stands or walks first, is on its way to its type: one that is begun from its own
+# poses moves more than one that is changed to.
+CHANGE = 1.0
 LEAST_FRAMES = 8  # of a recorded stretch that counts
 JERK = 1.2  # times the recorded jerk costs nothing: a network shakes a little at any gain
 JERK_WEIGHT = 0.25
@@ -121,15 +118,16 @@ def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Mann
 def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats: int) -> dict[str, Manner]:
     """How roll-outs of each type move for so many frames, made as `synthesize` does by default."""
     found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
-    neutral, seconds = neutral_types(model), CHANGE + max(frames, LEAST_FRAMES) / model.fps
-    begun = round((BEFORE + CHANGE) * model.fps)
+    seconds = CHANGE + max(frames, LEAST_FRAMES) / model.fps
+    begun = round((NEUTRAL_SECONDS + CHANGE) * model.fps)
     # Of one type with successive seeds, which draw its recordings evenly.
-    each = [(kind, neutral[repeat % len(neutral)]) for kind in found for repeat in range(repeats)]
+    each = [kind for kind in found for _ in range(repeats)]
     for first in range(0, len(each), TOGETHER):
         some = each[first : first + TOGETHER]
-        plans = [[TypePart(before, BEFORE), TypePart(kind, seconds)] for kind, before in some]
-        made = synthesize(model, plans, SynthesisOptions(len(plans), SEED + first)).motions
-        for (kind, _), one in zip(some, made, strict=True):
+        seed = SEED + first
+        plans = [commanded(model, kind, seconds, seed + i) for i, kind in enumerate(some)]
+        made = synthesize(model, plans, SynthesisOptions(len(plans), seed)).motions
+        for kind, one in zip(some, made, strict=True):
             motion = one.motion.cut(begun, len(one.motion))
             found[kind].append((manner_of(motion), len(motion)))
     return {kind: _mean(each) for kind, each in found.items()}
@@ -138,11 +136,10 @@ def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats:
 def manner_of(motion: Motion) -> Manner:
     """How a motion of at least LEAST_FRAMES moves."""
     positions = motion_kinematics(motion)[1]
-    planted = foot_contacts(positions, motion.fps)[:, list(TOES)].any(axis=-1)
     return Manner(
         angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
         mean_jerk(positions, motion.fps, motion.fps).value or 0.0,
-        float(planted.mean()),
+        planted_share(positions).value or 0.0,
         hover_share(positions).value or 0.0,
     )
 

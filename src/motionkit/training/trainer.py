@@ -553,6 +553,7 @@ class TrainingRun:
         return self._score() or calibrated
 
     def _calibrate(self, frames: int) -> None:
+        # There are many of these roll-outs: half the length of those that are scored will do.
         gains = calibrated_gains(self.model(), self.dataset, frames // 2)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in self.kept}
 
