@@ -75,11 +75,17 @@ def matrix_to_quat(matrix: Tensor) -> Tensor:
     return torch.where(quat[..., :1] < 0, -quat, quat)
 
 
-def sixd_to_quat(sixd: Tensor) -> Tensor:
-    """Return unit quaternions (..., 4) of two matrix columns (..., 6), after Gram-Schmidt orthonormalisation."""
+def orthonormal(sixd: Tensor) -> Tensor:
+    """Return two matrix columns (..., 6) made orthonormal (Gram-Schmidt)."""
     first = F.normalize(sixd[..., :3], dim=-1, eps=1e-8)
     second = sixd[..., 3:] - (first * sixd[..., 3:]).sum(-1, keepdim=True) * first
-    second = F.normalize(second, dim=-1, eps=1e-8)
+    return torch.cat([first, F.normalize(second, dim=-1, eps=1e-8)], dim=-1)
+
+
+def sixd_to_quat(sixd: Tensor) -> Tensor:
+    """Return unit quaternions (..., 4) of two matrix columns (..., 6), made orthonormal first."""
+    columns = orthonormal(sixd)
+    first, second = columns[..., :3], columns[..., 3:]
     return matrix_to_quat(torch.stack([first, second, torch.linalg.cross(first, second)], dim=-1))
 
 

@@ -15,12 +15,14 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from motionkit.features.layout import feature_layout
 from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.inference.step_kernel import kernel_library
 from motionkit.inference.step_weights import why_not_packable
 from motionkit.inference.stepping import NetworkStep, stepper
-from motionkit.models.batch import Batch
+from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.predictor import Drawn, NextFrame, Predictor
+from motionkit.models.torch_rotations import orthonormal
 from motionkit.training.replay import Replayed
 
 
@@ -44,10 +46,11 @@ class PredictedInputs:
 
     Args:
         reference_matrix: (276, 72) matrix of the ReferenceMap, which makes reference poses relative to predictions.
+        space: the meaning of the normalised features.
     """
 
-    def __init__(self, network: Predictor, reference_matrix: Tensor) -> None:
-        self.network, self.reference_matrix = network, reference_matrix
+    def __init__(self, network: Predictor, reference_matrix: Tensor, space: FeatureSpace) -> None:
+        self.network, self.reference_matrix, self.space = network, reference_matrix, space
         self.options = ScheduledSamplingOptions()
         self._roll_out = Replayed(self._frames)
 
@@ -97,7 +100,7 @@ class PredictedInputs:
         for t in range(inputs.shape[1] - 1):
             made = step(inputs[:, t], contacts[:, t], controls[:, t])
             noise = rho * noise + (1.0 - rho * rho) ** 0.5 * fresh[:, t]
-            frame = made.mean + options.temperature * noise * torch.exp(made.log_sigma)
+            frame = self._keep_rotation(made.mean + options.temperature * noise * torch.exp(made.log_sigma))
             error = (frame - targets[:, t]).square().mean(dim=-1).sqrt()
             now = stays[:, t] & (error < limit[:, t])
             mask[:, t + 1] *= ~(own & ~now)
@@ -108,6 +111,16 @@ class PredictedInputs:
             contacts[:, t + 1] = torch.where(chosen, torch.sigmoid(made.contact_logits), contacts[:, t + 1])
             own = now
         return inputs, contacts, controls, mask
+
+    def _keep_rotation(self, frame: Tensor) -> Tensor:
+        """Return normalised frames (B, 276) whose root rotation is one, as synthesis makes it in every frame."""
+        columns = feature_layout(self.space.layout)
+        if not columns.root_is_sixd:
+            return frame
+        root = columns.blocks["root_rotation"]
+        mean, std = self.space.mean[root], self.space.std[root]
+        kept = (orthonormal(frame[:, root] * std + mean) - mean) / std
+        return torch.cat([frame[:, : root.start], kept, frame[:, root.stop :]], dim=-1)
 
 
 def _frame_step(

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from motionkit.models.batch import Batch
+from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.predictor import Predictor
 from motionkit.native import cores, workers
 from motionkit.training.options import TrainOptions
@@ -50,7 +50,11 @@ class WindowBlocks:
         self.options = options.at(0.0)
         self.start: BlockStart | None = None
         device = next(network.parameters()).device
-        self.predicted = PredictedInputs(network, torch.from_numpy(sampler.reference_map.matrix).to(device))
+        self.predicted = PredictedInputs(
+            network,
+            torch.from_numpy(sampler.reference_map.matrix).to(device),
+            FeatureSpace.of(sampler.dataset).to(device),
+        )
         self._coming: list[Batch] = []
         self._ahead: tuple[range, SamplerOptions, list[Future[Batch]]] | None = None
 
