@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 import signal
 import traceback
@@ -24,6 +25,7 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.training.calibration import calibrated_gains
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
 from motionkit.training.trainer import train
@@ -237,6 +239,13 @@ def unscored(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs end without roll-outs for gains and scores, which take longer than all else of a short run."""
     monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", lambda *_: {})
     monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+
+
+@pytest.fixture
+def briefly_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs end with one roll-out of each type at two gains; the whole search takes longer than all else."""
+    brief = functools.partial(calibrated_gains, repeats=1, gains=(1.0, 2.0))
+    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", brief)
 
 
 @pytest.fixture(scope="session")

@@ -17,6 +17,7 @@ def clips(clips_folder: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(clips_folder, tmp_path / "mine"))
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
 def test_a_folder_becomes_a_model_with_pictures_and_a_verdict(
     motionkit, clips: Path, tmp_path: Path, monkeypatch
 ) -> None:

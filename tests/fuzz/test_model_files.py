@@ -139,13 +139,13 @@ def run_case(
     return case
 
 
-@settings(quick, max_examples=30)
+@settings(quick, max_examples=16)
 @given(seed=seeds)
 def test_models(model_case: Callable[[random.Random], None], seed: int) -> None:
     model_case(random.Random(seed))
 
 
-@settings(quick, max_examples=10)
+@settings(quick, max_examples=8)
 @given(seed=seeds)
 def test_runs(run_case: Callable[[random.Random], None], seed: int) -> None:
     run_case(random.Random(seed))

@@ -134,14 +134,14 @@ def fingerprints() -> str:
 def test_threads_change_no_byte() -> None:
     said = []
     path = os.pathsep.join([str(Path(motionkit.__file__).parents[1]), str(HERE.parents[1])])
-    for threads in ("1", "2", "5"):
+    for threads in ("1", "5"):
         changed = {"PYTHONPATH": path, "OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads}
         done = subprocess.run(
             [sys.executable, str(HERE)], capture_output=True, text=True, timeout=170, env=os.environ | changed
         )
         assert done.returncode == 0, done.stderr[-2000:]
         said.append(done.stdout.split())
-    assert said[0] == said[1] == said[2]
+    assert said[0] == said[1]
     one, two, alone = said[0]
     assert one == two
     assert kernel_library() is None or one != alone

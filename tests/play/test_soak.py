@@ -261,7 +261,7 @@ linux = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="memor
 @linux
 @pytest.mark.parametrize("server", ["tiny"], indirect=True)
 def test_a_short_soak(server: tuple[dict[str, Any], int]) -> None:
-    run(*server, 10.0, most_growth=25.0)
+    run(*server, 6.0, most_growth=25.0)
 
 
 @linux

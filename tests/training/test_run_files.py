@@ -33,6 +33,7 @@ def renamed(dataset_folder: Path, to: Path, names: tuple[str, ...]) -> Path:
     return to
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
 def test_types_whose_names_are_no_file_names(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     folder = renamed(dataset_folder, tmp_path / "ds", ODD_NAMES)
     path = tmp_path / "run" / "m.safetensors"
@@ -63,6 +64,7 @@ def _notes(notes: list[str]) -> Callable[[TrainEvent], None]:
     return on_event
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
 def test_the_model_is_written_before_the_score_and_a_failed_score_is_a_note(
     dataset_folder: Path, tmp_path: Path, tiny_options, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -81,6 +83,7 @@ def test_the_model_is_written_before_the_score_and_a_failed_score_is_a_note(
     assert "the score failed, the run continues: no such thing" in notes
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
 def test_scores_survive_samples_that_cannot_be_written(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:

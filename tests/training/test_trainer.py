@@ -133,6 +133,7 @@ def test_golden_loss_curve_of_the_shipped_settings(dataset_folder: Path, tmp_pat
         assert totals[step] == pytest.approx(value, rel=2e-3), step
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
 def test_log_lines(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     path = tmp_path / "m.safetensors"
     seen: list[TrainEvent] = []
@@ -159,6 +160,7 @@ def test_the_same_seed_trains_the_same_model(dataset_folder: Path, tmp_path: Pat
     assert same_weights(a, b)
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
 def test_scoring_does_not_change_the_run(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     plain, scored = tmp_path / "plain.safetensors", tmp_path / "scored.safetensors"
     train(dataset_folder, plain, tiny_options(), device="cpu")
