@@ -38,7 +38,8 @@ RECORDED = Manner(2.0, 50.0, 0.5, 0.1)
         (Manner(2.0, 120.0, 0.5, 0.1), 0.25 * math.log(2.0)),  # twice 1.2 times the jerk
         (Manner(1.0, 50.0, 0.5, 0.1), math.log(2.0)),
         (Manner(2.0, 50.0, 0.5, 0.0), 0.0),
-        (Manner(2.0, 50.0, 0.5, 0.25), math.log(2.0)),
+        (Manner(2.0, 50.0, 0.5, 0.12), 0.0),
+        (Manner(2.0, 50.0, 0.5, 0.29), math.log(2.0)),
         (Manner(4.0, 50.0, 0.5, 0.1), math.log(2.0)),  # too fast is as bad as too slow
         (Manner(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(5.5 / 1.5)),
     ],

@@ -35,6 +35,9 @@ LEAST_FRAMES = 8  # of a recorded stretch that counts
 JERK = 1.2  # times the recorded jerk costs nothing: a network shakes a little at any gain
 JERK_WEIGHT = 0.25
 SELDOM = 0.05  # share of time that hardly counts beside more
+HOVERING = (
+    0.02  # share of time beyond the recorded in which hovering costs nothing, as in the scoreboard's target
+)
 NEARLY = 0.05  # a gain nearer to 1 is taken where it costs at most so much more than the best
 
 
@@ -51,7 +54,7 @@ class Manner:
     hovering: float
 
     def cost(self, recorded: Manner) -> float:
-        """How far it is from a recorded one: in speed, planted time, more hovering, a little in jerk beyond JERK times.
+        """How far it is from a recorded one: in speed, planted time, more hovering than HOVERING, more jerk than JERK.
 
         All count by the logarithms of their ratios. Jerk counts little, since recordings that have been smoothed have
         hardly any.
@@ -62,7 +65,10 @@ class Manner:
         )
         longer, higher = (
             math.log((made + SELDOM) / (real + SELDOM))
-            for made, real in ((self.planted, recorded.planted), (self.hovering, recorded.hovering))
+            for made, real in (
+                (self.planted, recorded.planted),
+                (self.hovering, recorded.hovering + HOVERING),
+            )
         )
         shaking = JERK_WEIGHT * max(0.0, shakier - math.log(JERK))
         return abs(faster) + abs(longer) + max(0.0, higher) + shaking
