@@ -40,7 +40,7 @@ def flips(tiny_model: MotionModel) -> MotionModel:
 
 
 def recording(frames: int, phases: Array | None = None, first: float = 0.0) -> ReferenceClip:
-    """An reference_clip whose poses count frames."""
+    """A reference clip whose poses count frames."""
     poses = np.zeros((frames + 30, EMBEDDING_COUNT), np.float32)
     poses[:, 0] = first + np.arange(frames + 30)
     return ReferenceClip(
@@ -428,3 +428,28 @@ def test_references_are_auto_or_none(flips: MotionModel) -> None:
     assert flips.with_reference("auto") is flips
     with pytest.raises(ControlError, match="unknown reference 'on'"):
         flips.with_reference("on")
+
+
+def test_a_body_that_begins_by_standing_keeps_its_stance(tiny_model: MotionModel) -> None:
+    chance = np.random.default_rng(0)
+    clips = [
+        replace(recording(120), poses=(mean + 0.1 * chance.standard_normal((150, EMBEDDING_COUNT))).astype(np.float32))
+        for mean in (-1.0, 1.0, 2.0)
+    ]  # fmt: skip
+    model = with_clips(tiny_model, {"idle": clips, "walking": [recording(120)]})
+    assert model.types["idle"].stands
+    stance = NEAR + 0.5
+    player = ReferencePlayer(model)
+    player.begin("idle", stance)
+    shown = player.play(600).reference.reshape(-1, EMBEDDING_COUNT)
+    assert np.abs(shown.mean(axis=0) - 0.5).max() < 0.05 and 0.05 < shown.std(axis=0).mean() < 0.2
+    # Not a stance that is unlike all that are recorded, such as a stride, nor one that another type has led to.
+    far, after = ReferencePlayer(model), ReferencePlayer(model)
+    far.begin("idle", NEAR + 5.0)
+    after.begin("walking", NEAR)
+    after.begin("idle", stance)
+    player.begin("walking")
+    player.begin("idle")
+    for one in (far, after, player):
+        means = one.play(600).reference.reshape(-1, EMBEDDING_COUNT).mean(axis=1)
+        assert np.abs(means - 0.5).max() > 1.3

@@ -19,9 +19,11 @@ from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.motion import Motion
+from motionkit.training import bundle
 from motionkit.training.bundle import (
     LONGEST_REFERENCE,
     REFERENCE_SECONDS,
+    STANCES,
     START_FRAMES,
     STARTS_PER_TYPE,
     before_rest,
@@ -42,6 +44,18 @@ def test_seeds_are_beginnings_of_training_stretches_of_the_type(dataset: Dataset
         for seed in seeds:
             assert len(seed.features) == START_FRAMES
             assert any(begins(dataset, clip, kind, seed.features) for clip in dataset.select("train"))
+
+
+def test_standing_has_stances_that_are_unlike(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As many as there are of the beginnings of three stretches, not only those nearest to the usual pose."""
+    monkeypatch.setattr(bundle, "STANCE_SHARE", 1.0)
+    nearest, all_of_them = start_poses_of(dataset, "walking"), start_poses_of(dataset, "walking", stands=True)
+    assert len(nearest) == STARTS_PER_TYPE < len(all_of_them) <= STANCES
+    assert np.array_equal(nearest[0].features, all_of_them[0].features)
+    monkeypatch.setattr(bundle, "STANCES", 2)
+    first, far = start_poses_of(dataset, "walking", stands=True)
+    assert np.array_equal(first.features, nearest[0].features)
+    assert not any(np.array_equal(far.features, one.features) for one in nearest[:2])
 
 
 def test_a_type_without_training_clips_has_no_references(tmp_path: Path) -> None:

@@ -106,7 +106,8 @@ class ReferencePlayer:
     type is drawn, the more likely the more of it has not been played yet, and by successive choices evenly among all.
     It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them and about as
     fast as the body goes, and the frame most like the present pose is taken. Nothing is played again before all has
-    been played. Where a trajectory is asked for, the player looks for frames that go that way.
+    been played. Where a trajectory is asked for, the player looks for frames that go that way. A character that begins
+    by standing keeps its stance: recordings are shown moved to it, so that they tell it how to sway.
     """
 
     def __init__(
@@ -125,6 +126,9 @@ class ReferencePlayer:
         self.at = 0
         self.left: Left | None = None  # the clip before
         self.pause: Pause | None = None  # that is being shown
+        self._in_stance: tuple[
+            ReferenceClip, ...
+        ] = ()  # the clips of standing still, moved to the stance it has
         self._indices: dict[str, MotionIndex] = {}
         self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
         self._since = 0  # frames since the last search
@@ -154,9 +158,15 @@ class ReferencePlayer:
             speed = float(self._speeds(self.clip)[min(self.at, len(self.clip) - 1)])
         count = CANDIDATES_WITHIN if kind == self.kind else CANDIDATES
         left, left_at, before = self.clip, self.at, self.left
+        first = not self.kind
+        if self._in_stance and kind != self.kind:
+            self._in_stance = ()
+            self._indices.pop(self.kind, None)
         self.kind, self.clip, self.at, self._since = kind, None, 0, 0
         self.left = self.pause = None
-        clips = self._type.reference_clips
+        if first and near is not None and trajectory is None and self._type.stands:
+            self._in_stance = in_stance(self._type.reference_clips, near[0])
+        clips = self._clips
         if not clips:
             self.at, self.rights = (
                 behind,
@@ -256,7 +266,7 @@ class ReferencePlayer:
 
     def _index(self) -> MotionIndex:
         if self.kind not in self._indices:
-            self._indices[self.kind] = MotionIndex(self._type.reference_clips, self.rests)
+            self._indices[self.kind] = MotionIndex(self._clips, self.rests)
         return self._indices[self.kind]
 
     def _stretch(self, count: int, trajectories: Array | None) -> Controls:
@@ -328,6 +338,11 @@ class ReferencePlayer:
     @property
     def _type(self) -> MotionType:
         return self.model.types.get(self.kind, MotionType())
+
+    @property
+    def _clips(self) -> tuple[ReferenceClip, ...]:
+        """The clips of the type, in the stance of a body that began by standing."""
+        return self._in_stance or self._type.reference_clips
 
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))
@@ -436,6 +451,18 @@ class ReferencePlayer:
             for clip, movement in zip(clips, movements, strict=True)
             if (frames := np.flatnonzero((movement >= usual) & (movement <= lively)).tolist())
         ]
+
+
+def in_stance(clips: Sequence[ReferenceClip], stance: Array) -> tuple[ReferenceClip, ...]:
+    """Clips of standing still with their mean poses moved to a stance (24,); none if it is unlike all that they show.
+
+    A standing body that is shown one recorded stance after another takes none of them, but their mean.
+    """
+    poses = np.concatenate([clip.poses for clip in clips])
+    usual = poses.mean(axis=0)
+    if np.linalg.norm(stance - usual) > np.linalg.norm(poses - usual, axis=1).max():
+        return ()
+    return tuple(replace(clip, poses=clip.poses + (stance - clip.poses.mean(axis=0))) for clip in clips)
 
 
 def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:

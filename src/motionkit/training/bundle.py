@@ -27,6 +27,8 @@ from motionkit.motion.skeleton import canonical_skeleton
 
 START_FRAMES = 30  # the paper's number of initial frames for synthesis
 STARTS_PER_TYPE = 3
+# A standing body keeps the stance it begins in: there are more of these, evenly from the nearer share of all.
+STANCES, STANCE_SHARE = 12, 0.75
 # Reference clips of a type: seconds in all, and of the longest and the shortest clip.
 REFERENCE_SECONDS, LONGEST_REFERENCE, SHORTEST_REFERENCE = 80.0, 10.0, 1.0
 # A reference clip ends where the body comes to rest: where less than this share of the type's usual motion follows.
@@ -86,12 +88,9 @@ def _plain_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
 
 def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
     clips = tuple(recorded_references(dataset, kind))
-    plain = MotionType(
-        tuple(start_poses_of(dataset, kind)),
-        clips,
-        gait,
-        steered=is_steered(clips, dataset.pose_embedding, dataset.fps),
-    )
+    steered = is_steered(clips, dataset.pose_embedding, dataset.fps)
+    plain = MotionType((), clips, gait, steered=steered)
+    plain = replace(plain, start_poses=tuple(start_poses_of(dataset, kind, plain.stands)))
     return replace(plain, preset=sampling_preset(plain, dataset.phase_events.get(kind)))
 
 
@@ -108,12 +107,15 @@ def sampling_preset(kind: MotionType, event: str | None) -> SamplingPreset:
     return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)
 
 
-def start_poses_of(dataset: Dataset, kind: str) -> list[StartPose]:
-    """A few starts of a type: the first frames of training stretches, nearest to its usual pose.
+def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[StartPose]:
+    """A few starts of a type: the first frames of training stretches, nearest to its usual pose first.
 
     The beginnings of stretches, because a cartwheel has to be started from its start; the nearest ones,
     because a run that begins in a crouch under an obstacle is no good start for running. A type without
     a training clip, which a model cannot know, takes any clip's frames.
+
+    Args:
+        stands: whether the type is standing still, which has more of them, and others than the nearest.
     """
     wanted = dataset.types.index(kind)
     columns = dataset.layout.blocks["joint_positions"]
@@ -145,7 +147,11 @@ def start_poses_of(dataset: Dataset, kind: str) -> list[StartPose]:
             far = float(np.linalg.norm(data.features[:, columns].mean(axis=0) - total / count))
             ranked.append((far, clip.name, StartPose(data.features, data.contacts, data.ground)))
     ranked.sort(key=lambda entry: entry[:2])
-    return [seed for _, _, seed in ranked[:STARTS_PER_TYPE]]
+    starts = [start for _, _, start in ranked]
+    if not stands:
+        return starts[:STARTS_PER_TYPE]
+    nearer = max(STARTS_PER_TYPE, round(STANCE_SHARE * len(starts)))
+    return starts[: nearer : max(1, nearer // STANCES)][:STANCES]
 
 
 def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
