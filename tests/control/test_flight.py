@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import motionkit as mk
-from motionkit.control.flight import EASE, NEAR, falling_freely
+from motionkit.control.flight import EASE, GLIDES, NEAR, STANDS, come_down, falling_freely
 from motionkit.metrics.flight import flights
-from motionkit.metrics.touch import touching
+from motionkit.metrics.touch import TOUCH_HEIGHTS, hover_share, touching
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from synthetic_motions import make_walk
@@ -66,6 +66,36 @@ def test_a_correction_comes_and_goes_smoothly() -> None:
 def test_what_is_no_flight_stays(acceleration: float) -> None:
     before = jump(acceleration, 40)
     assert np.array_equal(falling_freely(before).root_positions, before.root_positions)
+
+
+def glide(height: float, frames: int = 14) -> Motion:
+    """A stiff body that stands, is lifted so many cm above where it touches, for some frames, and stands."""
+    still = make_walk(4)
+    stand = 20
+    count = frames + 2 * stand
+    above = float((motion_kinematics(still)[1][0, :, 1] - TOUCH_HEIGHTS).min())
+    t = np.clip(np.arange(count) - stand, 0, frames) / frames
+    roots = np.repeat(still.root_positions[:1], count, axis=0)
+    roots[:, 1] += (-STANDS - above + (height + STANDS) * np.sin(np.pi * t) ** 0.25).astype(np.float32)
+    return replace(
+        still, local_rotations=np.repeat(still.local_rotations[:1], count, axis=0), root_positions=roots
+    )
+
+
+def test_a_body_that_glides_comes_down() -> None:
+    before = glide(4.0)
+    after = come_down(before)
+    shares = [hover_share(motion_kinematics(motion)[1]).value for motion in (before, after)]
+    assert shares[0] is not None and shares[0] > 0.15 and shares[1] is not None and shares[1] < 0.05
+    moved = after.root_positions - before.root_positions
+    assert np.abs(moved[:, [0, 2]]).max() == 0.0 and moved[:, 1].max() <= 1e-4
+    assert np.abs(moved[:12]).max() == 0.0 and np.abs(moved[-12:]).max() == 0.0, "who stands stays"
+    assert np.array_equal(after.local_rotations, before.local_rotations)
+
+
+def test_what_flies_or_stands_does_not_come_down() -> None:
+    for motion in (glide(GLIDES + 1.0), glide(-0.5), jump(-9.81), jump(-9.81, 8), jump(-9.81).cut(0, 2)):
+        assert come_down(motion) is motion
 
 
 def test_a_flight_at_the_end_of_a_motion_stays() -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.flight import falling_freely
+from motionkit.control.flight import come_down, falling_freely
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
 from motionkit.control.opening import opening
@@ -194,7 +194,7 @@ def finish_motion(
         motion = lock_feet(motion, rollout.contacts[index], hold)
     motion = on_character(motion, skeleton)
     if options.ik:
-        motion = falling_freely(motion)
+        motion = falling_freely(come_down(motion))
     return motion if options.fps is None else resample(motion, options.fps)
 
 
