@@ -29,7 +29,11 @@ def part_speeds(model: MotionModel, path: Path2D) -> Array:
 
     Beyond it a network glides: feet hardly leave the ground, or hardly touch it.
     """
-    speeds = asked_speeds(model, path)
+    return _within_ranges(model, path, asked_speeds(model, path))
+
+
+def _within_ranges(model: MotionModel, path: Path2D, asked: Array) -> Array:
+    speeds = asked.copy()
     for number, part in enumerate(path.parts):
         span = model.speed_range(part.type)
         if span is not None and part.speed is not None:
@@ -56,7 +60,8 @@ def check_speeds(model: MotionModel, path: Path2D) -> None:
 
 def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float, float]]:
     """Number, type, asked speed and speed gone in cm/s of each part where these differ."""
-    speeds = asked_speeds(model, path).tolist(), part_speeds(model, path).tolist()
+    wanted = asked_speeds(model, path)
+    speeds = wanted.tolist(), _within_ranges(model, path, wanted).tolist()
     for number, (part, asked, gone) in enumerate(zip(path.parts, *speeds, strict=True), 1):
         if asked != gone:
             yield number, part.type, asked, gone
