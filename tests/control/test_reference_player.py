@@ -443,6 +443,9 @@ def test_a_body_that_begins_by_standing_keeps_its_stance(tiny_model: MotionModel
     player.begin("idle", stance)
     shown = player.play(600).reference.reshape(-1, EMBEDDING_COUNT)
     assert np.abs(shown.mean(axis=0) - 0.5).max() < 0.05 and 0.05 < shown.std(axis=0).mean() < 0.2
+    alone = ReferencePlayer(model.with_reference("none"))
+    alone.begin("idle", stance)
+    assert not alone.play(10).reference.any(), "without recordings there is nothing to move"
     # Not a stance that is unlike all that are recorded, such as a stride, nor one that another type has led to.
     far, after = ReferencePlayer(model), ReferencePlayer(model)
     far.begin("idle", NEAR + 5.0)

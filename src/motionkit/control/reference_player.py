@@ -458,6 +458,8 @@ def in_stance(clips: Sequence[ReferenceClip], stance: Array) -> tuple[ReferenceC
 
     A standing body that is shown one recorded stance after another takes none of them, but their mean.
     """
+    if not clips:
+        return ()
     poses = np.concatenate([clip.poses for clip in clips])
     usual = poses.mean(axis=0)
     if np.linalg.norm(stance - usual) > np.linalg.norm(poses - usual, axis=1).max():
