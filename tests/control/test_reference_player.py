@@ -25,10 +25,10 @@ from motionkit.control.reference_player import (
 )
 from motionkit.control.script import TypePart, plan_controls, whole_performances
 from motionkit.errors import ControlError
-from motionkit.features.control import future_trajectory
+from motionkit.features.control import future_trajectory, straight_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import ReferenceClip, recorded_rhythm
+from motionkit.models.motion_type import ReferenceClip, recorded_rhythm, recorded_velocity
 
 NEAR = np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32)
 
@@ -389,7 +389,7 @@ def test_without_recordings_a_clock_counts_the_phase(flips: MotionModel) -> None
     length = round(alone.phase_seconds("cartwheel") * alone.fps)
     parts = [TypePart("walking", 0.5), TypePart("cartwheel", (length + PAUSE + 10) / alone.fps)]
     asked = plan_controls(alone, parts, NEAR)
-    assert not asked.reference.any() and not asked.trajectory_mask.any()
+    assert not asked.reference.any() and not asked.trajectory_mask[30:].any()
     assert (asked.phase[:30] == -1.0).all()
     wheel = asked.phase[30:]
     assert wheel[:length] == pytest.approx(np.arange(length) / length)
@@ -422,6 +422,32 @@ def test_jumps_without_recordings_keep_their_pace_and_period(tiny_model: MotionM
     strike = np.r_[np.full(10, -1.0), 0.5 + np.arange(30) / 60.0, np.full(20, -1.0)].astype(np.float32)
     assert recorded_rhythm([recording(60, strike)]) is None
     assert recorded_rhythm([recording(60)]) is None
+
+
+def test_gaits_and_jumps_without_recordings_go_at_their_usual_velocity(tiny_model: MotionModel) -> None:
+    ahead = np.stack(
+        [np.arange(180), 0.0 * np.arange(180), np.full(180, 0.5 * np.pi)], axis=1
+    )  # to +X, facing +X
+    jump = np.r_[np.full(10, -1.0), np.arange(60) / 60.0, np.full(110, -1.0)].astype(np.float32)
+    gait = replace(recording(180), ground=ahead.astype(np.float32))
+    clips = {
+        "walking": [gait],
+        "jumping-l": [replace(gait, phases=jump), recording(59)],
+        "idle": [recording(180)],
+    }
+    model = with_clips(tiny_model, clips).with_reference("none")
+    assert model.types["walking"].velocity == pytest.approx((0.0, 60.0), abs=1e-3)
+    assert model.types["idle"].velocity is None and model.types["cartwheel"].velocity is None
+    for kind in ("walking", "jumping-l"):
+        asked = plan_controls(model, [TypePart(kind, 0.5)], NEAR)
+        assert (asked.trajectory_mask == 1.0).all() and not asked.reference.any()
+        assert np.allclose(asked.trajectory, straight_trajectory((0.0, 60.0), 60.0), atol=1e-3)
+    assert not plan_controls(model, [TypePart("idle", 0.5)], NEAR).trajectory_mask.any()
+    # A trajectory that is asked for comes first.
+    player = ReferencePlayer(model)
+    player.begin("walking")
+    assert not player.play(5, np.zeros((5, 24), np.float32)).trajectory.any()
+    assert recorded_velocity([recording(59)], 60.0) is None, "less than a second tells no velocity"
 
 
 def test_references_are_auto_or_none(flips: MotionModel) -> None:

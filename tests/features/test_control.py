@@ -15,6 +15,7 @@ from motionkit.features.control import (
     control_vector,
     future_trajectory,
     phase_signal,
+    straight_trajectory,
     trajectory_mirror,
 )
 from motionkit.features.layout import FEATURE_COUNT
@@ -84,6 +85,13 @@ def test_straight_ahead() -> None:
     assert np.allclose(positions[:, 0], np.zeros(6, np.float32))
     assert np.allclose(directions, np.broadcast_to(np.array([0.0, 1.0], np.float32), (6, 2)))
     assert np.allclose(future[0], future[1])
+
+
+def test_a_straight_trajectory_is_that_of_a_straight_track() -> None:
+    frames = np.arange(100)
+    ground = np.stack([0.5 * frames, 2.0 * frames, 0.0 * frames], axis=1)
+    straight = straight_trajectory((30.0, 120.0), 60.0)
+    assert np.allclose(straight, future_trajectory(ground, np.array([10]))[0], atol=1e-3)
 
 
 def test_circle_looks_the_same_from_every_frame() -> None:

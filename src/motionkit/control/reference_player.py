@@ -12,7 +12,7 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.control.momentum import asked_speed, forward_speeds, ground_speeds
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state, pose_states
-from motionkit.features.control import Controls, future_trajectory
+from motionkit.features.control import Controls, future_trajectory, straight_trajectory
 from motionkit.features.decode import integrate_ground
 from motionkit.features.reference import reference_signal
 from motionkit.models.model import MotionModel
@@ -275,6 +275,9 @@ class ReferencePlayer:
         free = Controls.of_types(self._weights(count))
         if clip is None:
             free = replace(free, phase=self._clock(count))
+            if trajectories is None and self._type.velocity is not None:
+                usual = straight_trajectory(self._type.velocity, self.model.fps)
+                trajectories = np.tile(usual, (count, 1))
             return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
         frames = np.arange(self.at, self.at + count)
         reference = reference_signal(clip.poses, frames)

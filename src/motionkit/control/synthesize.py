@@ -191,10 +191,10 @@ def finish_motion(
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
-        motion = lock_feet(motion, rollout.contacts[index], hold)
+        motion = come_down(lock_feet(motion, rollout.contacts[index], hold))
     motion = on_character(motion, skeleton)
     if options.ik:
-        motion = falling_freely(come_down(motion))
+        motion = falling_freely(motion)
     return motion if options.fps is None else resample(motion, options.fps)
 
 

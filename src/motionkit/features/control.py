@@ -182,6 +182,14 @@ def future_trajectory(ground: Array, frames: Array, here: Array | None = None) -
     return np.concatenate([relative.reshape(shape), directions.reshape(shape)], axis=-1)
 
 
+def straight_trajectory(velocity: tuple[float, float], fps: float) -> Array:
+    """Trajectory values (24,) of a body that keeps a velocity (x and z in cm/s in its heading frame) and its facing."""
+    seconds = np.array(TRAJECTORY_OFFSETS, np.float32) / np.float32(fps)
+    places = seconds[:, None] * np.array(velocity, np.float32)
+    directions = np.tile(np.array([0.0, 1.0], np.float32), len(TRAJECTORY_OFFSETS))
+    return np.concatenate([places.ravel(), directions])
+
+
 def trajectory_mirror() -> Array:
     """Signs (24,) that mirror trajectory values at the plane x = 0."""
     return np.array([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)), np.float32)

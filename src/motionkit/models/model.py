@@ -15,7 +15,7 @@ from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
 from motionkit.models.architectures import PredictorConfig
-from motionkit.models.motion_type import MotionType, recorded_rhythm, recorded_speeds
+from motionkit.models.motion_type import MotionType, recorded_rhythm, recorded_speeds, recorded_velocity
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 
@@ -123,7 +123,7 @@ class MotionModel:
         """The model as it is ("auto"), or without its reference recordings ("none").
 
         Without them no poses, phases or ground paths of a recording are played. Performances and strikes keep
-        their length and jumps their rhythm, by which their phase is counted.
+        their length and jumps their rhythm, by which their phase is counted; gaits and jumps their usual velocity.
 
         Raises:
             ControlError: for another choice.
@@ -136,6 +136,8 @@ class MotionModel:
         for name, kind in self.types.items():
             rhythm = None if kind.performed else recorded_rhythm(kind.reference_clips)
             changes[name] = {"reference_clips": (), "rhythm": rhythm, "speeds": self.speed_range(name)}
+            if rhythm is not None or (kind.steered and not kind.stands):
+                changes[name]["velocity"] = recorded_velocity(kind.reference_clips, self.fps)
             if kind.gait is not None:
                 seconds = self.phase_seconds(name) if rhythm is None else rhythm.frames / self.fps
                 changes[name]["gait"] = replace(kind.gait, cycle_seconds=seconds)

@@ -174,6 +174,7 @@ class MotionType:
         steered: whether velocity alone steers it, without reference poses: gaits, and standing still.
         rhythm: of the jumps of a model whose recordings have been left out; None for other types.
         speeds: recorded_speeds of a gait whose recordings have been left out; None for other types.
+        velocity: recorded_velocity of a gait or of jumps whose recordings have been left out; None for other types.
     """
 
     start_poses: tuple[StartPose, ...] = ()
@@ -183,6 +184,7 @@ class MotionType:
     steered: bool = False
     rhythm: Rhythm | None = None
     speeds: tuple[float, float] | None = None
+    velocity: tuple[float, float] | None = None
 
     @property
     def stands(self) -> bool:
@@ -236,6 +238,20 @@ def is_steered(clips: Sequence[ReferenceClip], embedding: PoseEmbedding, fps: fl
         steps = np.concatenate([np.linalg.norm(np.diff(p, axis=0), axis=1) for p in poses])
         return spread < STANDING_SPREAD and float(steps.mean()) * fps < STANDING_MOVEMENT
     return spread < GAIT_SPREAD
+
+
+def recorded_velocity(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, float] | None:
+    """Mean velocity of the root over a second of clips, x and z in cm/s in the heading frame; None without any.
+
+    It goes straight ahead or back: to which side clips go is chance.
+    """
+    second = round(fps)
+    moves = [
+        rotate_ground(-clip.ground[:-second, 2], clip.ground[second:, :2] - clip.ground[:-second, :2])
+        for clip in clips
+        if len(clip) > second
+    ]
+    return (0.0, float(np.concatenate(moves)[:, 1].mean()) * fps / second) if moves else None
 
 
 def facing_velocity(clip: ReferenceClip, fps: float) -> Array:
