@@ -69,10 +69,11 @@ def _beyond_spread(folder: str, results: Results) -> list[str]:
         lower, higher = (
             [name for name, gap in gaps.items() if sign * gap > 2.0 * mine.spread] for sign in (-1.0, 1.0)
         )
+        single = sum(found.seeds < 2 for found in theirs.values() if found is not None)
         said = f"lower {', '.join(lower) or 'in none'}; higher {', '.join(higher) or 'in none'}"
         lines.append(
             f"`{folder}`, {title} more than twice TPTN's spread over {mine.seeds} seeds from TPTN's {mine.mean:.3g} "
-            f"± {mine.spread:.2g}: {said}; of {len(gaps)} other networks, most with one seed."
+            f"± {mine.spread:.2g}: {said}; of {len(gaps)} other networks, {single} with one seed."
         )
     return lines
 
