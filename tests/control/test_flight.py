@@ -94,7 +94,8 @@ def test_a_body_that_glides_comes_down() -> None:
 
 
 def test_what_flies_or_stands_does_not_come_down() -> None:
-    for motion in (glide(GLIDES + 1.0), glide(-0.5), jump(-9.81), jump(-9.81, 8), jump(-9.81).cut(0, 2)):
+    short = glide(4.0).cut(24, 30)
+    for motion in (glide(GLIDES + 1.0), glide(-0.5), jump(-9.81), jump(-9.81, 8), short, short.cut(0, 1)):
         assert come_down(motion) is motion
 
 

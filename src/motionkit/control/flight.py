@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array, smoothstep, spans
-from motionkit.metrics.flight import FREE_FALL, centre_of_mass, flights, vertical_acceleration
+from motionkit.metrics.flight import FIT_FRAMES, FREE_FALL, centre_of_mass, flights, vertical_acceleration
 from motionkit.metrics.touch import FALL_ERROR, FALLING, TOUCH_HEIGHTS, touching
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -50,10 +50,10 @@ def come_down(motion: Motion) -> Motion:
     """Return a motion at 60 fps, the ground at height zero, whose body no longer glides a little above the ground.
 
     Where nothing touches it, though the body is never higher than GLIDES and mostly does not fall, its lowest joint
-    goes on between its heights before and after.
+    goes on between its heights before and after. In a motion too short to tell how it falls nothing is changed.
     """
     positions = motion_kinematics(motion)[1]
-    if len(positions) < 3:
+    if len(positions) < FIT_FRAMES:
         return motion
     above = (positions[..., 1] - TOUCH_HEIGHTS).min(axis=-1)
     held_up = vertical_acceleration(centre_of_mass(positions)[:, 1]) > FALLING
