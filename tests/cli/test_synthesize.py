@@ -100,6 +100,14 @@ def test_faults_leave_no_file(synthesize, tmp_path: Path, words: list[str], comp
     assert not list(tmp_path.iterdir())
 
 
+def test_one_frame_is_no_motion(synthesize, tmp_path: Path) -> None:
+    assert synthesize("--types", "idle:0.02", "-o", "one.bvh").failed_with(
+        "at least 2 frames, 0.033 s, found 1"
+    )
+    assert not (tmp_path / "one.bvh").exists()
+    assert synthesize("--types", "idle:0.034", "-o", "two.bvh").code == 0
+
+
 def test_a_folder_in_the_place_of_the_file(synthesize, tmp_path: Path) -> None:
     (tmp_path / "out.bvh").mkdir()
     assert synthesize("--types", "idle:0.1", "-o", "out.bvh").failed_with("out.bvh: is a folder")

@@ -139,7 +139,10 @@ def command(
     drawn = make_noise(noise, temperature, model)
     options = SynthesisOptions(count, seed, drawn, character, init, ik, fps, keys=keys)
     whole = [whole_performances(model, plan) for plan in plans]
-    frames = max(sum(round(part.seconds * model.fps) for part in plan) for plan in whole)
+    lengths = [sum(max(1, round(part.seconds * model.fps)) for part in plan) for plan in whole]
+    if min(lengths) < 2:
+        raise MotionkitError(f"expected at least 2 frames, {2.0 / model.fps:.2g} s, found 1")
+    frames = max(lengths)
     announce(frames / model.fps, model.fps, options)
     with progress_bar() as bar:
 

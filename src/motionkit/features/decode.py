@@ -68,9 +68,10 @@ def integrate_ground(features: Array, start: Array, fps: float, layout: str = DE
 
 
 def _after_zero(values: Array, axis: int) -> Array:
-    """Prepend one zero along an axis."""
-    zero = np.zeros_like(np.take(values, [0], axis=axis))
-    return np.concatenate([zero, values], axis=axis)
+    """Prepend one zero along an axis, of which nothing else may be there."""
+    widths = [(0, 0)] * values.ndim
+    widths[axis] = (1, 0)
+    return np.pad(values, widths)
 
 
 def decode_motion(
