@@ -126,9 +126,7 @@ class ReferencePlayer:
         self.at = 0
         self.left: Left | None = None  # the clip before
         self.pause: Pause | None = None  # that is being shown
-        self._in_stance: tuple[
-            ReferenceClip, ...
-        ] = ()  # the clips of standing still, moved to the stance it has
+        self._in_stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to its stance
         self._indices: dict[str, MotionIndex] = {}
         self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
         self._since = 0  # frames since the last search

@@ -35,9 +35,8 @@ LEAST_FRAMES = 8  # of a recorded stretch that counts
 JERK = 1.2  # times the recorded jerk costs nothing: a network shakes a little at any gain
 JERK_WEIGHT = 0.25
 SELDOM = 0.05  # share of time that hardly counts beside more
-HOVERING = (
-    0.02  # share of time beyond the recorded in which hovering costs nothing, as in the scoreboard's target
-)
+# Share of time beyond the recorded in which hovering costs nothing, as in the scoreboard's target.
+HOVERING = 0.02
 NEARLY = 0.05  # a gain nearer to 1 is taken where it costs at most so much more than the best
 
 
