@@ -9,9 +9,19 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip
 
 
-def with_clips(model: MotionModel, clips: Mapping[str, Sequence[ReferenceClip]]) -> MotionModel:
-    """The model with these reference clips, and none for other types."""
-    return model.with_types({name: {"reference_clips": tuple(clips.get(name, ()))} for name in model.types})
+def with_clips(
+    model: MotionModel, clips: Mapping[str, Sequence[ReferenceClip]], gaits: bool = False
+) -> MotionModel:
+    """The model with these reference clips, and none for other types; those that have some are gaits or not."""
+    return model.with_types(
+        {
+            name: {
+                "reference_clips": tuple(clips.get(name, ())),
+                "steered": gaits if name in clips and not kind.stands else kind.steered,
+            }
+            for name, kind in model.types.items()
+        }
+    )
 
 
 def with_presets(model: MotionModel, field: str, values: Mapping[str, float]) -> MotionModel:

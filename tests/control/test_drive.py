@@ -161,7 +161,8 @@ def test_a_type_without_a_length_is_performed_for_the_seconds_given(tiny_model: 
 def test_a_performance_without_a_way_leaves_one_who_stands_free(
     tiny_model: MotionModel, velocity: tuple[float, float] | None, given: float
 ) -> None:
-    driver = Driver(tiny_model, "idle", DriveOptions(blend_frames=10))
+    model = tiny_model.with_types({"walking": {"steered": False}})
+    driver = Driver(model, "idle", DriveOptions(blend_frames=10))
     driver.set_wish(Wish(velocity))
     driver.perform("walking", seconds=1.0)
     asked = play(driver, 50)[0][5:]

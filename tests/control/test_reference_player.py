@@ -13,6 +13,7 @@ from motionkit.control.momentum import CHANGE
 from motionkit.control.motion_index import STATE_FRAMES
 from motionkit.control.reference_player import (
     BEFORE_EVENT,
+    GAIT_LEAST,
     LONGEST_BLEND,
     OWN_SHARE,
     PAUSE,
@@ -54,8 +55,9 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(
     flips: MotionModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("motionkit.control.script.carried_over", lambda asked, *speeds: asked)
+    model = flips.with_types({"walking": {"steered": False}})
     parts = [TypePart("walking", 1.0), TypePart("cartwheel", 0.5), TypePart("walking", 0.5)]
-    asked = plan_controls(flips, parts, NEAR)
+    asked = plan_controls(model, parts, NEAR)
     assert asked.trajectory.shape == (120, 24) and asked.reference.shape == (120, REFERENCE_COUNT)
     assert asked.trajectory_mask.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
     assert asked.reference_gain.tolist() == pytest.approx(
@@ -226,6 +228,48 @@ def test_what_stands_is_not_entered(tiny_model: MotionModel) -> None:
     player = ReferencePlayer(with_clips(tiny_model, {"walking": [dance]}), choice=1)
     player.begin("walking", NEAR)
     assert player.at > 80, "most of the two seconds that movement is averaged over lie beyond 200"
+
+
+def test_gaits_are_entered_anywhere_else_calm_clips_nowhere_and_livelier_ones_as_they_are(
+    tiny_model: MotionModel,
+) -> None:
+    clips = [recording(400), recording(110), recording(110)]
+    for clip, pace in zip(clips, (4.0, 0.5, 9.0), strict=True):
+        clip.poses[:, 0] = pace * np.arange(len(clip.poses))
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": clips}))
+    player.begin("walking", NEAR)
+    entered = {id(clip): frames for clip, frames in player.entry_frames(clips)}
+    assert entered.keys() == {id(clips[0]), id(clips[2])}
+    assert 0 < len(entered[id(clips[2])]) <= 20, "those that a second and a half follow"
+    gait = ReferencePlayer(with_clips(tiny_model, {"walking": clips}, gaits=True))
+    gait.begin("walking", NEAR)
+    last = [frames[-1] for _, frames in gait.entry_frames(clips)]
+    assert last == [len(clip) - round(GAIT_LEAST * 60.0) - 1 for clip in clips]
+
+
+def test_gaits_go_where_their_recordings_went(tiny_model: MotionModel) -> None:
+    """Also while one recording fades into another; a model that was not trained with references goes as it likes."""
+    clips = {"walking": [recording(300)], "running": [recording(300)]}
+    for kind, pace in (("walking", 2.0), ("running", 5.0)):
+        clips[kind][0].ground[:, 1] = pace * np.arange(300)
+    model = with_clips(tiny_model, clips, gaits=True)
+    player = ReferencePlayer(model)
+    player.begin("walking", NEAR)
+    walked = player.play(20)
+    player.begin("running")
+    ran = player.play(100)
+    slow, fast = (straight_trajectory((0.0, 60.0 * pace), 60.0) for pace in (2.0, 5.0))
+    assert np.allclose(walked.trajectory, slow, atol=1e-3) and (walked.trajectory_mask == 1.0).all()
+    assert np.allclose(ran.trajectory[0], slow, atol=1e-3) and np.allclose(
+        ran.trajectory[-1], fast, atol=1e-3
+    )
+    ahead = ran.trajectory[:, 1]
+    assert (np.diff(ahead) > -1e-3).all() and float(np.diff(ahead).max()) < 1.5 * (
+        ahead[-1] - ahead[0]
+    ) / SHORTEST_BLEND
+    free = ReferencePlayer(replace(model, uses_references=False))
+    free.begin("walking", NEAR)
+    assert not free.play(20).trajectory_mask.any()
 
 
 def test_a_strike_is_entered_shortly_before_it(tiny_model: MotionModel) -> None:
@@ -435,7 +479,7 @@ def test_gaits_and_jumps_without_recordings_go_at_their_usual_velocity(tiny_mode
         "jumping-l": [replace(gait, phases=jump), recording(59)],
         "idle": [recording(180)],
     }
-    model = with_clips(tiny_model, clips).with_reference("none")
+    model = with_clips(tiny_model, clips, gaits=True).with_reference("none")
     assert model.types["walking"].velocity == pytest.approx((0.0, 60.0), abs=1e-3)
     assert model.types["idle"].velocity is None and model.types["cartwheel"].velocity is None
     for kind in ("walking", "jumping-l"):

@@ -26,7 +26,7 @@ def recording(speed: float, frames: int = 160) -> ReferenceClip:
 def model(tiny_model: MotionModel) -> MotionModel:
     """A model whose walk is recorded at 100 and at 150 cm/s."""
     assert tiny_model.types["walking"].steered
-    return with_clips(tiny_model, {"walking": [recording(100.0), recording(150.0)]})
+    return with_clips(tiny_model, {"walking": [recording(100.0), recording(150.0)]}, gaits=True)
 
 
 def line(speed: float | None, kind: str = "walking") -> Path2D:

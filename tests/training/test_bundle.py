@@ -182,6 +182,21 @@ def test_outlines_are_those_of_training_stretches(dataset: Dataset) -> None:
     assert sum(map(len, walks)) <= (REFERENCE_SECONDS + LONGEST_REFERENCE) * dataset.fps
 
 
+def test_there_is_more_room_where_it_takes_more_to_show_every_recording(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A part of each, the mirror images left out; no more than MOST_SECONDS."""
+    wanted = dataset.types.index("walking")
+    walks = [clip for clip in dataset.select("train") if (dataset.clip_types(clip) == wanted).any()]
+    recordings = {clip.start for clip in walks}
+    monkeypatch.setattr(bundle, "LONGEST_REFERENCE", 1.0)
+    assert len(recorded_references(dataset, "walking")) > len(walks) > len(recordings) > 1
+    monkeypatch.setattr(bundle, "REFERENCE_SECONDS", 1.0)
+    assert len(recorded_references(dataset, "walking")) == len(recordings)
+    monkeypatch.setattr(bundle, "MOST_SECONDS", 1.0)
+    assert len(recorded_references(dataset, "walking")) == 1
+
+
 def moving(speed: float, frames: int = 60) -> ReferenceClip:
     """An reference_clip that changes by so much a frame."""
     poses = np.zeros((frames + REFERENCE_OFFSETS[-1], EMBEDDING_COUNT), np.float32)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +28,7 @@ SHORTEST_BLEND, LONGEST_BLEND = 15, 45
 # Clips are entered in frames that move more than the first of these shares of all, and less than the second.
 ENTRY_MOVEMENT = (0.4, 0.8)
 LEAST_SECONDS = 1.5  # of a clip that must follow the frame it is entered at
+GAIT_LEAST = 0.75  # the same of gaits and of standing: most runs are recorded for a second
 BEFORE_EVENT = 15  # a clip of strikes or jumps is entered so many frames before one begins
 # cm/s by which a strike or jump may go faster or slower than the body, beyond the nearest of all: a leap out of a run
 # needs the run.
@@ -43,6 +44,20 @@ PLAYED = 0.5  # a frame is not entered if more than this share of the LEAST_SECO
 # draw, one for as many successive choices as draw evenly.
 GOLDEN, STEPS = (math.sqrt(5.0) - 1.0) / 2.0, tuple(math.sqrt(n) % 1.0 for n in (2.0, 3.0, 7.0, 11.0))
 SIBLINGS = 32
+
+
+# What is shown (T, F) of a clip at frames (T,).
+Signal = Callable[[ReferenceClip, Array], Array]
+
+
+def recorded_poses(clip: ReferenceClip, frames: Array) -> Array:
+    """References (T, 72) at frames (T,) of a clip."""
+    return reference_signal(clip.poses, frames)
+
+
+def recorded_way(clip: ReferenceClip, frames: Array) -> Array:
+    """Trajectories (T, 24) at frames (T,) of a clip; after its end the last."""
+    return future_trajectory(clip.ground, np.minimum(frames, len(clip) - 1))
 
 
 class Left:
@@ -67,16 +82,16 @@ class Left:
         """Whether nothing of it is left at a frame of the clip entered."""
         return frame >= self.entered_at + self.frames
 
-    def fading(self, frames: Array, reference: Array) -> Array:
-        """References (T, 72) at frames (T,) of the clip entered, blended with those of the clip left."""
+    def fading(self, frames: Array, shown: Array, signal: Signal) -> Array:
+        """What is shown (T, F) at frames (T,) of the clip entered, blended with the same signal of the clip left."""
         since = frames - self.entered_at
-        before = reference_signal(self.clip.poses, self.at + since)
+        before = signal(self.clip, self.at + since)
         if self.before is not None and self.before.over(self.at + int(since[0])):
             self.before = None  # or clips that are left soon after one another would grow to a long chain
         if self.before is not None:
-            before = self.before.fading(self.at + since, before)
+            before = self.before.fading(self.at + since, before, signal)
         share = np.minimum(since / self.frames, 1.0).astype(np.float32)[:, None]
-        return lerp(before, reference, share)
+        return lerp(before, shown, share)
 
 
 class Pause:
@@ -106,7 +121,8 @@ class ReferencePlayer:
     type is drawn, the more likely the more of it has not been played yet, and by successive choices evenly among all.
     It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them and about as
     fast as the body goes, and the frame most like the present pose is taken. Nothing is played again before all has
-    been played. Where a trajectory is asked for, the player looks for frames that go that way. A character that begins
+    been played. Gaits go where their recordings went; where a trajectory is asked for, the player looks for frames that
+    go that way. A character that begins
     by standing keeps its stance: recordings are shown moved to it, so that they tell it how to sway.
     """
 
@@ -278,9 +294,9 @@ class ReferencePlayer:
                 trajectories = np.tile(usual, (count, 1))
             return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
         frames = np.arange(self.at, self.at + count)
-        reference = reference_signal(clip.poses, frames)
+        reference = recorded_poses(clip, frames)
         if self.left is not None:
-            reference = self.left.fading(frames, reference)
+            reference = self.left.fading(frames, reference, recorded_poses)
         asked = replace(
             free,
             reference=reference,
@@ -305,13 +321,17 @@ class ReferencePlayer:
 
     def _trajectory(self, clip: ReferenceClip, frames: Array, trajectories: Array | None) -> Array | None:
         """The trajectories (T, 24) to show at frames of a clip, None for none."""
-        if trajectories is None and not clip.performed:
+        gait = self._type.goes and self.model.uses_references
+        if trajectories is None and not (clip.performed or gait):
             return None
         if trajectories is not None and not self.own_share:
             return trajectories
-        # A cartwheel to the left is as good as one to the right; the recorded trajectory decides.
-        own = future_trajectory(clip.ground, frames)
-        return own if trajectories is None else lerp(trajectories, own, self.own_share)
+        # A cartwheel to the left is as good as one to the right, a slow walk as a fast one; the recorded trajectory
+        # decides.
+        own = recorded_way(clip, frames)
+        if trajectories is not None:
+            return lerp(trajectories, own, self.own_share)
+        return own if self.left is None else self.left.fading(frames, own, recorded_way)
 
     def _paused(self, pause: Pause, frames: int, trajectories: Array | None) -> Controls:
         """Controls of at most so many frames of the pause, which then may end."""
@@ -381,7 +401,12 @@ class ReferencePlayer:
 
     def entry_frames(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
         """The frames at which clips that are no performances are entered, for each clip that has some."""
-        return self._before_events(clips) or self._anywhere(clips)
+        if before := self._before_events(clips):
+            return before
+        if not self._type.steered:
+            return self._lively(clips)
+        least = round(GAIT_LEAST * self.model.fps)
+        return [(clip, list(range(max(1, len(clip) - least)))) for clip in clips]
 
     def _as_fast(
         self, found: list[tuple[ReferenceClip, list[int]]], speed: float | None
@@ -436,22 +461,32 @@ class ReferencePlayer:
                 found.append((clip, np.maximum(begins - BEFORE_EVENT, 0).tolist()))
         return found
 
-    def _anywhere(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
+    def _lively(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
         """Frames that at least the usual movement follows, though not the liveliest, for each clip that has some.
 
-        A standing body is most like a standing one, in any type: the reference would keep it standing.
+        A standing body is most like a standing one, in any type: the reference would keep it standing. Of a clip that
+        is livelier than all that, the frames that are usual in it.
         """
         least = round(LEAST_SECONDS * self.model.fps)
         movements = [clip.movement[: max(1, len(clip) - least)] for clip in clips]
-        all_movements = np.concatenate(movements)
-        # The methods leave at least one frame even of two.
-        usual = np.quantile(all_movements, ENTRY_MOVEMENT[0], method="lower")
-        lively = np.quantile(all_movements, ENTRY_MOVEMENT[1], method="higher")
-        return [
-            (clip, frames)
-            for clip, movement in zip(clips, movements, strict=True)
-            if (frames := np.flatnonzero((movement >= usual) & (movement <= lively)).tolist())
-        ]
+        of_all = np.concatenate(movements)
+        usual = np.quantile(of_all, ENTRY_MOVEMENT[0], method="lower")
+        found = []
+        for clip, movement in zip(clips, movements, strict=True):
+            frames = _between(movement, of_all)
+            if not frames and movement.max() > usual:
+                frames = _between(movement, movement)
+            if frames:
+                found.append((clip, frames))
+        return found
+
+
+def _between(movement: Array, of_all: Array) -> list[int]:
+    """The frames of a movement (L,) that lie between the shares ENTRY_MOVEMENT of all."""
+    # The methods leave at least one frame even of two.
+    usual = np.quantile(of_all, ENTRY_MOVEMENT[0], method="lower")
+    lively = np.quantile(of_all, ENTRY_MOVEMENT[1], method="higher")
+    return np.flatnonzero((movement >= usual) & (movement <= lively)).tolist()
 
 
 def in_stance(clips: Sequence[ReferenceClip], stance: Array) -> tuple[ReferenceClip, ...]:

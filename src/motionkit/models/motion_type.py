@@ -192,6 +192,11 @@ class MotionType:
         return self.steered and self.gait is not None and self.gait.speed < STANDING_SPEED
 
     @property
+    def goes(self) -> bool:
+        """Whether the type is a gait."""
+        return self.steered and not self.stands
+
+    @property
     def performed(self) -> bool:
         """Whether the type is one performance from beginning to end, such as a cartwheel."""
         return any(clip.performed for clip in self.reference_clips[:1])

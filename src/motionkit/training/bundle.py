@@ -28,9 +28,11 @@ from motionkit.motion.skeleton import canonical_skeleton
 START_FRAMES = 30  # the paper's number of initial frames for synthesis
 STARTS_PER_TYPE = 3
 # A standing body keeps the stance it begins in: there are more of these, evenly from the nearer share of all.
-STANCES, STANCE_SHARE = 12, 0.75
-# Reference clips of a type: seconds in all, and of the longest and the shortest clip.
-REFERENCE_SECONDS, LONGEST_REFERENCE, SHORTEST_REFERENCE = 80.0, 10.0, 1.0
+STANCES, STANCE_SHARE = 20, 0.85
+# Reference clips of a type: seconds in all, and at most where it takes more to show a part of every recording; of the
+# longest and the shortest clip.
+REFERENCE_SECONDS, MOST_SECONDS = 80.0, 300.0
+LONGEST_REFERENCE, SHORTEST_REFERENCE = 10.0, 1.0
 # A reference clip ends where the body comes to rest: where less than this share of the type's usual motion follows.
 REST = 0.35
 
@@ -159,10 +161,10 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
 
     Of types made of strikes or jumps those parts come first that show most of them, of others those that move
     about as much as the type does in the mean: recordings begin and end with standing. Where there is no room for all
-    recordings, mirror images wait until every recording has been taken once.
+    recordings, mirror images wait until every recording has been taken once, and there is more room.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
-    longest = round(LONGEST_REFERENCE * fps)
+    longest, room = round(LONGEST_REFERENCE * fps), round(REFERENCE_SECONDS * fps)
     performed = dataset.phase_events.get(kind) == ""
     found: list[tuple[str, ReferenceClip]] = []
     recordings: dict[str, int] = {}  # where the recording of a clip begins: a mirror image has the same
@@ -198,19 +200,22 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
         found = [(name, before_rest(reference_clip, REST * usual)) for name, reference_clip in found]
         found = _not_too_short(found, fps)
         ordered = typical_first(found)
-        kept = {id(reference_clip) for reference_clip in _with_room(ordered, fps)}
+        kept = {id(reference_clip) for reference_clip in _with_room(ordered, room)}
         shown = {recordings[name] for name, reference_clip in found if id(reference_clip) in kept}
-        if len(shown) < len({recordings[name] for name, _ in found}):
+        every = {recordings[name] for name, _ in found}
+        if len(shown) < len(every):
             ordered = typical_first([(str(recordings[name]), each) for name, each in found])
-    return _with_room(ordered, fps)
+            one_of_each = sum(map(len, ordered[: len(every)])) / fps
+            room = round(min(max(REFERENCE_SECONDS, one_of_each), MOST_SECONDS) * fps)
+    return _with_room(ordered, room)
 
 
-def _with_room(ordered: Sequence[ReferenceClip], fps: float) -> list[ReferenceClip]:
-    """The first reference clips, until they have REFERENCE_SECONDS."""
+def _with_room(ordered: Sequence[ReferenceClip], room: int) -> list[ReferenceClip]:
+    """The first reference clips, until they fill so many frames."""
     out: list[ReferenceClip] = []
     frames = 0
     for reference_clip in ordered:
-        if frames < REFERENCE_SECONDS * fps:
+        if frames < room:
             out.append(reference_clip)
             frames += len(reference_clip)
     return out
