@@ -16,8 +16,9 @@ HEAD = """# Types
 What the bundled model knows of each of its motion types, written from the model file by `python docs/make_types.py`.
 [scoreboard.md](scoreboard.md) has how well each is shown.
 
-- **kind**: *stands* and *gait* are steered by speed alone, without recordings; *performance* is shown from beginning to
-  end; *strikes* have a phase for each strike or jump; all others go on for as long as they are asked for.
+- **kind**: *stands* and *gait* are steered by speed alone on paths and by keys, without recordings; *performance* is
+  shown from beginning to end; *strikes* have a phase for each strike or jump; all others go on for as long as they are
+  asked for.
 - **speed** over the ground in cm/s; **seconds** of one performance, strike or jump.
 - **recordings**: seconds of reference recordings in the file ([references.md](references.md)), and **gain** on them.
 - **blend**: share of the last velocity that is kept; **noise**: factor on the temperature

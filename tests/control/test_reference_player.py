@@ -247,6 +247,34 @@ def test_gaits_are_entered_anywhere_else_calm_clips_nowhere_and_livelier_ones_as
     assert last == [len(clip) - round(GAIT_LEAST * 60.0) - 1 for clip in clips]
 
 
+@pytest.mark.parametrize("slow", [0.2, 0.9])
+def test_gaits_leave_a_clip_before_it_brakes(tiny_model: MotionModel, slow: float) -> None:
+    """Steps of 5 cm a frame; from frame 200 on of less, which brakes or is a calmer walk."""
+    clip, other = recording(300), recording(300, first=1000.0)
+    steps = np.full(300, 5.0)
+    other.ground[:, 1] = np.cumsum(steps)
+    steps[200:] *= slow
+    clip.ground[:, 1] = np.cumsum(steps)
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [clip, other]}, gaits=True))
+    player.begin("walking", NEAR)
+    shown = player.model.types["walking"].reference_clips[0]
+    entered = dict((id(each), frames) for each, frames in player.entry_frames([shown]))[id(shown)]
+    brakes = slow < 0.5
+    assert entered[-1] < (200 if brakes else 300) - round(GAIT_LEAST * 60.0)
+    player.clip, player.at, player.left = shown, 100, None
+    player.play(150)
+    assert (player.clip is shown) is not brakes
+
+
+def test_a_gait_that_is_slow_all_along_brakes_nowhere(tiny_model: MotionModel) -> None:
+    fast, slow = recording(300), recording(300)
+    fast.ground[:, 1], slow.ground[:, 1] = 8.0 * np.arange(300), 0.5 * np.arange(300)
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [fast, slow]}, gaits=True))
+    player.begin("walking", NEAR)
+    for _, frames in player.entry_frames(player.model.types["walking"].reference_clips):
+        assert frames == list(range(300 - round(GAIT_LEAST * 60.0)))
+
+
 def test_gaits_go_where_their_recordings_went(tiny_model: MotionModel) -> None:
     """Also while one recording fades into another; a model that was not trained with references goes as it likes."""
     clips = {"walking": [recording(300)], "running": [recording(300)]}

@@ -31,6 +31,15 @@ def ground_speeds(ground: Array, fps: float) -> Array:
     return np.linalg.norm(_velocities(ground, fps), axis=-1)
 
 
+def speeds_ahead(ground: Array, fps: float) -> Array:
+    """Speeds (T,) in cm/s, as the crow flies, in the second from each frame on; at the end, of the last second."""
+    last = len(ground) - 1
+    second = min(round(fps), last)
+    begins = np.minimum(np.arange(last + 1), last - second)
+    moved = ground[begins + second, :2] - ground[begins, :2]
+    return np.linalg.norm(moved, axis=-1) * (fps / max(second, 1))
+
+
 def _velocities(ground: Array, fps: float) -> Array:
     last = len(ground) - 1
     frames = np.arange(last + 1)

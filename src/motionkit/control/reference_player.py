@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array, lerp
-from motionkit.control.momentum import asked_speed, forward_speeds, ground_speeds
+from motionkit.control.momentum import asked_speed, forward_speeds, ground_speeds, speeds_ahead
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state, pose_states
 from motionkit.features.control import Controls, future_trajectory, straight_trajectory
 from motionkit.features.decode import integrate_ground
@@ -29,6 +29,8 @@ SHORTEST_BLEND, LONGEST_BLEND = 15, 45
 ENTRY_MOVEMENT = (0.4, 0.8)
 LEAST_SECONDS = 1.5  # of a clip that must follow the frame it is entered at
 GAIT_LEAST = 0.75  # the same of gaits and of standing: most runs are recorded for a second
+# A gait brakes where a clip goes slower than this share of its usual speed in the coming second.
+GOING = 0.6
 BEFORE_EVENT = 15  # a clip of strikes or jumps is entered so many frames before one begins
 # cm/s by which a strike or jump may go faster or slower than the body, beyond the nearest of all: a leap out of a run
 # needs the run.
@@ -122,8 +124,8 @@ class ReferencePlayer:
     It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them and about as
     fast as the body goes, and the frame most like the present pose is taken. Nothing is played again before all has
     been played. Gaits go where their recordings went; where a trajectory is asked for, the player looks for frames that
-    go that way. A character that begins
-    by standing keeps its stance: recordings are shown moved to it, so that they tell it how to sway.
+    go that way. A character that begins by standing keeps its stance: recordings are shown moved to it, so that they
+    tell it how to sway.
     """
 
     def __init__(
@@ -144,6 +146,7 @@ class ReferencePlayer:
         self.pause: Pause | None = None  # that is being shown
         self._in_stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to its stance
         self._indices: dict[str, MotionIndex] = {}
+        self._ways: dict[int, tuple[list[int], Array]] = {}  # of clips of gaits and standing (_on_the_way)
         self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
         self._since = 0  # frames since the last search
         self._draws = 0  # clips that have been drawn
@@ -233,7 +236,8 @@ class ReferencePlayer:
         played = 0
         while played < frames:
             wanted = None if trajectories is None else trajectories[played:]
-            if self.clip is not None and self.at >= len(self.clip):
+            end = self._end(wanted is None)
+            if self.clip is not None and self.at >= end:
                 self._go_on(None if wanted is None else wanted[0])
             elif wanted is not None and self._since >= RECONSIDERED:
                 self._reconsider(wanted[0])
@@ -243,7 +247,7 @@ class ReferencePlayer:
                 played += len(parts[-1].phase)
                 continue
             if self.clip is not None:
-                count = min(count, len(self.clip) - self.at)
+                count = min(count, self._end(wanted is None) - self.at)
             if wanted is not None:
                 count = min(count, max(1, RECONSIDERED - self._since))
                 wanted = wanted[:count]
@@ -254,6 +258,14 @@ class ReferencePlayer:
             self._since += count
             played += count
         return Controls.concatenated(parts)
+
+    def _end(self, free: bool) -> int:
+        """The frame at which the clip is left: its end, or where a gait brakes that goes free; 0 without a clip."""
+        if self.clip is None:
+            return 0
+        if not (free and self._type.goes):
+            return len(self.clip)
+        return int(self._on_the_way(self.clip)[1][min(self.at, len(self.clip) - 1)])
 
     def _go_on(self, trajectory: Array | None) -> None:
         """Enter the next clip at the end of one; after a pause where there is no time for a blend."""
@@ -405,8 +417,7 @@ class ReferencePlayer:
             return before
         if not self._type.steered:
             return self._lively(clips)
-        least = round(GAIT_LEAST * self.model.fps)
-        return [(clip, list(range(max(1, len(clip) - least)))) for clip in clips]
+        return [(clip, self._on_the_way(clip)[0]) for clip in clips]
 
     def _as_fast(
         self, found: list[tuple[ReferenceClip, list[int]]], speed: float | None
@@ -460,6 +471,24 @@ class ReferencePlayer:
             if len(begins):
                 found.append((clip, np.maximum(begins - BEFORE_EVENT, 0).tolist()))
         return found
+
+    def _on_the_way(self, clip: ReferenceClip) -> tuple[list[int], Array]:
+        """Frames that a gait goes on from for GAIT_LEAST, and for each frame (L,) the one at which it brakes.
+
+        Runs are recorded with the stop at their end, which nobody asks for who asks for a run. A clip that is slow all
+        along is none that brakes.
+        """
+        if id(clip) not in self._ways:
+            fps, gait, length = self.model.fps, self._type.gait, len(clip)
+            least, frames = min(round(GAIT_LEAST * fps), length - 1), np.arange(length)
+            brakes, entries = np.full(length, length), frames[: length - least]
+            if self._type.goes and gait is not None:
+                slow = np.append(np.flatnonzero(speeds_ahead(clip.ground, fps) < GOING * gait.speed), length)
+                until = slow[np.searchsorted(slow, frames)]
+                if (until - frames > least).any():
+                    brakes, entries = until, np.flatnonzero(until - frames > least)
+            self._ways[id(clip)] = entries.tolist(), brakes
+        return self._ways[id(clip)]
 
     def _lively(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
         """Frames that at least the usual movement follows, though not the liveliest, for each clip that has some.
