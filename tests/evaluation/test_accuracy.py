@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motionkit.evaluation.accuracy import accuracy_section, measure_accuracy
+from motionkit.evaluation.accuracy import TypeAccuracy, accuracy_section, is_shown, measure_accuracy
 from motionkit.evaluation.body import Body, body_of
 from motionkit.evaluation.detectors import DETECTORS
 from motionkit.evaluation.judge import Judge
@@ -45,7 +45,13 @@ def test_a_type_without_a_detector_must_move_as_fast_as_its_recordings(
     body = body_of(make_walk(300, turn=0.0))
     ratio = judge.speed_ratio("walking", body)
     assert ratio == pytest.approx(body.joint_speed() / profile.joint_speed)
-    assert judge.performs("walking", body) == (0.7 <= ratio <= 1.4)
+    for usual, shown in (((0.5, 1.0), True), ((1.0, 2.0), True), ((0.2, 0.6), False), ((1.6, 2.0), False)):
+        # A roll-out is held against calm and busy recordings, not against their mean.
+        slowest, fastest = (share * body.joint_speed() for share in usual)
+        changed = replace(profile, usual=(slowest, fastest))
+        monkeypatch.setattr(real, "profile", lambda kind, changed=changed: changed)
+        assert judge.performs("walking", body) == shown
+    monkeypatch.setattr(real, "profile", lambda kind: profile)
     assert not judge.performs("walking", body_of(make_walk(300, turn=0.0, swing=0.05)))
 
 
@@ -84,3 +90,17 @@ def test_a_column_has_the_model_without_references(make_trial) -> None:
     assert any("without reference recordings" in goal.what for goal in section.goals)
     alone = accuracy_section(make_trial(replace(TINY, reference="none")), lambda share: None)
     assert "without references" not in alone.tables[0].columns
+
+
+@pytest.mark.parametrize(
+    ("share", "speed", "detector", "shown"),
+    [(20, 1.0, False, True), (20, 0.18, False, False), (18, 1.0, False, False), (20, 0.18, True, True)],
+)
+def test_a_type_that_is_too_slow_in_the_mean_is_not_shown(
+    real: RealMotion, monkeypatch: pytest.MonkeyPatch, share: int, speed: float, detector: bool, shown: bool
+) -> None:
+    """Some recordings may be that calm, so that each roll-out is within their limits."""
+    if not detector:
+        monkeypatch.delitem(DETECTORS, "cartwheel")
+    each = TypeAccuracy("cartwheel", 20, share, None, speed, 9)
+    assert is_shown(Judge(real), each) == shown

@@ -6,7 +6,7 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation.judge import Judge
-from motionkit.evaluation.quick import QUICK_TYPES, TypeVerdict, quick_verdicts, verdict_section
+from motionkit.evaluation.quick import QUICK_TYPES, TypeVerdict, quick_verdicts, reasons_of, verdict_section
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.scoreboard import evaluate_model
 from motionkit.models.model import MotionModel
@@ -45,6 +45,15 @@ def test_types_are_judged_only_on_request(tiny_model: MotionModel, dataset: Data
     board = evaluate_model(tiny_model, dataset, settings, ["types"])
     (section,) = board.sections
     assert section.name == "types" and len(section.goals) == len(section.tables[0].rows)
+
+
+@pytest.mark.parametrize(("speed", "reason"), [(0.69, "0.69"), (0.7, ""), (1.4, ""), (1.41, "1.4")])
+def test_a_type_must_move_as_much_in_the_mean_as_its_clips(
+    tiny_model: MotionModel, dataset: Dataset, speed: float, reason: str
+) -> None:
+    """Even where every roll-out is as slow as the calmest clips are."""
+    reasons = reasons_of(replace(GOOD, joint_speed=speed), Judge(RealMotion(dataset)), [])
+    assert reasons == ((f"it moves {reason} times as much as the clips",) if reason else ())
 
 
 @pytest.mark.parametrize(

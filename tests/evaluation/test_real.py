@@ -46,6 +46,7 @@ def test_recordings_are_within_their_own_motion_profile(real: RealMotion) -> Non
     stretch = real.of_type("walking", "train")[0]
     profile = real.profile("walking")
     assert profile is not None and profile.speeds[0] < profile.joint_speed < profile.speeds[1]
+    assert profile.speeds[0] < profile.usual[0] <= profile.joint_speed <= profile.usual[1] < profile.speeds[1]
     distances = real.pose_distances(stretch.body).mean(axis=0)
     assert profile.shows(stretch.body, distances)
     assert not profile.shows(stretch.body, distances + 100.0)

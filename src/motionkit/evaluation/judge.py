@@ -103,7 +103,7 @@ class Judge:
 
         A type that is performed once must be detected at least once. Any other type must be detected in
         a share HOLD of the windows, counted from GRACE seconds after the command. A type judged by its motion
-        profile must also move as fast as its recordings do in the mean, within LIVELY.
+        profile must also move as fast in the mean as calm or busy recordings do, within LIVELY.
         """
         if self.window(kind) == 0.0:
             return self.shows(kind, body)
@@ -113,8 +113,11 @@ class Judge:
     def _lively(self, kind: str, body: Body) -> bool:
         if kind in self.detectors:
             return True
-        ratio = self.speed_ratio(kind, body)
-        return ratio is not None and LIVELY[0] <= ratio <= LIVELY[1]
+        profile = self.real.profile(kind) if kind in self.real.types else None
+        if profile is None:
+            return False
+        slowest, fastest = LIVELY[0] * profile.usual[0], LIVELY[1] * profile.usual[1]
+        return slowest <= body.joint_speed() <= fastest
 
     def speed_ratio(self, kind: str, body: Body) -> float | None:
         """Return the mean joint speed of a motion divided by that of the type's recordings; None without any."""

@@ -176,7 +176,7 @@ def _verdict(
         RUNS_WITHIN if gait is not None and gait.speed > RUN_SPEED else WALKS_WITHIN,
         float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
-    return replace(verdict, reasons=_reasons(verdict, judge, late))
+    return replace(verdict, reasons=reasons_of(verdict, judge, late))
 
 
 def _path_distances(
@@ -202,13 +202,16 @@ def _sliding(body: Body) -> float:
     return average_foot_sliding(feet, floor_height(feet, body.fps)).value or 0.0
 
 
-def _reasons(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[str, ...]:
+def reasons_of(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[str, ...]:
     """What is wrong with a type, and what may be the cause."""
     out = []
+    moves = _moves(verdict)
     if verdict.shown < SHOWN * verdict.rollouts:
         words = f"shown in {verdict.shown} of {verdict.rollouts} roll-outs"
-        cause = _cause(verdict, judge, bodies)
+        cause = moves or _cause(verdict, judge, bodies)
         out.append(f"{words} ({cause})" if cause else words)
+    elif moves:
+        out.append(moves)
     if verdict.path is not None and not verdict.path <= verdict.path_target:
         out.append(f"{verdict.path:.1f} cm from its path, expected at most {verdict.path_target:g}")
     if verdict.sliding > SLIDING:
@@ -220,12 +223,17 @@ def _reasons(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> tuple[st
     return tuple(out)
 
 
-def _cause(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> str:
-    """Why roll-outs of a type are not within the limits of its recordings."""
+def _moves(verdict: TypeVerdict) -> str:
+    """How much a type moves in the mean of its roll-outs, if that is too little or too much."""
     if not verdict.joint_speed >= LIVELY[0]:
         return f"it moves {verdict.joint_speed:.2f} times as much as the clips"
     if verdict.joint_speed > LIVELY[1]:
         return f"it moves {verdict.joint_speed:.1f} times as much as the clips"
+    return ""
+
+
+def _cause(verdict: TypeVerdict, judge: Judge, bodies: list[Body]) -> str:
+    """Why roll-outs of a type that moves enough are not within the limits of its recordings."""
     profile = judge.real.profile(verdict.type)
     assert profile is not None
     nearest: Counter[str] = Counter()

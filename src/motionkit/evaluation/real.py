@@ -22,6 +22,7 @@ PROFILE_SECONDS = 7.0
 # Limits of a MotionProfile: these quantiles over the recorded windows, widened by these factors. The limit of
 # the distance ratio is at least MIN_RATIO, for types with few recordings.
 LOWEST, HIGHEST = 0.02, 0.98
+CALM, BUSY = 0.1, 0.9  # the same of joint speeds that are usual for a whole roll-out
 SLOWER, FASTER, FARTHER, MIN_RATIO = 0.7, 1.4, 1.25, 1.3
 TIE = 1.0  # cm per joint; below it one type is as near as another
 
@@ -44,6 +45,7 @@ class MotionProfile:
     Attributes:
         kind: index of the type.
         joint_speed: mean joint speed over all recordings in rad/s.
+        usual: joint speeds of calm and of busy recorded windows; the mean is not outside.
         speeds: limits of joint speed in rad/s.
         movements: limits of body movement (bm-euler) in degrees per frame.
         distance: largest mean distance to the nearest recorded pose of the type in cm per joint.
@@ -52,6 +54,7 @@ class MotionProfile:
 
     kind: int
     joint_speed: float
+    usual: tuple[float, float]
     speeds: tuple[float, float]
     movements: tuple[float, float]
     distance: float
@@ -170,9 +173,11 @@ class RealMotion:
                 ratios.append(float(means[index]) / max(nearest, 1e-6) if nearest < np.inf else np.inf)
         frames = np.array([float(len(s.body)) for s in found])
         rates = np.array([s.body.joint_speed() for s in found])
+        mean = float((frames * rates).sum() / frames.sum())
         return MotionProfile(
             index,
-            float((frames * rates).sum() / frames.sum()),
+            mean,
+            (min(mean, _quantile(speeds, CALM)), max(mean, _quantile(speeds, BUSY))),
             (SLOWER * _quantile(speeds, LOWEST), FASTER * _quantile(speeds, HIGHEST)),
             (SLOWER * _quantile(movements, LOWEST), FASTER * _quantile(movements, HIGHEST)),
             FARTHER * _quantile(distances, HIGHEST),
