@@ -146,8 +146,8 @@ class ReferencePlayer:
         self.pause: Pause | None = None  # that is being shown
         self._in_stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to its stance
         self._indices: dict[str, MotionIndex] = {}
-        self._ways: dict[int, tuple[list[int], Array]] = {}  # of clips of gaits and standing (_on_the_way)
-        self._played: dict[int, Array] = {}  # for each clip (by id) which frames (L,) have been played
+        self._ways: dict[ReferenceClip, tuple[list[int], Array]] = {}  # of clips (_on_the_way)
+        self._played: dict[ReferenceClip, Array] = {}  # for each clip which frames (L,) have been played
         self._since = 0  # frames since the last search
         self._draws = 0  # clips that have been drawn
 
@@ -461,7 +461,7 @@ class ReferencePlayer:
         return np.asarray((played[ends] - played[frames]) / (ends - frames))
 
     def _played_of(self, clip: ReferenceClip) -> Array:
-        return self._played.setdefault(id(clip), np.zeros(len(clip), bool))
+        return self._played.setdefault(clip, np.zeros(len(clip), bool))
 
     def _before_events(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
         """Frames shortly before strikes or jumps, for each clip that has some."""
@@ -478,7 +478,7 @@ class ReferencePlayer:
         Runs are recorded with the stop at their end, which nobody asks for who asks for a run. A clip that is slow all
         along is none that brakes.
         """
-        if id(clip) not in self._ways:
+        if clip not in self._ways:
             fps, gait, length = self.model.fps, self._type.gait, len(clip)
             least, frames = min(round(GAIT_LEAST * fps), length - 1), np.arange(length)
             brakes, entries = np.full(length, length), frames[: length - least]
@@ -487,8 +487,8 @@ class ReferencePlayer:
                 until = slow[np.searchsorted(slow, frames)]
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
-            self._ways[id(clip)] = entries.tolist(), brakes
-        return self._ways[id(clip)]
+            self._ways[clip] = entries.tolist(), brakes
+        return self._ways[clip]
 
     def _lively(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:
         """Frames that at least the usual movement follows, though not the liveliest, for each clip that has some.
