@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import random
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -116,6 +116,19 @@ class Pause:
         return lerp(before, after, share), lerp(left, entered, share), self.shown == PAUSE
 
 
+@dataclass(frozen=True)
+class Way:
+    """Where a clip of a gait goes on.
+
+    Attributes:
+        entries: the frames it is entered at.
+        brakes: for each frame (L,) the next at which it brakes, or its length.
+    """
+
+    entries: list[int]
+    brakes: Array
+
+
 class ReferencePlayer:
     """Plays one reference clip of a type after another for one character; the same choice plays the same.
 
@@ -146,7 +159,7 @@ class ReferencePlayer:
         self.pause: Pause | None = None  # that is being shown
         self._in_stance: tuple[ReferenceClip, ...] = ()  # clips of standing, moved to its stance
         self._indices: dict[str, MotionIndex] = {}
-        self._ways: dict[ReferenceClip, tuple[list[int], Array]] = {}  # of clips (_on_the_way)
+        self._ways: dict[ReferenceClip, Way] = {}
         self._played: dict[ReferenceClip, Array] = {}  # for each clip which frames (L,) have been played
         self._since = 0  # frames since the last search
         self._draws = 0  # clips that have been drawn
@@ -265,7 +278,7 @@ class ReferencePlayer:
             return 0
         if not (free and self._type.goes):
             return len(self.clip)
-        return int(self._on_the_way(self.clip)[1][min(self.at, len(self.clip) - 1)])
+        return int(self._way(self.clip).brakes[min(self.at, len(self.clip) - 1)])
 
     def _go_on(self, trajectory: Array | None) -> None:
         """Enter the next clip at the end of one; after a pause where there is no time for a blend."""
@@ -417,7 +430,7 @@ class ReferencePlayer:
             return before
         if not self._type.steered:
             return self._lively(clips)
-        return [(clip, self._on_the_way(clip)[0]) for clip in clips]
+        return [(clip, self._way(clip).entries) for clip in clips]
 
     def _as_fast(
         self, found: list[tuple[ReferenceClip, list[int]]], speed: float | None
@@ -472,8 +485,8 @@ class ReferencePlayer:
                 found.append((clip, np.maximum(begins - BEFORE_EVENT, 0).tolist()))
         return found
 
-    def _on_the_way(self, clip: ReferenceClip) -> tuple[list[int], Array]:
-        """Frames that a gait goes on from for GAIT_LEAST, and for each frame (L,) the one at which it brakes.
+    def _way(self, clip: ReferenceClip) -> Way:
+        """Where a gait is entered, goes on from for GAIT_LEAST, and brakes.
 
         Runs are recorded with the stop at their end, which nobody asks for who asks for a run. A clip that is slow all
         along is none that brakes.
@@ -487,7 +500,7 @@ class ReferencePlayer:
                 until = slow[np.searchsorted(slow, frames)]
                 if (until - frames > least).any():
                     brakes, entries = until, np.flatnonzero(until - frames > least)
-            self._ways[clip] = entries.tolist(), brakes
+            self._ways[clip] = Way(entries.tolist(), brakes)
         return self._ways[clip]
 
     def _lively(self, clips: Sequence[ReferenceClip]) -> list[tuple[ReferenceClip, list[int]]]:

@@ -7,7 +7,7 @@ from functools import cached_property
 
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import DETECTORS, HOLD, LEAST_WINDOW, Detector, detection_windows
-from motionkit.evaluation.real import PROFILE_SECONDS, RealMotion
+from motionkit.evaluation.real import PROFILE_SECONDS, MotionProfile, RealMotion
 
 GRACE = 1.0  # seconds after a command that count as the transition
 # Limits of mean joint speed relative to the recordings, for types judged by their motion profile.
@@ -113,13 +113,16 @@ class Judge:
     def _lively(self, kind: str, body: Body) -> bool:
         if kind in self.detectors:
             return True
-        profile = self.real.profile(kind) if kind in self.real.types else None
+        profile = self._profile(kind)
         if profile is None:
             return False
         slowest, fastest = LIVELY[0] * profile.usual[0], LIVELY[1] * profile.usual[1]
         return slowest <= body.joint_speed() <= fastest
 
+    def _profile(self, kind: str) -> MotionProfile | None:
+        return self.real.profile(kind) if kind in self.real.types else None
+
     def speed_ratio(self, kind: str, body: Body) -> float | None:
         """Return the mean joint speed of a motion divided by that of the type's recordings; None without any."""
-        profile = self.real.profile(kind) if kind in self.real.types else None
+        profile = self._profile(kind)
         return None if profile is None else body.joint_speed() / profile.joint_speed
