@@ -72,10 +72,11 @@ def test_the_way_counts_only_while_a_performance_is_asked_for(
 
 
 def test_a_change_of_type_carries_the_speed_over(tiny_model: MotionModel) -> None:
-    """A run that goes over into standing still brakes; one that begins with standing has nothing to brake."""
+    """A run that goes over into balancing on one leg brakes; what begins with that has nothing to brake."""
     run, still = recording(300), recording(300)
     run.ground[:, 1] = np.arange(300) * 5.0
     model = with_clips(tiny_model, {"running": [run], "idle": [still]})
+    model = model.with_types({"idle": {"steered": False}})
     parts = [TypePart("running", 1.0), TypePart("idle", 2.0)]
     asked = plan_controls(model, parts, NEAR)
     braking = asked.trajectory_mask[60:].sum()

@@ -269,3 +269,28 @@ def test_a_hand_in_the_floor_raises_the_body_softly() -> None:
     )
     assert np.abs(rise[:29]).max() < 1e-6 and np.abs(rise[81:]).max() < 1e-6
     assert np.abs(np.diff(rise)).max() < 0.15 * rise.max(), "within a third of a second up and down"
+
+
+def test_a_foot_that_has_slid_too_far_takes_its_new_place_by_a_step() -> None:
+    """A slow slide of 24 cm in one contact: the toe stands, goes up and ahead, and stands again."""
+    motion = sliding(120, 16.0)
+    locked = lock_feet(motion, feet_down(120, [(5, 115)], []))
+    track = toe_track(locked, LEFT_TOE)
+    steps = np.linalg.norm(np.diff(track[:, [0, 2]], axis=0), axis=-1)
+    moving = np.flatnonzero(steps[5:112] > 0.05) + 5
+    assert 4 < len(moving) < 40 and steps[5:112].sum() > 8.0, "one step or two"
+    standing = np.setdiff1d(np.arange(12, 108), np.arange(moving.min() - 3, moving.max() + 4))
+    highest = float(track[moving, 1].max())
+    assert highest > float(track[standing, 1].max()) + 2.0
+    assert (track[standing, 1] < TOE.standing + TOE.slack + 0.1).all()
+
+
+def test_feet_step_one_after_the_other() -> None:
+    motion = sliding(120, 16.0)
+    locked = lock_feet(motion, feet_down(120, [(5, 115)], [(5, 115)]))
+    going = [
+        np.linalg.norm(np.diff(toe_track(locked, toe)[:, [0, 2]], axis=0), axis=-1)[8:110] > 0.1
+        for toe in (LEFT_TOE, RIGHT_TOE)
+    ]
+    assert going[0].sum() > 10 and going[1].sum() > 10
+    assert (going[0] & going[1]).sum() <= 1, "one lands in the frame in which the other lifts"

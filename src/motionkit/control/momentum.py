@@ -54,25 +54,28 @@ def asked_speed(trajectory: Array, fps: float) -> float:
     return float(np.linalg.norm(trajectory[count - 2 : count])) * fps / TRAJECTORY_OFFSETS[-1]
 
 
-def carried_speeds(speeds: Array, before: float, fps: float) -> Array:
-    """Speeds (N,) that go over from that before to wanted ones (T,) as fast as bodies do; N frames until they meet."""
-    step = CHANGE / fps
+def carried_speeds(speeds: Array, before: float, fps: float, change: float = CHANGE) -> Array:
+    """Speeds (N,) that go over from that before to wanted ones (T,) by change in cm/s^2; N frames until they meet."""
+    step = change / fps
     down = before > speeds[0]
     ramp = before + (-step if down else step) * np.arange(1, len(speeds) + 1)
     met = ramp <= speeds if down else ramp >= speeds
     return ramp[: int(met.argmax()) if met.any() else len(ramp)]
 
 
-def carried_over(asked: Controls, ground: Array, before: float, fps: float) -> Controls:
+def carried_over(
+    asked: Controls, ground: Array, before: float, fps: float, change: float = CHANGE
+) -> Controls:
     """The controls (T, ...) of a type whose first trajectories carry over the speed (cm/s) of a body before it.
 
     Args:
         ground: (T', 3) the recording that is shown with them, from the same frame on.
+        change: cm/s^2 by which the speed goes over.
     """
     speeds = forward_speeds(ground, fps)
     if abs(before - float(speeds[0])) < LEAST:
         return asked
-    ramp = carried_speeds(speeds, before, fps)
+    ramp = carried_speeds(speeds, before, fps, change)
     count = min(len(ramp), len(asked.phase))
     if not count:
         return asked

@@ -12,6 +12,7 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.control.momentum import asked_speed, forward_speeds, ground_speeds, speeds_ahead
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state, pose_states
+from motionkit.control.standing import about_zero, in_stance
 from motionkit.features.control import Controls, future_trajectory, straight_trajectory
 from motionkit.features.decode import integrate_ground
 from motionkit.features.reference import reference_signal
@@ -137,8 +138,8 @@ class ReferencePlayer:
     It is entered in the middle: some frames are drawn, for strikes and jumps shortly before one of them and about as
     fast as the body goes, and the frame most like the present pose is taken. Nothing is played again before all has
     been played. Gaits go where their recordings went; where a trajectory is asked for, the player looks for frames that
-    go that way. A character that begins by standing keeps its stance: recordings are shown moved to it, so that they
-    tell it how to sway.
+    go that way. A character that stands keeps its stance: recordings are shown moved to it, so that they tell it how to
+    sway.
     """
 
     def __init__(
@@ -172,6 +173,7 @@ class ReferencePlayer:
         trajectory: Array | None = None,
         paused: bool = False,
         speed: float | None = None,
+        settles: bool = False,
     ) -> None:
         """Change to a type.
 
@@ -181,6 +183,7 @@ class ReferencePlayer:
             trajectory: (24,) the trajectory asked for, which the frame entered should suit.
             paused: lead to the beginning of a performance over a pause, from the end of another one (ends).
             speed: of the body over the ground in cm/s; that of the recording played by default.
+            settles: the type is one of standing, and the stance is not known yet: recordings are moved to zero.
         """
         if near is None:
             near = self._present()
@@ -196,6 +199,8 @@ class ReferencePlayer:
         self.left = self.pause = None
         if first and near is not None and trajectory is None and self._type.stands:
             self._in_stance = in_stance(self._type.reference_clips, near[0])
+        elif settles:
+            self._in_stance, near, left = about_zero(self._type.reference_clips), None, None
         clips = self._clips
         if not clips:
             self.at, self.rights = (
@@ -529,20 +534,6 @@ def _between(movement: Array, of_all: Array) -> list[int]:
     usual = np.quantile(of_all, ENTRY_MOVEMENT[0], method="lower")
     lively = np.quantile(of_all, ENTRY_MOVEMENT[1], method="higher")
     return np.flatnonzero((movement >= usual) & (movement <= lively)).tolist()
-
-
-def in_stance(clips: Sequence[ReferenceClip], stance: Array) -> tuple[ReferenceClip, ...]:
-    """Clips of standing still with their mean poses moved to a stance (24,); none if it is unlike all that they show.
-
-    A standing body that is shown one recorded stance after another takes none of them, but their mean.
-    """
-    if not clips:
-        return ()
-    poses = np.concatenate([clip.poses for clip in clips])
-    usual = poses.mean(axis=0)
-    if np.linalg.norm(stance - usual) > np.linalg.norm(poses - usual, axis=1).max():
-        return ()
-    return tuple(replace(clip, poses=clip.poses + (stance - clip.poses.mean(axis=0))) for clip in clips)
 
 
 def drawn_evenly(sizes: Sequence[int], choice: int, number: int) -> int:

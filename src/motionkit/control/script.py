@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.momentum import carried_over
 from motionkit.control.reference_player import PAUSE, ReferencePlayer
+from motionkit.control.standing import Present, Stances, comes_to_stand, settling
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls, blend_types, types_ahead
 from motionkit.inference.rollout import Controller
@@ -77,7 +79,7 @@ def _seconds(text: str, word: str) -> float:
 def type_track(model: MotionModel, parts: Sequence[TypePart]) -> Array:
     """The type id (T,) of every frame of the parts; raises ControlError for an unknown type."""
     ids = [model.type_id(part.type) for part in parts]
-    counts = [max(1, round(part.seconds * model.fps)) for part in parts]
+    counts = [_frames(model, part) for part in parts]
     return np.repeat(ids, counts)
 
 
@@ -121,6 +123,7 @@ def crowd_controller(
     behind: list[int],
     choice: int = 0,
     speeds: Sequence[float] | None = None,
+    present: Present | None = None,
 ) -> Controller:
     """Controls of a crowd: characters take the plans in turn, and repeat the last frame of theirs.
 
@@ -129,6 +132,7 @@ def crowd_controller(
         behind: for each character the frames of its first performance that the start frames have shown.
         choice: picks among reference clips; each character makes a choice of its own.
         speeds: of the characters over the ground in cm/s, if they are known.
+        present: the last frames of the characters, whose stances show how to go on where they come to a stand.
     """
     turn = [i % len(plans) for i in range(len(near))]
     asked = [
@@ -137,11 +141,31 @@ def crowd_controller(
     ]
     together = Controls.side_by_side(asked)
     last = len(together.phase) - 1
+    stances = Stances(model, together, [_stands(model, plans[t]) for t in turn], present)
 
     def controls(frame: int, ground: Array) -> Controls:
+        stances.at(frame)
         return together.at(min(frame, last))
 
     return controls
+
+
+def _stands(model: MotionModel, parts: Sequence[TypePart]) -> list[tuple[str, int, int | None]]:
+    """The parts of standing after other ones: type, first frame, and the frame after the last, None at the end."""
+    out: list[tuple[str, int, int | None]] = []
+    runs = [
+        (kind, sum(_frames(model, part) for part in run)) for kind, run in groupby(parts, lambda p: p.type)
+    ]
+    before, begin = None, 0
+    for number, (kind, frames) in enumerate(runs):
+        if comes_to_stand(model, before, kind):
+            out.append((kind, begin, begin + frames if number + 1 < len(runs) else None))
+        before, begin = kind, begin + frames
+    return out
+
+
+def _frames(model: MotionModel, part: TypePart) -> int:
+    return max(1, round(part.seconds * model.fps))
 
 
 def plan_weights(model: MotionModel, parts: Sequence[TypePart]) -> Array:
@@ -169,13 +193,16 @@ def plan_controls(
     asked = []
     for number, part in enumerate(parts):
         before, paused = player.speed, player.ends and _turns_over(model, part.type)
+        settles = comes_to_stand(model, parts[number - 1].type if number else None, part.type)
         if number == 0:
             player.begin(part.type, near, behind, speed=speed)
         else:
-            player.begin(part.type, paused=paused)
+            player.begin(part.type, paused=paused, settles=settles)
         clip, at = player.clip, player.at
-        controls = player.play(max(1, round(part.seconds * model.fps)))
-        if before is not None and clip is not None and not paused:
+        controls = player.play(_frames(model, part))
+        if settles:
+            controls = settling(controls, before, model.fps)
+        elif before is not None and clip is not None and not paused:
             controls = carried_over(controls, clip.ground[at:], before, model.fps)
         asked.append(controls)
     weights = plan_weights(model, parts)

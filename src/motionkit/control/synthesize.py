@@ -128,7 +128,7 @@ def synthesize(
         [each.length for each in openings],
     )
     speeds = [each.speed for each in openings]
-    controller = crowd_controller(model, plans, near, behind, options.seed, speeds)
+    controller = crowd_controller(model, plans, near, behind, options.seed, speeds, lambda: state.features)
     if options.keys:
         if len(plans) > 1:
             raise ControlError("keys are met by characters with the same types; give one list of types")

@@ -2,7 +2,7 @@
 
 The clips are joined where their poses are closest. The second clip is moved and turned so that its root continues from
 the first one's. The differences in pose and velocity at the join decay over the following frames (inertialization,
-Bollo 2018).
+Bollo 2018). Feet that would slide meanwhile stand where they are, or take their new places by steps.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.features.encode import encode_motion
+from motionkit.motion.foot_ik import lock_feet, locked_spans
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -41,13 +42,14 @@ class Piece:
         motion: its T frames in the world.
         ground: (T, 3) root x, z (cm) and heading (radians).
         positions, velocities: (T, 23, 3) of the joints in the heading frame of each frame.
-        types, phases, reference: as in ClipData.
+        contacts, types, phases, reference: as in ClipData.
     """
 
     motion: Motion
     ground: Array
     positions: Array
     velocities: Array
+    contacts: Array
     types: Array
     phases: Array
     reference: Array
@@ -89,12 +91,27 @@ def splice_clips(
         np.concatenate([a.motion.root_positions[a_start : i + 1], joined.root_positions[: b_end - j - 1]]),
         dataset.fps,
     )
+    contacts = np.concatenate([a.contacts[a_start : i + 1], b.contacts[j + 1 : b_end]])
+    join = i + 1 - a_start
+    motion = lock_feet(
+        motion, _contacts_around(contacts, join, min(join + decay, len(contacts)), dataset.fps)
+    )
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
     types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
     phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
     # The reference is not blended: it is the request, not what the body can follow at once.
     reference = np.concatenate([a.reference[a_start : i + 1], b.reference[j + 1 : b_end]])
     return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
+
+
+def _contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array:
+    """Contacts (T, 4) of which only those are left that touch frames start to end: all else is as recorded."""
+    out = np.zeros_like(contacts)
+    for foot in (slice(0, 2), slice(2, 4)):
+        for first, last in locked_spans(contacts[:, foot], fps):
+            if first < end and start < last:
+                out[first:last, foot] = contacts[first:last, foot]
+    return out
 
 
 def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
@@ -111,6 +128,7 @@ def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
         data.ground,
         quat_rotate(turn, positions - origin[:, None]),
         quat_rotate(turn, velocities),
+        data.contacts,
         data.types,
         data.phases,
         data.reference,
@@ -176,6 +194,7 @@ def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
         np.concatenate([way, b.ground[j + 1 :, 2:] + turn], axis=1),
         b.positions[j + 1 :],
         b.velocities[j + 1 :],
+        b.contacts[j + 1 :],
         b.types[j + 1 :],
         b.phases[j + 1 :],
         b.reference[j + 1 :],

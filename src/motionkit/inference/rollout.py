@@ -175,6 +175,11 @@ class RolloutState:
         return self._ground.copy()
 
     @property
+    def features(self) -> Floats:
+        """The last frame that was made (B, 276), unnormalised; changed by the next step."""
+        return self._features
+
+    @property
     def normalised(self) -> Floats:
         """The current frame (B, 276), normalised; changed by the next step."""
         return self._x

@@ -37,10 +37,18 @@ MIN_LOCK_FRAMES = 4
 # How far feet hold the root is averaged over as many frames to both sides: it trembles as they do.
 HOLD_FRAMES = 6
 LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
+# A foot that has slid too far takes its new place by a step of so many frames, or of up to so many until it is at rest,
+# where it moves less than so many cm a frame.
+STEP_FRAMES, LONGEST_STEP, STEP_REST = 16, 32, 0.2
+STEP_HEIGHT = 6.0  # cm that its toe rises then, if it has slid as far as max_slide
+STEP_LIMIT = 2.0  # times max_slide up to which a foot waits for the other one's step
 RISE_FRAMES = 10  # a body is raised so many frames early for a hand that would go through the floor
 RATE = 60.0
 # Joints that the floor keeps up by raising all of the body; feet are moved by themselves.
 ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
+
+
+Span = tuple[int, int]  # first frame, and the frame after the last
 
 
 def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Motion:
@@ -71,10 +79,9 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
     if rise.any():
         motion = replace(motion, root_positions=motion.root_positions + rise)
         positions = positions + rise[:, None]
-    shifts = np.stack(
-        [_toe_shifts(positions[:, TOES[i]], contacts[:, 2 * i : 2 * i + 2], motion.fps) for i in range(2)],
-        axis=1,
-    )
+    left, steps = _toe_shifts(positions[:, TOES[0]], contacts[:, :2], motion.fps, [])
+    right, _ = _toe_shifts(positions[:, TOES[1]], contacts[:, 2:], motion.fps, steps)
+    shifts = np.stack([left, right], axis=1)
     backwards = knees_backwards(positions, quat_to_matrix(turns[:, HIPS]))
     moved = (length(shifts) > LOCK.least_change).any(axis=1) | backwards.any(axis=1)
     if not moved.any():
@@ -119,37 +126,78 @@ def locked_spans(contacts: Array, fps: float = RATE) -> list[tuple[int, int]]:
     return spans
 
 
-def _still_spans(place: Array, spans: list[tuple[int, int]], ease: int) -> list[tuple[int, int]]:
-    """Split spans where the foot, at places (T, 2), slides further than max_slide; a new lock begins there.
+def _still_spans(
+    place: Array, spans: list[Span], fps: float, taken: list[Span]
+) -> tuple[list[Span], list[Span]]:
+    """Split spans where the foot, at places (T, 2), slides further than max_slide; it takes a new place by a step.
 
-    `ease` frames before the split are left out, so that the foot does not jump.
+    A step ends where the foot has come to rest, if that is soon enough. A foot that slides fast stands as long as it
+    steps.
+
+    Args:
+        taken: steps of the other foot, during which this one stands if it can.
+
+    Returns:
+        The spans in which the foot stands, and its steps.
     """
-    out = []
+    step, longest = _frames(STEP_FRAMES, fps), _frames(LONGEST_STEP, fps)
+    rests = np.flatnonzero(np.append(length(np.diff(place, axis=0)) < STEP_REST * RATE / fps, True))
+    out, steps = [], []
     for start, end in spans:
         first = start
         while (far := length(place[first:end] - place[first]) > LOCK.max_slide).any():
-            split = first + int(far.argmax())
-            out.append((first, split - ease))
-            first = split
+            slid = first + int(far.argmax())
+            lifts = max(slid - step // 2, (first + slid) // 2)
+            waits = max((b for a, b in taken if a < slid + step and lifts < b), default=lifts)
+            if waits < end and length(place[waits] - place[first]) < STEP_LIMIT * LOCK.max_slide:
+                lifts = max(lifts, waits)
+            lands = max(slid, lifts + step // 2)
+            rest = int(rests[min(int(np.searchsorted(rests, lands)), len(rests) - 1)])
+            lands = min(rest if lands <= rest < lifts + longest else max(lands, lifts + step), end)
+            out.append((first, lifts))
+            steps.append((lifts, lands))
+            first = lands
+            if first >= end:
+                break
         out.append((first, end))
-    return [(start, end) for start, end in out if end > start]
+    return [(start, end) for start, end in out if end > start], steps
 
 
-def _toe_shifts(toe: Array, contacts: Array, fps: float) -> Array:
-    """How far a toe (T, 3) moves in each frame (T, 3): to where it is held, and up or down to its height."""
+def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> tuple[Array, list[Span]]:
+    """How far a toe (T, 3) moves in each frame (T, 3), to where it is held and to its height, and its steps.
+
+    Args:
+        taken: steps of the other foot.
+    """
     place, height = toe[:, [0, 2]].astype(np.float64), toe[:, 1:2].astype(np.float64)
     ease, lift = _frames(LOCK.ease_frames, fps), _frames(LIFT_FRAMES, fps)
-    spans = _still_spans(place, locked_spans(contacts, fps), ease)
+    touching = locked_spans(contacts, fps)
+    spans, steps = _still_spans(place, touching, fps, taken)
     holds = [lower_median(place[start:end]) - place[start:end] for start, end in spans]
     over_ground = _faded(holds, spans, (len(toe), 2), ease)
     # The ball of the foot stands at one height; a heel that touches first says nothing about it.
     spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
     upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
-    steps = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
-    missing = np.maximum(lowest_free(steps * (fps / RATE)) - height - upwards, 0.0)
+    upwards += _raised_steps(place + over_ground, steps, _frames(STEP_FRAMES, fps))
+    strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
+    missing = np.maximum(lowest_free(strides * (fps / RATE)) - height - upwards, 0.0)
     upwards += _eased_most(missing[:, 0], missing, lift)
-    return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype)
+    return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype), steps
+
+
+def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
+    """How far a toe at places (T, 2) rises in each frame (T, 1) for its steps: the further they go, the higher.
+
+    Steps of fewer frames than a whole one are lower.
+    """
+    out = np.zeros((len(place), 1))
+    for start, end in steps:
+        far = float(length(place[min(end, len(place) - 1)] - place[start]))
+        share = (np.arange(start, end) - start + 0.5) / (end - start)
+        height = STEP_HEIGHT * min(far / LOCK.max_slide, 1.0) * min((end - start) / whole, 1.0)
+        out[start:end, 0] = height * np.sin(np.pi * share) ** 2
+    return out
 
 
 def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, int], ease: int) -> Array:
