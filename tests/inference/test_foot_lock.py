@@ -74,14 +74,20 @@ def test_letting_go_is_gradual() -> None:
     assert np.abs(np.diff(gaps)).max() < 0.35 * gaps[0]
 
 
-def test_a_foot_that_slides_far_takes_a_new_place() -> None:
+def test_feet_that_slide_far_take_new_places_by_steps_one_after_the_other() -> None:
     glider = Glider(2, (1.0, 1.5))
-    gaps = []
-    for _ in range(60):
-        shown, plain = glider.step(1.0, 0.9)
-        gaps.append(np.abs(shown - plain)[:, TOES][..., ::2].max(axis=(1, 2)) / glider.scale)
-    assert np.max(gaps) < LOCK.max_slide + 1.5
-    assert np.min(gaps[20:]) < 1.0
+    gaps, heights = [], []
+    for _ in range(90):
+        shown, plain = glider.step(0.5, 0.9)
+        gaps.append(np.linalg.norm((shown - plain)[:, TOES][..., ::2], axis=-1) / glider.scale[:, None])
+        heights.append(shown[:, TOES, 1] / glider.scale[:, None])
+    gap, height = np.stack(gaps), np.stack(heights)  # (T, 2, 2)
+    assert gap[..., 0].max() < LOCK.max_slide + 1.5 and gap.max() < LOCK.max_wait * LOCK.max_slide + 1.5
+    for foot in range(2):
+        assert (gap[20:, :, foot].min(axis=0) < 1.5).all()
+    up = height > TOE.standing + TOE.slack + 1.0
+    assert (up.sum(axis=0) > 5).all() and not (up[..., 0] & up[..., 1]).any()
+    assert height.max() < TOE.standing + TOE.slack + LOCK.step_height + 0.1
 
 
 def test_hips_come_down_for_a_leg_that_is_too_short() -> None:

@@ -30,16 +30,21 @@ static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contac
     float *before = f->before + 2 * foot, *age = f->age + foot;
     const float place[2] = {toe.x, toe.z}, level = larger(contacts[0], contacts[1]);
     const float dx = anchor[0] - place[0], dz = anchor[1] - place[1];
+    float *stepping = f->step + foot;
     const int locked = f->locked[foot];
-    const int slid = locked && sqrtf(dx * dx + dz * dz) > f->max_slide * scale;
-    const int eased = *age >= f->ease_frames || (released[0] == 0.0f && released[1] == 0.0f);
+    const int eased = *age >= (*stepping > 0.0f ? f->step_frames : f->ease_frames) || (released[0] == 0.0f && released[1] == 0.0f);
+    const float far = sqrtf(dx * dx + dz * dz), limit = f->max_slide * scale;
+    const int waits = f->step[foot ^ 1] > 0.0f && far <= f->max_wait * limit;
+    const int slid = locked && far > limit && !waits;
     const int caught = !locked && level > f->contact_on && eased;
     const int let_go = locked && (level < f->contact_off || slid);
+    if (caught || let_go || eased) *stepping = 0.0f;
+    if (slid) *stepping = f->step_height * scale * smaller(sqrtf(shift[0] * shift[0] + shift[1] * shift[1]) / limit, 1.0f);
     *age = caught || let_go ? 0.0f : *age + 1.0f;
     f->locked[foot] = (locked || caught) && !let_go;
     /* A caught toe goes on with what is left of its speed while it is braked. */
     const float speed = clip(1.0f - *age / f->brake_frames, 0.0f, 1.0f);
-    const float rest = clip(1.0f - (*age + 1.0f) / f->ease_frames, 0.0f, 1.0f);
+    const float rest = clip(1.0f - (*age + 1.0f) / (*stepping > 0.0f ? f->step_frames : f->ease_frames), 0.0f, 1.0f);
     const float x = place[0] - before[0], z = place[1] - before[1], step = known ? sqrtf(x * x + z * z) : 0.0f;
     for (int i = 0; i < 2; i++) {
         anchor[i] = caught ? place[i] + shift[i] : anchor[i] + speed * (place[i] - before[i]);
@@ -47,7 +52,8 @@ static Vec3 toe_shift(const Feet *f, int64_t foot, Vec3 toe, const float *contac
         shift[i] = f->locked[foot] ? anchor[i] - place[i] : released[i] * (rest * rest * (3.0f - 2.0f * rest));
         before[i] = place[i];
     }
-    return (Vec3){shift[0], lifted(f, foot, toe.y, step, contacts[1], scale), shift[1]};
+    const float wave = sinf(3.14159265f * rest);
+    return (Vec3){shift[0], lifted(f, foot, toe.y, step, contacts[1], scale) + *stepping * wave * wave, shift[1]};
 }
 
 /* Moves the root over the ground, so that feet in contact stay where they are: root_slip in motion/leg_ik.py. */

@@ -49,6 +49,7 @@ class FootLock:
         self.moving = np.zeros(count, bool)  # whether there was a last frame
         self.locked = np.zeros((count, 2), bool)
         self.age = np.zeros((count, 2), np.float32)  # frames since the foot was caught or let go
+        self.step = np.zeros((count, 2), np.float32)  # how high the toe of a foot that steps rises, else 0
         self.anchor = np.zeros((count, 2, 2), np.float32)  # x, z of a caught toe
         self.shift = np.zeros((count, 2, 2), np.float32)  # from the predicted to the shown toe
         self.released = np.zeros((count, 2, 2), np.float32)  # that shift when the foot was let go
@@ -61,10 +62,17 @@ class FootLock:
         """Forget one character's past."""
         self.locked[index] = self.stands[index] = False
         self.moving[index] = False
-        self.slip[index] = self.carry[index] = self.age[index] = self.shift[index] = self.released[
-            index
-        ] = self.lift[index] = 0.0
-        self.drop[index] = 0.0
+        for values in (
+            self.slip,
+            self.carry,
+            self.age,
+            self.step,
+            self.shift,
+            self.released,
+            self.lift,
+            self.drop,
+        ):
+            values[index] = 0.0
 
     def apply(
         self, rotations: Floats, root_positions: Floats, world: Floats, contacts: Floats, scale: Floats
@@ -109,19 +117,16 @@ class FootLock:
         """How far (N, 2, 3) each foot has to move; known (N,) says whose frame before is known."""
         place = toes[..., ::2]
         level = contacts.reshape(-1, 2, 2).max(axis=-1)
-        slid = self.locked & (length(self.anchor - place) > LOCK.max_slide * scale[:, None])
-        free = ~self.locked & ((self.age >= LOCK.ease_frames) | (self.released == 0.0).all(axis=-1))
-        caught = ~self.locked & (level > LOCK.contact_on) & free
-        let_go = self.locked & ((level < LOCK.contact_off) | slid)
-        self.age += 1.0
-        self.age[caught | let_go] = 0.0
-        self.locked = (self.locked | caught) & ~let_go
+        caught, let_go = np.zeros_like(self.locked), np.zeros_like(self.locked)
+        for foot in range(2):
+            caught[:, foot], let_go[:, foot] = self._changes(foot, place[:, foot], level[:, foot], scale)
         # A caught toe goes on with what is left of its speed while it is braked.
         speed = np.clip(1.0 - self.age / LOCK.brake_frames, 0.0, 1.0)[..., None]
         shown = place + self.shift
         self.anchor = np.where(caught[..., None], shown, self.anchor + speed * (place - self.toes))
         self.released = np.where(let_go[..., None], self.shift, self.released)
-        rest = np.clip(1.0 - (self.age + 1.0) / LOCK.ease_frames, 0.0, 1.0)[..., None]
+        frames = np.where(self.step > 0.0, np.float32(LOCK.step_frames), np.float32(LOCK.ease_frames))
+        rest = np.clip(1.0 - (self.age + 1.0) / frames, 0.0, 1.0)[..., None]
         share = rest * rest * (3.0 - 2.0 * rest)
         self.shift = np.where(self.locked[..., None], self.anchor - place, self.released * share)
         steps = np.where(known[:, None], length(place - self.toes), np.float32(0.0))
@@ -129,8 +134,28 @@ class FootLock:
         self.toes = place
         out = np.empty_like(toes)
         out[..., ::2] = self.shift
-        out[..., 1] = self.lift
+        wave = np.sin(np.float32(np.pi) * rest[..., 0])
+        out[..., 1] = self.lift + self.step * wave * wave
         return out
+
+    def _changes(
+        self, foot: int, place: Floats, level: Floats, scale: Floats
+    ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+        """Whether left (0) or right (1) feet, with toes at places (N, 2), are caught and let go in this frame."""
+        locked, age, step = self.locked[:, foot], self.age[:, foot], self.step[:, foot]
+        frames = np.where(step > 0.0, np.float32(LOCK.step_frames), np.float32(LOCK.ease_frames))
+        eased = (age >= frames) | (self.released[:, foot] == 0.0).all(axis=-1)
+        far, limit = length(self.anchor[:, foot] - place), LOCK.max_slide * scale
+        waits = (self.step[:, 1 - foot] > 0.0) & (far <= LOCK.max_wait * limit)
+        slid = locked & (far > limit) & ~waits
+        caught = ~locked & (level > LOCK.contact_on) & eased
+        let_go = locked & ((level < LOCK.contact_off) | slid)
+        step[caught | let_go | eased] = 0.0
+        step[slid] = (LOCK.step_height * scale * np.minimum(length(self.shift[:, foot]) / limit, 1.0))[slid]
+        age += 1.0
+        age[caught | let_go] = 0.0
+        self.locked[:, foot] = (locked | caught) & ~let_go
+        return caught, let_go
 
     def _lift(self, height: Floats, steps: Floats, contacts: Floats, scale: Floats) -> None:
         """Move toes (N, 2) towards the height of standing ones in contact, else up to where free ones go at least."""

@@ -30,7 +30,7 @@ typedef struct {
 /* The feet of all characters, and the numbers of motion/leg_ik.py. */
 typedef struct {
     int64_t hip[2], knee[2], ankle[2], toe[2];
-    float contact_on, contact_off, ease_frames, brake_frames, max_slide, max_reach, hip_return, max_drop, least_change;
+    float contact_on, contact_off, ease_frames, brake_frames, max_slide, max_wait, step_frames, step_height, max_reach, hip_return, max_drop, least_change;
     float standing, slack, lowest, swing, fast, rise, fall, max_pitch;
     float unsure, sure, ankle_share, ease, enough, limit, pace;
     float bent, thigh_share, alike, straightening, backwards, steep;
@@ -41,6 +41,7 @@ typedef struct {
     uint8_t *moving;                           /* (B,) */
     uint8_t *locked;                           /* (B, 2) */
     float *age;                                /* (B, 2) */
+    float *step;                               /* (B, 2) */
     float *anchor, *shift, *released, *before; /* (B, 2, 2) x, z */
     uint8_t *stands;                           /* (B, 2) */
     float *lift;                               /* (B, 2) */

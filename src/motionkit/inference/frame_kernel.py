@@ -27,7 +27,7 @@ from motionkit.native import load_library
 if TYPE_CHECKING:
     from motionkit.inference.pose import PoseDecoder
 
-VERSION = 12  # of frame_kernel.c
+VERSION = 13  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -56,7 +56,9 @@ _FEET_NUMBERS = (
 )
 
 
-_FEET_STATE = "hold carry slip feet moving locked age anchor shift released toes stands lift drop".split()
+_FEET_STATE = (
+    "hold carry slip feet moving locked age step anchor shift released toes stands lift drop".split()
+)
 
 
 class _Feet(Structure):

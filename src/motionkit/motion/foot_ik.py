@@ -37,11 +37,8 @@ MIN_LOCK_FRAMES = 4
 # How far feet hold the root is averaged over as many frames to both sides: it trembles as they do.
 HOLD_FRAMES = 6
 LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
-# A foot that has slid too far takes its new place by a step of so many frames, or of up to so many until it is at rest,
-# where it moves less than so many cm a frame.
-STEP_FRAMES, LONGEST_STEP, STEP_REST = 16, 32, 0.2
-STEP_HEIGHT = 6.0  # cm that its toe rises then, if it has slid as far as max_slide
-STEP_LIMIT = 2.0  # times max_slide up to which a foot waits for the other one's step
+# A step lasts up to so many frames until the foot is at rest, where it moves less than so many cm a frame.
+LONGEST_STEP, STEP_REST = 32, 0.2
 RISE_FRAMES = 10  # a body is raised so many frames early for a hand that would go through the floor
 RATE = 60.0
 # Joints that the floor keeps up by raising all of the body; feet are moved by themselves.
@@ -107,7 +104,7 @@ def _rise(positions: Array, fps: float) -> Array:
     return rise
 
 
-def _frames(count: int, fps: float) -> int:
+def _frames(count: float, fps: float) -> int:
     """The number of frames that last as long as count frames at 60 fps."""
     return max(1, round(count * fps / RATE))
 
@@ -140,7 +137,7 @@ def _still_spans(
     Returns:
         The spans in which the foot stands, and its steps.
     """
-    step, longest = _frames(STEP_FRAMES, fps), _frames(LONGEST_STEP, fps)
+    step, longest = _frames(LOCK.step_frames, fps), _frames(LONGEST_STEP, fps)
     rests = np.flatnonzero(np.append(length(np.diff(place, axis=0)) < STEP_REST * RATE / fps, True))
     out, steps = [], []
     for start, end in spans:
@@ -149,7 +146,7 @@ def _still_spans(
             slid = first + int(far.argmax())
             lifts = max(slid - step // 2, (first + slid) // 2)
             waits = max((b for a, b in taken if a < slid + step and lifts < b), default=lifts)
-            if waits < end and length(place[waits] - place[first]) < STEP_LIMIT * LOCK.max_slide:
+            if waits < end and length(place[waits] - place[first]) < LOCK.max_wait * LOCK.max_slide:
                 lifts = max(lifts, waits)
             lands = max(slid, lifts + step // 2)
             rest = int(rests[min(int(np.searchsorted(rests, lands)), len(rests) - 1)])
@@ -179,7 +176,7 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
     spans = locked_spans(contacts[:, 1:], fps)
     standing = np.clip(height, TOE.standing - TOE.slack, TOE.standing + TOE.slack) - height
     upwards = _faded([standing[start:end] for start, end in spans], spans, (len(toe), 1), ease)
-    upwards += _raised_steps(place + over_ground, steps, _frames(STEP_FRAMES, fps))
+    upwards += _raised_steps(place + over_ground, steps, _frames(LOCK.step_frames, fps))
     strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
     missing = np.maximum(lowest_free(strides * (fps / RATE)) - height - upwards, 0.0)
     upwards += _eased_most(missing[:, 0], missing, lift)
@@ -195,7 +192,7 @@ def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
     for start, end in steps:
         far = float(length(place[min(end, len(place) - 1)] - place[start]))
         share = (np.arange(start, end) - start + 0.5) / (end - start)
-        height = STEP_HEIGHT * min(far / LOCK.max_slide, 1.0) * min((end - start) / whole, 1.0)
+        height = LOCK.step_height * min(far / LOCK.max_slide, 1.0) * min((end - start) / whole, 1.0)
         out[start:end, 0] = height * np.sin(np.pi * share) ** 2
     return out
 

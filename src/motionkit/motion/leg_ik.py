@@ -23,7 +23,9 @@ class LockSettings:
         contact_on, contact_off: a contact begins above the first probability and ends below the second.
         ease_frames: frames in which a held foot joins the predicted one again.
         brake_frames: frames until a foot that has touched stands still, frame by frame.
-        max_slide: a foot that is predicted to slide further from where it is held is released.
+        max_slide: a foot that is predicted to slide further from where it is held takes a new place by a step.
+        max_wait: times max_slide up to which it waits for the other foot's step.
+        step_frames, step_height: frames of a step, and how far its toe rises if it is max_slide long or longer.
         max_reach: share of the length of the straight leg.
         hip_return: share of a lowering of the hips that is left a frame later.
         max_drop: how far the hips come down at most.
@@ -35,6 +37,9 @@ class LockSettings:
     ease_frames: int = 8
     brake_frames: int = 4
     max_slide: float = 12.0
+    max_wait: float = 2.0
+    step_frames: float = 16.0
+    step_height: float = 6.0
     max_reach: float = 0.999
     hip_return: float = 0.85
     max_drop: float = 12.0
