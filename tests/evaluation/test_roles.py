@@ -117,6 +117,7 @@ def test_every_section_measures_a_model_with_other_names(
         assert section.goals and section.tables[0].rows
         told += "".join(goal.what for goal in section.goals) + str(section.tables[0].rows)
     assert {"Rad", "Gehen", "steht"} <= {name for name in NAMES.values() if name in told}
+    assert "steht → Gehen → steht: low toes" in told
     assert "lowest hands in Rad" in told and "Lauf_02 → Rad" in told
     assert not any(name in told for name in ("walking", "idle", "cartwheel"))
 

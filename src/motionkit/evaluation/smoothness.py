@@ -11,6 +11,7 @@ from motionkit.evaluation.limits import REAL_SHARE, acceleration_limit, accelera
 from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.roles import Roles, find_roles
 from motionkit.evaluation.rolling import Plan, Progress
+from motionkit.evaluation.starts import FAST, LOW, PART_SECONDS, starts_and_stops
 from motionkit.evaluation.trial import Trial
 from motionkit.evaluation.visible import DEPTH, flips
 from motionkit.metrics.leaps import fastest_turn, leaps
@@ -61,7 +62,7 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         for sequence in known
         for seed in trial.seeds(settings.repeats)
     ]
-    takes = trial.roll(plans, progress)
+    takes = trial.roll(plans, lambda share: progress(0.7 * share))
     limit, largest = turn_limit(trial.real)
     rows: list[tuple[Cell, ...]] = []
     goals: list[Goal] = []
@@ -100,9 +101,16 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         f"acceleration: of the root over the ground, between velocities over 0.2 s; real: {REAL_SHARE:.1%} of the "
         "frames of the sequence's types are below it",
     ]
-    return Section(
-        "smoothness", "Transitions", [Table("Transitions that no clip contains", columns, rows)], goals, notes
-    )
+    tables = [Table("Transitions that no clip contains", columns, rows)]
+    if begun := starts_and_stops(trial, lambda share: progress(0.7 + 0.3 * share)):
+        tables.append(begun[0])
+        goals += begun[1]
+        notes.append(
+            f"low toes that slide: of toes less than {LOW:g} cm above a standing one, the share that moves faster than "
+            f"{FAST:g} cm/s; {settings.repeats} characters stand, go and stand for {PART_SECONDS:g} s each; recorded: "
+            "the mean over recordings of these types"
+        )
+    return Section("smoothness", "Transitions", tables, goals, notes)
 
 
 def _fastest(bodies: list[Body]) -> tuple[float, str]:
