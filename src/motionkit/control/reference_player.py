@@ -28,6 +28,8 @@ PAUSE = 20  # frames from the end of a performance, strike or jump to the beginn
 SHORTEST_BLEND, LONGEST_BLEND = 15, 45
 # Clips are entered in frames that move more than the first of these shares of all, and less than the second.
 ENTRY_MOVEMENT = (0.4, 0.8)
+# Of the usual movement of all: a clip that nowhere moves more is one of standing, and is not entered.
+STILL = 0.2
 LEAST_SECONDS = 1.5  # of a clip that must follow the frame it is entered at
 GAIT_LEAST = 0.75  # the same of gaits and of standing: most runs are recorded for a second
 # A gait brakes where a clip goes slower than this share of its usual speed in the coming second.
@@ -512,7 +514,7 @@ class ReferencePlayer:
         """Frames that at least the usual movement follows, though not the liveliest, for each clip that has some.
 
         A standing body is most like a standing one, in any type: the reference would keep it standing. Of a clip that
-        is livelier than all that, the frames that are usual in it.
+        is livelier or calmer than all that, the frames that are usual in it.
         """
         least = round(LEAST_SECONDS * self.model.fps)
         movements = [clip.movement[: max(1, len(clip) - least)] for clip in clips]
@@ -521,7 +523,7 @@ class ReferencePlayer:
         found = []
         for clip, movement in zip(clips, movements, strict=True):
             frames = _between(movement, of_all)
-            if not frames and movement.max() > usual:
+            if not frames and movement.max() > STILL * usual:
                 frames = _between(movement, movement)
             if frames:
                 found.append((clip, frames))
