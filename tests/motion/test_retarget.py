@@ -148,6 +148,49 @@ def test_fingers_meshes_and_a_root_above_the_hips() -> None:
     assert float(others.max()) < 1e-3
 
 
+HEADS = {
+    "face": {"LeftEye": (3.0, 5.0, 9.0), "RightEye": (-3.0, 5.0, 9.0), "Jaw": (0.0, -2.0, 6.0)},
+    "ponytail": {"Ponytail": (0.0, 3.0, -12.0)},
+    "hair": {"HairL": (6.0, 1.0, -9.0), "HairR": (-6.0, 1.0, -9.0)},
+    "unnamed": {"b1": (0.0, 0.0, -14.0), "b2": (0.0, 4.0, 0.4)},
+    "top": {"LeftEye": (3.0, 5.0, 9.0), "HeadTop_End": (0.0, 10.0, 0.0)},
+}
+
+
+def with_children(motion: Motion, above: str, children: dict[str, tuple[float, float, float]]) -> Motion:
+    """The motion with more joints below one, at rest."""
+    skeleton, joint = motion.skeleton, motion.skeleton.index(above)
+    more = len(children)
+    ends = {j: end for j, end in skeleton.end_sites.items() if j != joint}
+    grown = Skeleton(
+        (*skeleton.names, *children),
+        (*skeleton.parents, *[joint] * more),
+        np.concatenate([skeleton.offsets, np.array(list(children.values()), np.float32)]),
+        ends | {len(skeleton) + i: (0.0, 0.0, 1.0) for i in range(more)},
+    )
+    turns = np.concatenate([motion.local_rotations, quat_identity((len(motion), more))], axis=1)
+    return replace(motion, skeleton=grown, local_rotations=turns)
+
+
+@pytest.mark.parametrize("key", HEADS)
+def test_face_and_hair_do_not_tilt_the_head(key: str) -> None:
+    source = walk()
+    result, _ = retarget(motion_to_bvh(with_children(source, "Head", HEADS[key])))
+    assert quat_angle(result.local_rotations, source.local_rotations).max() < 1e-3
+
+
+def test_a_head_that_hangs_in_the_rest_pose_is_turned_by_its_top() -> None:
+    """The end of the head counts where the rig has face bones too."""
+    changes = quat_identity((len(JOINT_NAMES),))
+    changes[JOINT_NAMES.index("Head")] = expmap_to_quat(np.array([math.radians(80.0), 0.0, 0.0], np.float32))
+    source = walk()
+    hanging = turned_rest(source, changes)
+    end = hanging.skeleton.end_sites[JOINT_NAMES.index("Head")]
+    children = {"LeftEye": (3.0, -9.0, 5.0), "HeadTop_End": end}
+    result, _ = retarget(motion_to_bvh(with_children(hanging, "Head", children)))
+    assert np.rad2deg(quat_angle(result.local_rotations, source.local_rotations)).max() < 8.0
+
+
 def test_arms_that_hang_in_the_rest_pose() -> None:
     """Rest poses are compared, not copied: hanging and level arms give the same result."""
     source = walk()

@@ -8,6 +8,7 @@ human. Otherwise (some exports have all bones along one axis) it is computed fro
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -52,6 +53,15 @@ _TOLERANCE = {"Shoulder": 60.0, "Hand": 30.0, "Neck": 45.0, "Neck1": 45.0, "Head
 _TOLERANCE_ELSEWHERE = 40.0
 _NO_POSTURE = 110.0  # degrees; an End Site this far off is a leftover, not a hand or a head
 _LIMBS = ("UpLeg", "Leg", "Arm", "ForeArm")
+# Joints whose bone points to the top of the head where the rig has no mapped joint above them.
+_TOPS = ("Neck", "Neck1", "Head")
+# Children of the head that mark its top, and those of the face or the hair, which do not show where it points.
+_TOP_WORDS = re.compile(r"(end|nub|site|tip|top|effector)[\W\d_]*$", re.IGNORECASE)
+_FACE_WORDS = re.compile(
+    r"eye|jaw|ear|hair|tail|braid|bang|brow|lash|lid|lip|mouth|tongue|teeth|tooth|nose|cheek|chin|face",
+    re.IGNORECASE,
+)
+_ALONG_NECK = 45.0  # degrees between the neck and a child of the head that carries it on
 # Bending axes of knees and elbows in the canonical rest pose (as in every CMU recording).
 _HINGES: dict[str, tuple[float, float, float]] = {
     "LeftLeg": (0.93969, 0.34202, 0.0),
@@ -94,7 +104,7 @@ class SourceRig:
             if place is not None and float(np.linalg.norm(place - self.rest[joint])) > tiny:
                 canonical = _CANONICAL_REST[JOINT_NAMES.index(ahead)] - _CANONICAL_REST[own]
                 return canonical, place - self.rest[joint]
-        end = bone_end(self.skeleton, joint, tiny)
+        end = named_end(self.skeleton, name, joint, tiny)
         if end is None:
             return None
         if own in _CANONICAL.end_sites:
@@ -117,6 +127,32 @@ def bone_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
         elif (further := bone_end(skeleton, child, tiny)) is not None:
             ends.append(offset + further)
     return np.stack(ends).mean(0) if ends else None
+
+
+def named_end(skeleton: Skeleton, name: str, joint: int, tiny: float) -> Array | None:
+    """The end (3,) of the bone of a joint at the place of a canonical one, or None if nothing shows it."""
+    return (_head_end if name in _TOPS else bone_end)(skeleton, joint, tiny)
+
+
+def _head_end(skeleton: Skeleton, joint: int, tiny: float) -> Array | None:
+    """The end (3,) of a head: its End Site, a child named as its top, or the child that best carries on the neck."""
+    end = skeleton.end_sites.get(joint)
+    if end is not None and math.hypot(*end) > tiny:
+        return np.array(end, np.float32)
+    rest = skeleton.rest_positions()
+    below = skeleton.parents[joint]
+    while below >= 0 and float(np.linalg.norm(rest[joint] - rest[below])) <= tiny:
+        below = skeleton.parents[below]
+    best, least = None, _ALONG_NECK
+    for child in skeleton.children(joint):
+        name, way = skeleton.names[child], skeleton.offsets[child]
+        if _FACE_WORDS.search(name) or float(np.linalg.norm(way)) <= tiny:
+            continue
+        if _TOP_WORDS.search(name):
+            return way
+        if below >= 0 and (angle := float(angle_between(rest[joint] - rest[below], way))) <= least:
+            best, least = way, angle
+    return best
 
 
 def tiny_length(skeleton: Skeleton) -> float:

@@ -17,7 +17,7 @@ from motionkit.motion.rest_pose import (
     SIDES,
     SourceRig,
     body_frame,
-    bone_end,
+    named_end,
     posed_differences,
     rest_differences,
     stands,
@@ -159,10 +159,11 @@ def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
     parents = tuple(new[skeleton.parents[j]] if skeleton.parents[j] >= 0 else -1 for j in keep)
     ends: dict[int, tuple[float, float, float]] = {}
     tiny = tiny_length(skeleton)
+    names = {joint: name for name, joint in rig.places.items()}
     for joint in keep:
         if new[joint] in parents:
             continue
-        end = bone_end(skeleton, joint, tiny)
+        end = named_end(skeleton, names.get(joint, ""), joint, tiny)
         if end is not None:
             ends[new[joint]] = (float(end[0]), float(end[1]), float(end[2]))
     kept = Skeleton(tuple(skeleton.names[j] for j in keep), parents, skeleton.offsets[keep], ends)
