@@ -70,6 +70,29 @@ def test_the_units_of_other_rigs_become_metres(cmu: Motion, tmp_path: Path) -> N
     assert np.abs(positions(back) - positions(cmu) * 2.54 / 0.45).max() < 1e-2
 
 
+@pytest.mark.parametrize("ending", [".glb", ".usda"])
+def test_the_rest_pose_stands_on_the_floor_wherever_the_root_is(
+    walk: Motion, tmp_path: Path, ending: str
+) -> None:
+    """The OFFSET of a root is no part of the body: once more to BVH and back gives the same rest pose."""
+    offsets = walk.skeleton.offsets.copy()
+    offsets[0] = (20.0, 90.0, 0.0)
+    moved = replace(walk, skeleton=replace(walk.skeleton, offsets=offsets))
+    assert make_figure(moved).rest == pytest.approx(make_figure(walk).rest, abs=1e-6)
+    for name, motion in (("a", walk), ("b", moved)):
+        write_motion(tmp_path / f"{name}{ending}", Clip(motion, "walk"))
+    assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
+
+
+def test_rounds_of_glb_and_bvh_keep_the_rest_pose(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "0.glb", walk)
+    for number in range(2):
+        write_motion(tmp_path / f"{number}.bvh", read_motion(tmp_path / f"{number}.glb"))
+        write_motion(tmp_path / f"{number + 1}.glb", read_motion(tmp_path / f"{number}.bvh"))
+    first, last = (read_motion(tmp_path / f"{number}.glb") for number in (0, 2))
+    assert last.skeleton.offsets == pytest.approx(first.skeleton.offsets, abs=1e-3)
+
+
 def test_joints_that_translate_keep_doing_so(six_channels: Motion, tmp_path: Path) -> None:
     for ending in (".glb", ".bvh"):
         write_motion(tmp_path / f"a{ending}", six_channels)

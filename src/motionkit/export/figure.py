@@ -50,7 +50,7 @@ def make_figure(motion: Motion) -> Figure:
     surface, pose = make_body(motion)
     rest = motion.skeleton.offsets.astype(np.float64)
     rest[0] = 0.0
-    places = motion.skeleton.rest_positions() - motion.skeleton.offsets[0]
+    places = motion.skeleton.rest_positions()
     unturned = np.broadcast_to(np.eye(3), (len(rest), 3, 3))
     rest[0, 1] = -surface.posed(pose.matrices_from(unturned, places.astype(np.float64)))[:, 1].min()
     normals = point_normals(surface.points, surface.triangles)
