@@ -63,7 +63,21 @@ def test_rate_and_scale_can_be_overridden(files: tuple[str, str]) -> None:
     out = json.loads(CliRunner().invoke(command, [files[0], "--fps", "120", "--json"]).stdout)
     assert out["frames"] == 45
     result = CliRunner().invoke(command, [files[0], "--scale", "0.1"])
-    assert "if the file is not in cm, give its scale" in result.output
+    assert "legs of 8.34 cm; give the right scale" in result.output
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(0.01, "metres"), (10.0, "millimetres"), (0.45 / 2.54, "CMU units")]
+)
+def test_the_unit_of_a_file_of_the_23_joints_is_detected(tmp_path: Path, factor: float, unit: str) -> None:
+    rows = {}
+    for name, scale in (("cm", 1.0), ("other", factor)):
+        write_bvh(tmp_path / f"{name}.bvh", swaying(frames=30), scale)
+        out = json.loads(CliRunner().invoke(command, [str(tmp_path / f"{name}.bvh"), "--json"]).stdout)
+        rows[name] = {row["id"]: row["value"] for row in out["metrics"]}
+    assert f"other.bvh: 1 unit = {1 / factor:.4g} cm (detected from leg length: {unit})" in out["notes"]
+    for name in ("afs", "jerk", "floor-height"):
+        assert rows["other"][name] == pytest.approx(rows["cm"][name], rel=1e-2, abs=1e-2)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import numpy as np
 from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
+from motionkit.motion.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
 
 if TYPE_CHECKING:
     from motionkit.motion.retarget import RetargetReport
@@ -23,12 +24,12 @@ def load_canonical(
 ) -> tuple[Motion, list[str]]:
     """The motion of a BVH file on the 23 canonical joints, in cm at the file's rate, and notes for the reader.
 
-    A file that already has the 23 joints keeps its proportions and is taken to be in cm; any other rig is
-    retargeted.
+    A file that already has the 23 joints keeps its proportions, and is in cm if its legs can be that long; any other
+    rig is retargeted.
 
     Args:
         path: BVH file of any rig.
-        scale: cm per file unit; detected by default, 1 for a file with the canonical joints.
+        scale: cm per file unit; detected by default.
         fps: frame rate, if the file's header is wrong.
 
     Raises:
@@ -42,13 +43,22 @@ def load_canonical(
 
         motion, report = retarget_file(path, scale=scale, fps=fps)
         return motion, _mapping_notes(Path(path).name, report)
-    motion = _reordered(bvh_to_motion(bvh, scale or 1.0, fps), order)
+    motion = _reordered(bvh_to_motion(bvh, fps=fps), order)
+    unit, notes = (scale, []) if scale is not None else _detected_unit(Path(path).name, motion.skeleton)
+    motion = motion.scaled(unit) if unit != 1.0 else motion
     leg = leg_length(motion.skeleton)
-    if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
-        return motion, []
-    return motion, [
-        f"{Path(path).name}: legs of {leg:.3g} cm; if the file is not in cm, give its scale with --scale"
-    ]
+    if not PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
+        notes.append(f"{Path(path).name}: legs of {leg:.3g} cm; give the right scale with --scale")
+    return motion, notes
+
+
+def _detected_unit(name: str, skeleton: Skeleton) -> tuple[float, list[str]]:
+    """cm per unit of a file with the canonical joints, and a note if that is not 1."""
+    leg = leg_length(skeleton)
+    if PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1] or not SHORTEST_LEG <= leg <= LONGEST_LEG:
+        return 1.0, []
+    scale, source = guess_scale(leg)
+    return scale, [f"{name}: 1 unit = {scale:.4g} cm ({source})"]
 
 
 def canonical_motion(motion: Motion, own_body: bool = False, scale: float | None = None) -> Motion:
