@@ -257,6 +257,14 @@ def test_a_file_of_spaces_only_unicode_knows(tmp_path: Path, data: bytes) -> Non
     assert "is empty" in str(fault_of(tmp_path / "blank.bvh"))
 
 
+def test_a_glb_is_told_from_other_binary_files(tmp_path: Path) -> None:
+    (tmp_path / "walk.glb").write_bytes(b"glTF\x02\x00\x00\x00" + bytes(40))
+    fault = str(fault_of(tmp_path / "walk.glb"))
+    assert fault.endswith(
+        "is a glTF file, expected a BVH file; `motionkit convert` makes one of its animation"
+    )
+
+
 def test_spaces_without_end_in_the_motion_header_take_no_time(tmp_path: Path, good_text: str) -> None:
     path = tmp_path / "spaces.bvh"
     path.write_text(good_text.replace("Frame Time:", "Frame Time" + " " * 400_000 + "x y"))
