@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,6 +17,7 @@ from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.retarget import retarget, retarget_file
+from motionkit.motion.rig import read_bvh_rig
 from motionkit.motion.rig_names import map_rig, name_part
 from motionkit.motion.rotations import (
     expmap_to_quat,
@@ -382,6 +385,35 @@ def test_a_mirrored_rig_is_refused_in_one_line(signs: tuple[float, float, float]
     with pytest.raises(SkeletonError, match="LeftFoot and RightFoot point backwards") as caught:
         retarget(motion_to_bvh(mirrored))
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parts", "toes", "says"),
+    [
+        (
+            ("UpLeg", "Leg", "Foot", "ToeBase"),
+            True,
+            "for the legs: RightUpLeg (LeftUpLeg) is on the right side",
+        ),
+        (
+            ("Shoulder", "Arm", "ForeArm", "Hand"),
+            True,
+            "for the arms: RightArm (LeftArm) is on the right side",
+        ),
+        (("UpLeg", "Leg", "Foot"), False, "RightUpLeg (LeftUpLeg) is on the side of RightArm (RightArm)"),
+    ],
+)
+def test_a_map_that_exchanges_left_and_right_is_refused(
+    tmp_path: Path, parts: tuple[str, ...], toes: bool, says: str
+) -> None:
+    names = {name: name for name in JOINT_NAMES if toes or not name.endswith("ToeBase")}
+    write_bvh(tmp_path / "rig.bvh", renamed(walk(), names))
+    for part in parts:
+        names |= {f"Left{part}": f"Right{part}", f"Right{part}": f"Left{part}"}
+    (tmp_path / "map.json").write_text(json.dumps({"joints": names}))
+    with pytest.raises(SkeletonError, match=re.escape(says)):
+        read_bvh_rig(tmp_path / "rig.bvh", tmp_path / "map.json")
+    read_bvh_rig(tmp_path / "rig.bvh")
 
 
 @pytest.mark.parametrize("degrees", [90.0, 180.0, -90.0])

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array, normalized
+from motionkit.arrays import Array, cross, normalized
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.kinematics import motion_kinematics
@@ -28,6 +28,9 @@ from motionkit.motion.rotations import quat_angle, quat_between, quat_inverse, q
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 
 _BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
+_OPPOSED = (
+    -0.5
+)  # mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged
 _SAMPLES = 32  # recorded poses that show the shape of a rig
 
 
@@ -87,6 +90,8 @@ def study_rig(
     bvh, rig = _keep_needed(bvh, rig)
     source = SourceRig(bvh.skeleton, rig, bvh.skeleton.rest_positions())
     rotations, positions = motion_kinematics(bvh_to_motion(bvh, fps=fps))
+    if known is None:
+        _check_sides(source, positions)
     frame = body_frame(source)
     standing = stands(source, frame)
     up = known[0] if known else _up_axis(source, positions, frame if standing else None)
@@ -141,6 +146,45 @@ def _check_feet(source: SourceRig, frame: Array) -> None:
             f"the feet {names[0]} and {names[1]} point backwards: left and right are exchanged, or the rig is "
             "mirrored by a negative scale"
         )
+
+
+def _check_sides(source: SourceRig, positions: Array) -> None:
+    """Raise SkeletonError if left and right of legs and arms disagree in recorded positions (T, J, 3)."""
+    hips, arms = (_pair(source, positions, part) for part in ("UpLeg", "Arm"))
+    across = normalized(hips[0] - hips[1])
+    if not float((across * normalized(arms[0] - arms[1])).sum(-1).mean()) < _OPPOSED:
+        return
+    up = arms[0] + arms[1] - hips[0] - hips[1]
+    part = _exchanged(source, positions, cross(across, up))
+    legs, hands = (
+        [source.skeleton.names[source.rig.places[f"{side}{part}"]] for side in SIDES]
+        for part in ("UpLeg", "Arm")
+    )
+    if part is None:
+        raise SkeletonError(
+            f"left and right are exchanged for the legs or for the arms: {legs[0]} (LeftUpLeg) is on the side of "
+            f"{hands[1]} (RightArm), {legs[1]} (RightUpLeg) on that of {hands[0]} (LeftArm)"
+        )
+    left, right = legs if part == "UpLeg" else hands
+    raise SkeletonError(
+        f"left and right are exchanged for the {'legs' if part == 'UpLeg' else 'arms'}: {left} (Left{part}) is on the "
+        f"right side of the body, {right} (Right{part}) on the left, as the toes point"
+    )
+
+
+def _exchanged(source: SourceRig, positions: Array, ahead: Array) -> str | None:
+    """The limb, UpLeg or Arm, whose sides are wrong by the toes, where legs say ahead (T, 3); None without toes."""
+    if not all(f"{side}{part}" in source.rig.places for side in SIDES for part in ("Foot", "ToeBase")):
+        return None
+    feet, toes = (_pair(source, positions, part) for part in ("Foot", "ToeBase"))
+    way = normalized(toes[0] + toes[1] - feet[0] - feet[1])
+    return "Arm" if float((way * normalized(ahead)).sum(-1).mean()) > 0.0 else "UpLeg"
+
+
+def _pair(source: SourceRig, positions: Array, part: str) -> tuple[Array, Array]:
+    """The places (T, 3) of the left and the right joint of a part."""
+    left, right = (positions[:, source.rig.places[f"{side}{part}"]] for side in SIDES)
+    return left, right
 
 
 def _keep_needed(bvh: BvhFile, rig: RigMap) -> tuple[BvhFile, RigMap]:
