@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array, cross, normalized
+from motionkit.arrays import Array, cross, length, normalized
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.kinematics import motion_kinematics
@@ -31,6 +31,7 @@ _BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a r
 _OPPOSED = (
     -0.5
 )  # mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged
+_STRAIGHT = 0.8  # share of the legs' length by which feet are below the hips of a standing body
 _SAMPLES = 32  # recorded poses that show the shape of a rig
 
 
@@ -141,44 +142,61 @@ def _check_feet(source: SourceRig, frame: Array) -> None:
             toe = quat_rotate(quat_inverse(frame), bone[1])
             ahead.append(float(toe[2]) > -_BACKWARDS * float(np.linalg.norm(toe)))
     if len(ahead) == len(SIDES) and not any(ahead):
-        names = [source.skeleton.names[source.rig.places[f"{side}Foot"]] for side in SIDES]
-        raise SkeletonError(
-            f"the feet {names[0]} and {names[1]} point backwards: left and right are exchanged, or the rig is "
-            "mirrored by a negative scale"
-        )
+        raise _backwards(source)
+
+
+def _backwards(source: SourceRig) -> SkeletonError:
+    left, right = _names(source, "Foot")
+    return SkeletonError(
+        f"the feet {left} and {right} point backwards: left and right are exchanged, or the rig is mirrored by a "
+        "negative scale"
+    )
 
 
 def _check_sides(source: SourceRig, positions: Array) -> None:
-    """Raise SkeletonError if left and right of legs and arms disagree in recorded positions (T, J, 3)."""
+    """Raise SkeletonError if left and right are exchanged for legs, arms or both in recorded positions (T, J, 3)."""
     hips, arms = (_pair(source, positions, part) for part in ("UpLeg", "Arm"))
     across = normalized(hips[0] - hips[1])
+    up = normalized(arms[0] + arms[1] - hips[0] - hips[1])
+    toes = _toes_ahead(source, positions, up, cross(across, up))
     if not float((across * normalized(arms[0] - arms[1])).sum(-1).mean()) < _OPPOSED:
+        if toes is not None and toes < _OPPOSED:
+            raise _backwards(source)
         return
-    up = arms[0] + arms[1] - hips[0] - hips[1]
-    part = _exchanged(source, positions, cross(across, up))
-    legs, hands = (
-        [source.skeleton.names[source.rig.places[f"{side}{part}"]] for side in SIDES]
-        for part in ("UpLeg", "Arm")
-    )
-    if part is None:
+    legs, hands = _names(source, "UpLeg"), _names(source, "Arm")
+    if toes is None:
         raise SkeletonError(
             f"left and right are exchanged for the legs or for the arms: {legs[0]} (LeftUpLeg) is on the side of "
             f"{hands[1]} (RightArm), {legs[1]} (RightUpLeg) on that of {hands[0]} (LeftArm)"
         )
-    left, right = legs if part == "UpLeg" else hands
+    limb, part, (left, right) = ("legs", "UpLeg", legs) if toes < 0.0 else ("arms", "Arm", hands)
     raise SkeletonError(
-        f"left and right are exchanged for the {'legs' if part == 'UpLeg' else 'arms'}: {left} (Left{part}) is on the "
-        f"right side of the body, {right} (Right{part}) on the left, as the toes point"
+        f"left and right are exchanged for the {limb}: {left} (Left{part}) is on the right side of the body, {right} "
+        f"(Right{part}) on the left, as the toes point"
     )
 
 
-def _exchanged(source: SourceRig, positions: Array, ahead: Array) -> str | None:
-    """The limb, UpLeg or Arm, whose sides are wrong by the toes, where legs say ahead (T, 3); None without toes."""
+def _toes_ahead(source: SourceRig, positions: Array, up: Array, ahead: Array) -> float | None:
+    """The mean cosine between toes, seen from above, and the direction ahead (T, 3) of the hips; None without toes.
+
+    Only frames with straight legs below the body count: toes of who kneels point backwards.
+    """
     if not all(f"{side}{part}" in source.rig.places for side in SIDES for part in ("Foot", "ToeBase")):
         return None
-    feet, toes = (_pair(source, positions, part) for part in ("Foot", "ToeBase"))
-    way = normalized(toes[0] + toes[1] - feet[0] - feet[1])
-    return "Arm" if float((way * normalized(ahead)).sum(-1).mean()) > 0.0 else "UpLeg"
+    hips, knees, feet, toes = (_pair(source, positions, part) for part in ("UpLeg", "Leg", "Foot", "ToeBase"))
+    legs = sum(length(knees[i] - hips[i]) + length(feet[i] - knees[i]) for i in (0, 1))
+    straight = ((hips[0] + hips[1] - feet[0] - feet[1]) * up).sum(-1) > _STRAIGHT * legs
+    if not bool(straight.any()):
+        return None
+    way = toes[0] + toes[1] - feet[0] - feet[1]
+    level = normalized(way - (way * up).sum(-1, keepdims=True) * up)
+    return float((level * normalized(ahead)).sum(-1)[straight].mean())
+
+
+def _names(source: SourceRig, part: str) -> tuple[str, str]:
+    """The joints of the rig at the left and the right joint of a part."""
+    left, right = (source.skeleton.names[source.rig.places[f"{side}{part}"]] for side in SIDES)
+    return left, right
 
 
 def _pair(source: SourceRig, positions: Array, part: str) -> tuple[Array, Array]:
