@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,8 @@ import motionkit as mk
 from motionkit.cli.main import cli
 from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import read_bvh, write_bvh
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from synthetic_motions import make_walk
 from synthetic_rigs import FAMILIES, renamed, walk
 
@@ -53,8 +55,8 @@ def test_a_clip_on_my_rig(place: Path) -> None:
     )
     assert result.exit_code == 0, result.output
     assert "wrote out.bvh: 20 frames at 30 fps on my.bvh, 21 joints" in result.output
-    assert "UpperLeg_L" in result.output and "LeftUpLeg" in result.output and "100 %" in result.output
-    assert "not on this rig: LowerBack, Neck1" in result.output
+    assert "my.bvh: 21 canonical joints found by name; not on this rig: LowerBack, Neck1\n" in result.output
+    assert "UpperLeg_L" not in result.output
     assert hierarchy("out.bvh") == hierarchy("my.bvh")
     made = mk.read_canonical("out.bvh")
     assert (
@@ -76,6 +78,37 @@ def test_looking_at_a_rig(place: Path) -> None:
     told = json.loads(run("retarget", "--rig", "my.bvh", "--map", "rig.json", "--json").output)
     assert told["joints"]["UpperLeg_L"] == "LeftUpLeg" and told["found"]["LeftUpLeg"] == "map"
     assert told["missing"] == ["LowerBack", "Neck1"]
+
+
+def test_the_bone_map_names_what_names_say(place: Path) -> None:
+    shown = run("retarget", "--rig", "my.bvh").output
+    for name in ("Hips", "Spine", "Chest", "Neck", "Head", "Shoulder_L", "UpperLeg_L"):
+        row = next(line for line in shown.splitlines() if f" {name} " in line)
+        assert " name " in row and "100 %" in row
+
+
+@pytest.mark.parametrize("changes", [{"Chest": "b7"}, {"LowerLeg_L": "b7"}, {"Toes_R": None, "Toes_L": None}])
+def test_a_doubtful_bone_map_is_shown_whole(place: Path, changes: dict[str, str | None]) -> None:
+    """Joints found by place or shape, and feet without toes."""
+    names = {ours: changes.get(theirs, theirs) for ours, theirs in NAMES.items()}
+    odd = renamed(walk(8), {ours: theirs for ours, theirs in names.items() if theirs})
+    write_bvh("odd.bvh", odd)
+    shown = run("retarget", "walk.bvh", "--rig", "odd.bvh", "-o", "out.bvh").output
+    assert "canonical joint" in shown and "UpperLeg_L" in shown, shown
+
+
+def test_other_joints_are_counted(place: Path) -> None:
+    source = renamed(walk(8), NAMES)
+    skeleton = source.skeleton
+    turns = np.concatenate([source.local_rotations, quat_identity((8, 1))], axis=1)
+    grown = Skeleton(
+        (*skeleton.names, "Sword"),
+        (*skeleton.parents, skeleton.index("Hand_R")),
+        np.concatenate([skeleton.offsets, np.ones((1, 3), np.float32)]),
+    )
+    write_bvh("one.bvh", replace(source, skeleton=grown, local_rotations=turns))
+    assert "1 other joint: Sword" in run("retarget", "--rig", "one.bvh").output
+    assert "; 1 other joint\n" in run("retarget", "walk.bvh", "--rig", "one.bvh", "-o", "out.bvh").output
 
 
 def test_a_map_that_the_user_edited_wins(place: Path) -> None:

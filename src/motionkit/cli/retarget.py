@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from motionkit.motion.rig import Rig
 
 _SHOWN_OTHERS = 12  # joints without a canonical joint that are named
+_SURE = 0.9  # below this, or without one of these joints, a conversion shows the whole bone map
+_EXPECTED = ("Hips", "Neck", "Head", "Arm", "Hand", "Leg", "Foot", "ToeBase")
 
 
 @click.command("retarget")
@@ -131,7 +133,7 @@ def command(
     for note in report.notes:
         remark(f"{source.name}: {note}")
     if choice.rig is not None:
-        _print_rig(choice.rig, stdout_console() if output != STDOUT else out)
+        _tell_rig(choice.rig, stdout_console() if output != STDOUT else out)
     if save_map:
         out.print(f"wrote {save_map}: bone map")
     if page:
@@ -193,6 +195,29 @@ def rig_told(rig: Rig) -> dict[str, Any]:
     }
 
 
+def _tell_rig(rig: Rig, out: Any) -> None:
+    """Print the bone map of a rig in one line, or whole if a joint is unsure or missing."""
+    joints = rig.joints
+    ways = sorted({joints.found(name) for name in joints.places})
+    unsure = any(joints.sure(name) < _SURE for name in joints.places) or not {"shape", "place"}.isdisjoint(
+        ways
+    )
+    if unsure or any(name.endswith(_EXPECTED) for name in joints.missing()):
+        _print_rig(rig, out)
+        return
+    count = len(joints.places)
+    missing = f"; not on this rig: {', '.join(joints.missing())}" if joints.missing() else ""
+    others = len(rig.skeleton) - count
+    more = f"; {_counted(others)}" if others else ""
+    out.print(f"{rig.name}: {count} canonical joints found by {' and '.join(ways)}{missing}{more}")
+    for note in rig.notes:
+        out.print(note)
+
+
+def _counted(others: int) -> str:
+    return f"{others} other {'joint' if others == 1 else 'joints'}"
+
+
 def _print_rig(rig: Rig, out: Any) -> None:
     """Print the bone map of a rig."""
     from rich.table import Table
@@ -210,6 +235,6 @@ def _print_rig(rig: Rig, out: Any) -> None:
     others = [name for j, name in enumerate(rig.skeleton.names) if j not in rig.joints.places.values()]
     if others:
         more = f" and {len(others) - _SHOWN_OTHERS} more" if len(others) > _SHOWN_OTHERS else ""
-        out.print(f"{len(others)} other joints: {', '.join(others[:_SHOWN_OTHERS])}{more}")
+        out.print(f"{_counted(len(others))}: {', '.join(others[:_SHOWN_OTHERS])}{more}")
     for note in rig.notes:
         out.print(note)

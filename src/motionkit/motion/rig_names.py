@@ -53,6 +53,15 @@ SIDES: dict[str, str] = {"left": "Left", "right": "Right", "l": "Left", "r": "Ri
 # Places of the canonical spine joints between hips (0) and shoulders (1).
 SPINE_SHARES: dict[str, float] = {"LowerBack": 0.0, "Spine": 0.28, "Spine1": 0.56}
 
+# Parts of the joints between the limbs, and words for the spine, by which a name says that it is one of them.
+_BETWEEN = {
+    "Hips": ("hips", "hip"), "Neck": ("neck",), "Neck1": ("neck",), "Head": ("head",),
+    "LeftShoulder": ("collar", "shoulder"), "RightShoulder": ("collar", "shoulder"),
+}  # fmt: skip
+_SPINE_WORDS = re.compile(
+    r"spine|back|chest|abdomen|torso|waist|belly|stomach|trunk|thorax|lumbar", re.IGNORECASE
+)
+
 _NEEDED = tuple(f"{side}{part}" for side in ("Left", "Right") for part in ("UpLeg", "Leg", "Arm", "ForeArm"))
 # The ending of a limb joint to the joint it hangs from, without the side; longer endings first.
 _HANGS = {
@@ -80,6 +89,7 @@ class RigMap:
         likely: probability from 0 to 1 of limb joints, by the shape of the rig: of those found by shape, and of those
             whose names say otherwise; 1 for others.
         by_shape: limb joints that were found by shape, since their names are unknown.
+        by_name: joints between the limbs whose names say what they are.
         sides_sure: probability that left is left; below 1 only if no name tells.
         given: what gave them, such as "map" for a user's bone map; "" if they were found.
     """
@@ -88,6 +98,7 @@ class RigMap:
     turns: dict[str, int]
     likely: dict[str, float] = field(default_factory=dict)
     by_shape: frozenset[str] = frozenset()
+    by_name: frozenset[str] = frozenset()
     sides_sure: float = 1.0
     given: str = ""
 
@@ -97,12 +108,13 @@ class RigMap:
         return self.likely.get(name, 1.0) * side
 
     def found(self, name: str) -> str:
-        """How a joint was found: "map", "VRM", "name", "shape", or "place" for joints between the limbs."""
+        """How a joint was found: "map", "VRM", "name", "shape", or "place" for others between the limbs."""
         if self.given:
             return self.given
         if name in self.by_shape:
             return "shape"
-        return "name" if name.startswith(("Left", "Right")) and not name.endswith("Shoulder") else "place"
+        between = name in SPINE_SHARES or name in _BETWEEN
+        return "place" if between and name not in self.by_name else "name"
 
     def missing(self) -> tuple[str, ...]:
         """Canonical joints that the source lacks."""
@@ -174,7 +186,11 @@ class _Mapper:
         self._torso()
         sides_sure = guess.sides_sure if guess and by_shape else 1.0
         return replace(
-            self._rig_map(), likely=self._likely(guess, by_shape), by_shape=by_shape, sides_sure=sides_sure
+            self._rig_map(),
+            likely=self._likely(guess, by_shape),
+            by_shape=by_shape,
+            by_name=self._by_name(),
+            sides_sure=sides_sure,
         )
 
     def around(self, limbs: dict[str, int], given: str) -> RigMap:
@@ -242,6 +258,20 @@ class _Mapper:
                 if name in guess.places and guess.places[name] != self.places.get(name):
                     likely[name] = 1.0 - guess.sure[name] * guess.sides_sure
         return likely
+
+    def _by_name(self) -> frozenset[str]:
+        """The joints between the limbs whose names say what they are."""
+        found = set()
+        for name, joint in self.places.items():
+            side, part = self.parts[joint]
+            sided = next((one for one in ("Left", "Right") if name.startswith(one)), "")
+            if name in SPINE_SHARES:
+                said = _SPINE_WORDS.search(self.names[joint]) is not None
+            else:
+                said = side == sided and part in _BETWEEN.get(name, ())
+            if said:
+                found.add(name)
+        return frozenset(found)
 
     def _lacking(self) -> set[str]:
         return {name for name in _NEEDED if name not in self.places}
