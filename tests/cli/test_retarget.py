@@ -16,7 +16,7 @@ from motionkit.cli.main import cli
 from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.rotations import quat_identity
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 from synthetic_motions import make_walk
 from synthetic_rigs import FAMILIES, renamed, walk
 
@@ -211,6 +211,22 @@ def test_new_motion_on_my_rig(place: Path) -> None:
     run("synthesize", "--types", "walking:0.5", "--rig", "my.bvh", "-o", "c.bvh")
     assert Path("door.bvh").read_bytes() == Path("c.bvh").read_bytes()
     mk.write_view("door.png", door.motion, mk.read_bvh("c.bvh"))
+
+
+def test_metrics_are_those_of_the_motion_on_the_rig(place: Path) -> None:
+    """On a rig with other legs feet slide otherwise than on the canonical joints; the line says what was written."""
+    offsets = canonical_skeleton().offsets.copy()
+    for side in ("Left", "Right"):
+        for part, share in (("Leg", 1.3), ("Foot", 0.8), ("ToeBase", 1.4)):
+            offsets[JOINT_NAMES.index(f"{side}{part}")] *= share
+    write_bvh("long.bvh", renamed(replace(walk(8), skeleton=canonical_skeleton(offsets)), NAMES))
+    ids = ("afs", "jerk", "penetration-mean")
+    for words in (("synthesize", "--types", "walking:1"), ("follow-path", "line", "--size", "1")):
+        told = json.loads(run(*words, "--rig", "long.bvh", "-o", "a.bvh", "--json").stdout)
+        told = told.get("motions", [told])[0]["metrics"]
+        rows = json.loads(run("metrics", "a.bvh", "--json").stdout)["metrics"]
+        measured = {row["id"]: row["value"] for row in rows}
+        assert [told[i]["value"] for i in ids] == pytest.approx([measured[i] for i in ids], rel=1e-2)
 
 
 def test_the_same_retargeting_from_python(place: Path) -> None:

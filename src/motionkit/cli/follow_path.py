@@ -105,9 +105,9 @@ def command(
         result = follow_path(model, target, options, lambda share: bar.update(task, completed=100 * share))
     times = [frames / model.fps for frames in result.part_frames]
     bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
-    written = choice.put(result.motion, ik, root_motion)
+    written, measured = choice.put_and_measure(result.motion, ik, root_motion)
     write_motion(file, written, bands, choice)
-    metrics = motion_metrics(result.motion)
+    metrics = motion_metrics(measured)
     parts = [
         {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
         for part, d in zip(target.parts, result.part_distances, strict=True)

@@ -65,13 +65,27 @@ class RigChoice:
             way: how the way over the ground is written.
             cyclic: the last frame of the motion is its first.
         """
-        if self.rig is not None:
-            from motionkit.export.on_rig import on_rig
+        return way.applied(self._on_rig(motion, ik, way), cyclic)
 
-            if way.root == "ground":
-                raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
-            motion = on_rig(motion, self.rig, ik, self.clip)
-        return way.applied(motion, cyclic)
+    def put_and_measure(
+        self, motion: Motion, ik: bool, way: RootMotion, cyclic: bool = False
+    ) -> tuple[Motion, Motion]:
+        """What to write, as put gives it, and the motion that metrics measure: the same on the canonical joints."""
+        made = self._on_rig(motion, ik, way)
+        if self.rig is None:
+            return way.applied(made, cyclic), motion
+        from motionkit.export.on_rig import from_rig
+
+        return way.applied(made, cyclic), from_rig(made, self.rig)
+
+    def _on_rig(self, motion: Motion, ik: bool, way: RootMotion) -> Motion:
+        if self.rig is None:
+            return motion
+        from motionkit.export.on_rig import on_rig
+
+        if way.root == "ground":
+            raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
+        return on_rig(motion, self.rig, ik, self.clip)
 
     def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]]) -> Clip:
         """What writers take for a motion from put; a BVH file gets the hierarchy and channels of the rig."""

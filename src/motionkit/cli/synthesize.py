@@ -160,7 +160,8 @@ def command(
     with progress_bar() as bar:
         for path, synthesis in zip(bar.track(files, description="writing"), result.motions, strict=True):
             parts = [(part.type, part.seconds) for part in synthesis.types]
-            written.append(choice.put(synthesis.motion, ik, root_motion, cyclic=loops))
+            put, measured = choice.put_and_measure(synthesis.motion, ik, root_motion, cyclic=loops)
+            written.append(put)
             write_motion(path, written[-1], parts, choice)
             made.append(
                 {
@@ -168,7 +169,7 @@ def command(
                     "frames": len(synthesis.motion),
                     "fps": synthesis.motion.fps,
                     "types": [list(part) for part in parts],
-                    "metrics": motion_metrics(synthesis.motion),
+                    "metrics": motion_metrics(measured),
                     **(seam_json(cycles[len(made)]) if loops else {}),
                     **({"keys": [_arrival(synthesis.motion, key) for key in keys]} if keys else {}),
                 }

@@ -20,7 +20,7 @@ from motionkit.motion.rig import Rig, make_rig, read_bvh_rig
 from motionkit.motion.rig_map_file import read_rig_map
 from motionkit.motion.rig_names import map_around
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
-from motionkit.motion.to_rig import to_rig
+from motionkit.motion.to_rig import rig_bvh, to_rig
 
 GLTF_ENDINGS = (".glb", ".vrm")
 
@@ -63,6 +63,11 @@ def on_rig(motion: Motion, rig: Rig, ik: bool = True, clip: Motion | None = None
         clip = resample(clip, motion.fps)
     contacts = foot_contacts(_places(motion), motion.fps) if ik else None
     return to_rig(motion, rig, contacts, clip)
+
+
+def from_rig(motion: Motion, rig: Rig) -> Motion:
+    """A motion on a rig, as on_rig makes it, on the canonical joints, in cm."""
+    return retarget(rig_bvh(motion, rig), rig=rig)[0]
 
 
 def read_clip(path: str | Path, rig: Rig) -> Motion:
