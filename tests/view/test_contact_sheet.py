@@ -11,7 +11,7 @@ import pytest
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
-from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.motion.skeleton import LEG_TO_STATURE, Skeleton, canonical_skeleton, leg_length
 from motionkit.view.contact_sheet import contact_sheet, pose_frames, write_contact_sheet
 from motionkit.view.contact_sheet_geometry import (
     camera_angle,
@@ -50,6 +50,21 @@ def test_a_standing_body_is_measured() -> None:
     assert set(figure.feet) == {"left", "right"}
     np.testing.assert_allclose(figure.facing, np.pi / 2, atol=1e-4)  # +Z
     assert not sliding_frames(figure, figure.feet["left"]).any()
+
+
+def test_the_stature_is_that_of_the_legs() -> None:
+    """Props and helper joints far from the body do not raise the height below which a moving foot slides."""
+    bare = standing(travel=3.0)
+    skeleton = bare.skeleton
+    far = Skeleton(
+        (*skeleton.names, "Sword", "Helper"),
+        (*skeleton.parents, skeleton.index("RightHand"), 0),
+        np.concatenate([skeleton.offsets, np.array([[0.0, 0.0, 150.0], [0.0, 200.0, 0.0]], np.float32)]),
+        skeleton.end_sites,
+    )
+    armed = replace(bare, skeleton=far, local_rotations=quat_identity((len(bare), len(far))))
+    assert motion_figure(armed).stature == pytest.approx(motion_figure(bare).stature)
+    assert motion_figure(bare).stature == pytest.approx(leg_length(skeleton) / LEG_TO_STATURE)
 
 
 def test_pushed_feet_slide_and_lifted_feet_do_not() -> None:

@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import is_z_up, joint_sides
 from motionkit.motion.motion import Motion
+from motionkit.motion.rig_names import map_rig
 from motionkit.motion.rotations import quat_rotate
+from motionkit.motion.skeleton import LEG_TO_STATURE, Skeleton
 
 Array = NDArray[np.float64]
 
@@ -90,7 +93,7 @@ def motion_figure(motion: Motion) -> Figure:
     count = len(skeleton)
     bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     bones += [(joint, count + n) for n, joint in enumerate(ends)]
-    stature = _stature(points, skeleton.parents)
+    stature = _stature(points, skeleton)
     sides = joint_sides(skeleton.names)
     points_sides = sides + tuple(sides[joint] for joint in ends)
     floor, floor_is_zero = _floor(points, stature)
@@ -113,18 +116,37 @@ def motion_figure(motion: Motion) -> Figure:
     )
 
 
-def _stature(points: Array, parents: tuple[int, ...]) -> float:
-    """An estimate of the standing height from the longest chain of bones.
+def _stature(points: Array, skeleton: Skeleton) -> float:
+    """An estimate of the standing height: from thigh and shin, or of rigs without them from the longest chain of bones.
 
     The longest chains from the root end at the toes and at the head or a hand; twice their length is about a sixth
     more than the height of the body.
     """
     middle = points[len(points) // 2]
+    if leg := _leg(middle, skeleton):
+        return leg / LEG_TO_STATURE
+    parents = skeleton.parents
     reach = np.zeros(len(parents))
     for joint, parent in enumerate(parents):
         if parent > 0 or (parent == 0 and len([p for p in parents if p == 0]) > 1):
             reach[joint] = reach[parent] + np.linalg.norm(middle[joint] - middle[parent])
     return max(float(2.0 * reach.max() / 1.17), 1e-6)
+
+
+def _leg(points: Array, skeleton: Skeleton) -> float:
+    """Thigh plus shin of a human rig with joints at points (N, 3), the mean of both sides; 0 for other rigs."""
+    try:
+        places = map_rig(skeleton).places
+    except SkeletonError:
+        return 0.0
+    bones = [
+        (f"{side}{a}", f"{side}{b}")
+        for side in ("Left", "Right")
+        for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"))
+    ]
+    if not all(end in places for _, end in bones):
+        return 0.0
+    return sum(float(np.linalg.norm(points[places[b]] - points[places[a]])) for a, b in bones) / 2.0
 
 
 def _is_loose(points: Array, bone: tuple[int, int], stature: float) -> bool:
