@@ -198,7 +198,7 @@ class Dataset:
         """The pose embedding, fitted to the training poses with more weight on rare types."""
         train = self.select("train")
         if not train:
-            raise DatasetError(f"{self.folder}: no training clips")
+            raise no_training_clips(self.folder)
         clips = [clip for clip in train if not clip.mirrored] or train
         rows = np.concatenate([np.arange(clip.start, clip.start + clip.frames) for clip in clips])
         rows = rows[:: 1 + len(rows) // EMBEDDING_FRAMES]
@@ -293,6 +293,14 @@ class Dataset:
             poses = poses[:, columns] * signs
         reference = reference_signal(self.pose_embedding.of(poses), np.arange(len(features)))
         return replace(data, reference=reference)
+
+
+def no_training_clips(folder: Path) -> DatasetError:
+    """The error where all clips of a dataset are held out."""
+    return DatasetError(
+        f"{folder}: no training clips; the split column of labels.csv holds all of them out: mark some as train and "
+        "run preprocess again"
+    )
 
 
 def mirror_clip(
