@@ -35,6 +35,7 @@ SYSTEM_FONTS = (
     "DejaVuSans.ttf",
     "FreeSans.ttf",
 )
+_MARKS = frozenset(map(chr, range(0x300, 0x370)))  # above and below letters; those left in NFC are left out
 _NO_LETTER = "\U0010ffff"  # has no glyph in any font: it is drawn as a font draws letters that it lacks
 
 
@@ -56,16 +57,22 @@ def lettered(words: str, size: float) -> tuple[str, Any]:
 
 
 def _fonts(size: float) -> Iterator[Any]:
-    yield _default_font(size)
-    for name in (OWN_FONT, *SYSTEM_FONTS):
-        font = _named_font(name, size)
-        if font is not None:
-            yield font
+    """Pillow's own font, if it has any size, and others; that of Pillow 10.0 or without FreeType has one size."""
+    from PIL import ImageFont
+
+    own = _default_font(size)
+    scalable = [
+        font for font in (own, _named_font(OWN_FONT, size)) if isinstance(font, ImageFont.FreeTypeFont)
+    ]
+    if not scalable:
+        yield own
+        return
+    yield from scalable
+    yield from filter(None, (_named_font(name, size) for name in SYSTEM_FONTS))
 
 
 @lru_cache(maxsize=64)
 def _default_font(size: float) -> Any:
-    """Pillow's own font, or the only one that Pillow 10.0 has."""
     from PIL import ImageFont
 
     try:
@@ -81,7 +88,7 @@ def _named_font(name: str, size: float) -> Any:
 
     own = (files("motionkit") / "assets" / "fonts" / name).read_bytes() if name == OWN_FONT else None
     try:
-        return ImageFont.truetype(name if own is None else io.BytesIO(own), size)
+        return ImageFont.truetype(name if own is None else io.BytesIO(own), round(size))
     except (OSError, ImportError):
         return None
 
@@ -89,13 +96,13 @@ def _named_font(name: str, size: float) -> Any:
 def _lacking(font: Any, words: str) -> set[str]:
     """The letters of a text that a font does not have."""
     letters = {letter for letter in words if not letter.isspace()}
-    if not hasattr(font, "getname"):  # the font of a Pillow without FreeType
-        return {letter for letter in letters if ord(letter) > 255}
     from PIL import ImageFont
 
+    if not isinstance(font, ImageFont.FreeTypeFont):
+        return {letter for letter in letters if ord(letter) > 255}
     single = font.font_variant(layout_engine=ImageFont.Layout.BASIC)  # no dotted circle under a mark
     box = _drawn(single, _NO_LETTER)
-    return {letter for letter in letters if _drawn(single, letter) == box}
+    return {letter for letter in letters if letter in _MARKS or _drawn(single, letter) == box}
 
 
 def _drawn(font: Any, letter: str) -> tuple[Any, bytes]:
