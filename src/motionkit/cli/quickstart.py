@@ -38,6 +38,10 @@ DATASET, MODEL, RUN = "dataset", "model.safetensors", "model.run"
 PAGE, SHEET, VERDICT = "motions.html", "motions.png", "verdict.md"
 
 
+class TrainingStopped(KeyboardInterrupt):
+    """Ctrl-C ended training, which has said so."""
+
+
 @click.command("quickstart")
 @click.argument("data", type=click.Path(exists=True, file_okay=False, path_type=Path))
 @click.option(
@@ -117,10 +121,11 @@ def command(
             model = _train(dataset, target, options, device, as_json)
         pictures = _show(model, dataset, target)
         verdicts = _judge(model, dataset, target)
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         from motionkit.cli.main import tell_stopped
 
-        tell_stopped()
+        if not isinstance(stop, TrainingStopped):
+            tell_stopped()
         remark(f"go on with: {shlex.join([*again, going_on])}")
         sys.exit(STOPPED)
     if as_json:
@@ -293,7 +298,7 @@ def _train(dataset: Dataset, target: Path, options: TrainOptions, device: str, q
         )
     if not result.finished:
         remark(f"{target / MODEL} is the model so far")
-        raise KeyboardInterrupt
+        raise TrainingStopped
     return load_model(target / MODEL)
 
 
