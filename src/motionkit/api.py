@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from motionkit.errors import MotionkitError
+from motionkit.names import nfc
 
 if TYPE_CHECKING:
     from motionkit.control.follow import FollowResult
@@ -209,7 +210,7 @@ def follow_path(
     elif Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file():
         target = read_path(path)
     else:
-        kinds = [walking_type(model)] if types is None else [word.strip() for word in types.split(",")]
+        kinds = [walking_type(model)] if types is None else [nfc(word.strip()) for word in types.split(",")]
         target = shape_path(str(path), size, kinds, speed)
     if strict:
         check_speeds(model, target)

@@ -1,8 +1,9 @@
-"""Escapes control characters in user text before it reaches a terminal."""
+"""Names as users write them: one form of each letter, and no control characters on a terminal."""
 
 from __future__ import annotations
 
 import re
+import unicodedata
 
 # Characters that a terminal acts on instead of showing them: control characters, changes of text direction, line
 # and paragraph separators; and lone surrogates, which stand for undecodable bytes.
@@ -19,3 +20,11 @@ def _escaped(found: re.Match[str]) -> str:
     if 0xDC80 <= code <= 0xDCFF:  # a byte of a file name that is not UTF-8
         return f"\\x{code - 0xDC00:02x}"
     return found[0].encode("unicode_escape").decode("ascii")
+
+
+def nfc(name: str) -> str:
+    """The name in Unicode's composed form (NFC), in which names are kept and looked up.
+
+    macOS takes folder names apart: its "ü" can be a "u" with a combining mark, which looks the same.
+    """
+    return unicodedata.normalize("NFC", name)

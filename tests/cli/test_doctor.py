@@ -1,7 +1,14 @@
 from __future__ import annotations
 
+import io
 import json
 from pathlib import Path
+
+import pytest
+
+from motionkit.cli import doctor
+from motionkit.cli.console import PlainConsole
+from motionkit.data.diagnosis import diagnose
 
 
 def test_a_folder_is_described(motionkit, clips_folder: Path) -> None:
@@ -34,3 +41,54 @@ def test_a_folder_without_a_usable_file_is_not_called_well(motionkit, tmp_path: 
 def test_an_empty_folder(motionkit, tmp_path: Path) -> None:
     (tmp_path / "none").mkdir()
     assert motionkit("doctor", "none").failed_with("no .bvh files found")
+
+
+def test_files_that_are_not_labelled_are_no_fault(motionkit, clips_folder: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "in"
+    folder.mkdir()
+    for name in ("a", "b"):
+        (folder / f"{name}.bvh").write_bytes((clips_folder / "walk_01.bvh").read_bytes())
+    (folder / "labels.csv").write_text("file,start_frame,end_frame,type\na.bvh,0,-1,walk\n")
+    said = motionkit("doctor", folder)
+    assert (
+        said.code == 0 and "skipped in/b.bvh: not in labels.csv" in said.out and "cannot be" not in said.out
+    )
+    (folder / "labels.csv").write_text("file,start_frame,end_frame,type\nc.bvh,0,-1,walk\n")
+    said = motionkit("doctor", folder)
+    assert (
+        said.code == 1 and "lists none of the 2 files" in said.err and "nothing looks wrong" not in said.out
+    )
+
+
+@pytest.mark.parametrize("columns", [None, 80])
+def test_names_of_files_stay_whole(
+    columns: int | None, clips_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """In a pipe in one line, on a narrow terminal folded."""
+    names = [f"a_quite_long_name_as_capture_systems_give_{number}" for number in range(2)]
+    for name in names:
+        (tmp_path / "ein_langer_dauerlauf").mkdir(exist_ok=True)
+        text = (
+            (clips_folder / "walk_01.bvh").read_text().replace("Hips", "Pelvis" * (name[-1] == "1") + "Hips")
+        )
+        (tmp_path / "ein_langer_dauerlauf" / f"{name}.bvh").write_text(text)
+    with io.StringIO() as file:
+        console = PlainConsole(file)
+        if columns:
+            monkeypatch.setattr(PlainConsole, "is_terminal", True)
+            console.width = columns
+        monkeypatch.setattr(doctor, "stdout_console", lambda: console)
+        doctor._print(diagnose([tmp_path]))
+        lines = file.getvalue().splitlines()
+    table = lines[: lines.index("")]
+    if columns:
+        assert max(map(len, table)) <= columns and "…" not in file_text(table)
+        width = table[0].index("type")
+        told = "".join(line[:width].strip() for line in table)
+    else:
+        told = file_text(table)
+    assert all(name in told for name in names)
+
+
+def file_text(lines: list[str]) -> str:
+    return "\n".join(lines)

@@ -23,6 +23,11 @@ def test_accuracy_as_json_and_as_reports(evaluate, tmp_path: Path) -> None:
     assert "| accuracy | accuracy of walking |" in text and "## Action accuracy" in text
 
 
+def test_one_heading_for_the_targets(evaluate) -> None:
+    said = evaluate("--only", "accuracy", "--seeds", 1)
+    assert said.code == 0 and said.out.count("Targets") == 1
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [(["--only", "acuracy"], "unknown section 'acuracy'; did you mean 'accuracy'")],

@@ -26,6 +26,21 @@ def test_a_short_run_and_going_on(motionkit, dataset_folder: Path, tmp_path: Pat
     assert load_model(tmp_path / "m.safetensors").card["steps"] == 3
 
 
+def test_a_run_folder_that_cannot_be_made(motionkit, dataset_folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "m.run").touch()
+    said = motionkit("train", dataset_folder, "-o", "m.safetensors", *QUICK, "--steps", 1)
+    assert said.code == 1 and "m.run: cannot be written (File exists)" in said.err
+
+
+def test_clips_that_are_all_held_out(motionkit, clips_folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(clips_folder, tmp_path / "mine")
+    table = tmp_path / "mine" / "labels.csv"
+    table.write_text(table.read_text("utf-8").replace(",train,", ",test,"), "utf-8")
+    assert motionkit("preprocess", "mine", "-o", "ds").code == 0
+    said = motionkit("train", "ds", "-o", "m.safetensors", *QUICK, "--steps", 1)
+    assert said.code == 1 and "no training clips; the split column of labels.csv" in said.err
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [

@@ -8,7 +8,12 @@ import pytest
 
 import motionkit as mk
 from motionkit.data.diagnosis import Diagnosis, diagnose, two_groups
+from motionkit.data.events import find_events
+from motionkit.features.encode import encode_motion
+from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.bvh import write_bvh
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import JOINT_COUNT
 
 CLIPS = {
     "Sprung": ("jumping-b", 3),
@@ -102,4 +107,62 @@ def test_a_type_that_is_only_held_out_is_told(folder: Path, tmp_path: Path) -> N
     )
     (tmp_path / "clips" / "labels.csv").write_text("file,start_frame,end_frame,type,split\n" + rows)
     found = diagnose([tmp_path / "clips"])
-    assert "held out" in warnings_of(found, "Rad") and "held out" not in warnings_of(found, "Gehen")
+    assert "held out" not in warnings_of(found, "Gehen")
+    rad = next(t for t in found.types if t.name == "Rad")
+    assert rad.warnings == (rad.unlearnable,), "one line, and no other that contradicts it"
+    assert "split column of labels.csv holds out all its clips" in rad.unlearnable
+
+
+def test_a_type_of_clips_that_are_too_short_cannot_be_learnt(tmp_path: Path) -> None:
+    motion = mk.synthesize("walking:3", seed=2).motion
+    for number in range(2):
+        (tmp_path / "a").mkdir(exist_ok=True)
+        write_bvh(tmp_path / "a" / f"{number}.bvh", motion.cut(60 * number, 60 * number + 20))
+    (facts,) = diagnose([tmp_path]).types
+    assert "too short, 0.3 s, and 0.4 s are needed" in facts.unlearnable
+    assert facts.warnings == (facts.unlearnable,)
+    write_bvh(tmp_path / "a" / "longer.bvh", motion.cut(100, 126))
+    (facts,) = diagnose([tmp_path]).types
+    assert not facts.unlearnable
+
+
+def test_few_clips_fall_into_no_groups(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "hop").mkdir()
+    for kind in ("Gehen", "Lauf_02"):
+        for number in range(2):
+            shutil.copy(folder / kind / f"{number}.bvh", tmp_path / "hop" / f"{kind}{number}.bvh")
+    assert "two groups" not in warnings_of(diagnose([tmp_path]), "hop")
+
+
+def test_jumps_are_a_share_of_the_time(folder: Path, found: Diagnosis, tmp_path: Path) -> None:
+    types = {t.name: t for t in found.types}
+    assert types["Gehen"].in_the_air == 0.0 and 0.05 < types["Sprung"].in_the_air < 0.5
+    (tmp_path / "long").mkdir()
+    write_bvh(tmp_path / "long" / "0.bvh", mk.synthesize("walking:6,jumping-b,walking:6", seed=1).motion)
+    (facts,) = diagnose([tmp_path]).types
+    assert facts.flights == 1.0 and 0.0 < facts.in_the_air < 0.1
+
+
+def test_kicks_of_one_side_are_told(tmp_path: Path) -> None:
+    layout = feature_layout(DEFAULT_LAYOUT)
+    motion = mk.synthesize("kicking:12", seed=3).motion
+    features = encode_motion(motion, quat_identity((JOINT_COUNT,)), DEFAULT_LAYOUT).features
+    kicks = find_events(features, layout)["kick"]
+    for right, name in ((False, "tritt_1"), (True, "tritt_2")):
+        (tmp_path / name).mkdir()
+        for number, kick in enumerate([kick for kick in kicks if kick.right == right]):
+            write_bvh(tmp_path / name / f"{number}.bvh", motion.cut(kick.start, kick.end))
+    notes = {t.name: t.notes for t in diagnose([tmp_path / "tritt_1"]).types}
+    assert "all its kicks are of the left side" in notes["motion"][0] and "--no-mirror" in notes["motion"][0]
+    assert not any(t.notes for t in diagnose([tmp_path]).types), "each other's other side"
+    (tmp_path / "tritt_2").rename(tmp_path / "tritt_1" / "tritt")
+    both = diagnose([tmp_path])
+    assert len(both.types) == 2 and not any(t.notes for t in both.types)
+
+
+def test_files_that_a_table_leaves_out_are_skipped(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder / "Gehen", tmp_path / "clips")
+    (tmp_path / "clips" / "labels.csv").write_text("file,start_frame,end_frame,type\n0.bvh,0,-1,Gehen\n")
+    found = diagnose([tmp_path / "clips"])
+    assert [clip.fault for clip in found.clips] == [""] and len(found.skipped) == 3
+    assert all("not in labels.csv" in line for line in found.skipped)

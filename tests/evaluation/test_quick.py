@@ -6,7 +6,14 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation.judge import Judge
-from motionkit.evaluation.quick import QUICK_TYPES, TypeVerdict, quick_verdicts, reasons_of, verdict_section
+from motionkit.evaluation.quick import (
+    QUICK_TYPES,
+    TypeVerdict,
+    quick_verdicts,
+    reasons_of,
+    verdict_page,
+    verdict_section,
+)
 from motionkit.evaluation.real import RealMotion
 from motionkit.evaluation.scoreboard import evaluate_model
 from motionkit.models.model import MotionModel
@@ -37,7 +44,11 @@ def test_a_type_without_training_clips_is_not_passed_over(tiny_model: MotionMode
     settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
     found = {v.type: v for v in quick_verdicts(tiny_model, Judge(real), settings)}
     assert list(found) == [name for name in tiny_model.types if name in real.types]
-    assert found["cartwheel"].sentence() == "cartwheel: there are no clips to learn from"
+    longest = real.longest["cartwheel"]
+    assert longest > 1.0 and f"too short: at most {longest:.1f} s, and 0.4 s" in found["cartwheel"].sentence()
+    del real.longest["cartwheel"]
+    found = {v.type: v for v in quick_verdicts(tiny_model, Judge(real), settings)}
+    assert found["cartwheel"].sentence() == "cartwheel does not work: there are no clips to learn from"
 
 
 def test_types_are_judged_only_on_request(tiny_model: MotionModel, dataset: Dataset) -> None:
@@ -63,7 +74,11 @@ def test_a_verdict_is_plain(changes: dict, works: bool) -> None:
     verdict = replace(GOOD, **changes)
     assert verdict.works == works
     assert verdict.sentence() == (
-        "walk works: shown in 8 of 8 roll-outs" if works else "walk: shown in 3 of 8 roll-outs"
+        "walk works: shown in 8 of 8 roll-outs" if works else "walk does not work: shown in 3 of 8 roll-outs"
     )
     row = verdict_section([verdict]).tables[0].rows[0]
-    assert row[:3] == ("walk", "works" if works else "falls short", "8 of 8")
+    assert row[:3] == ("walk", "works" if works else "does not work", "8 of 8")
+    page = verdict_page([verdict, GOOD], QUICK_TYPES)
+    assert page.startswith("# Which types work\n") and f"- {verdict.sentence()}\n" in page
+    assert f"{1 + works} of 2 types work" in page and "8 roll-outs of 6 s" in page
+    assert not any(word in page for word in ("Scoreboard", "split", "mixed_seconds", "Targets", "measured"))

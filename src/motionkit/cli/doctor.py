@@ -11,9 +11,11 @@ from motionkit.cli.common import json_option, print_json, progress_bar, stdout_c
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
+    from motionkit.cli.console import PlainConsole
     from motionkit.data.diagnosis import ClipFacts, Diagnosis
 
-SHOWN_CLIPS = 60
+SHOWN_CLIPS, SHOWN_SKIPS = 60, 8
+NO_LIMIT = 1000  # columns where nothing is shown to people, such as in a pipe
 
 
 @click.command("doctor")
@@ -29,8 +31,8 @@ def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
 
     Prints for each clip its rig, unit, frame rate, up axis, floor, glitches and motion type, and for each type
     how much there is to learn from and what looks wrong: clips that never leave the ground where most of their
-    type do, types whose clips fall into two groups, clips that move like another type. The exit code is 1 if a
-    file cannot be used.
+    type do, types whose clips fall into two groups, clips that move like another type, types that cannot be learnt.
+    Files that a label table does not list are skipped, as by preprocess. The exit code is 1 if a file cannot be used.
     """
     from motionkit.data.diagnosis import diagnose
 
@@ -44,6 +46,8 @@ def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
     else:
         _print(found)
     faults = [clip for clip in found.clips if clip.fault]
+    if not found.clips:
+        raise MotionkitError(f"{found.labels}: lists none of the {len(found.skipped)} files")
     if faults:
         raise MotionkitError(f"{len(faults)} of {len(found.clips)} files cannot be used")
 
@@ -52,21 +56,17 @@ def _print(found: Diagnosis) -> None:
     from rich.table import Table
 
     out = stdout_console()
-    table = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("clip", "type", "s", "fps", "rig", "unit", "up", "floor cm", "glitches"):
-        table.add_column(name, justify="right" if name in ("s", "fps", "floor cm", "glitches") else "left")
-    for clip in found.clips[:SHOWN_CLIPS]:
-        if not clip.fault:
-            table.add_row(*_cells(clip))
+    if not out.is_terminal:
+        out.width = NO_LIMIT
     if found.types:
-        out.print(table)
+        _print_clips([clip for clip in found.clips[:SHOWN_CLIPS] if not clip.fault], out)
     if len(found.clips) > SHOWN_CLIPS:
         out.print(f"... and {len(found.clips) - SHOWN_CLIPS} more files; --json lists all")
     types = Table(box=None, header_style="bold", pad_edge=False)
-    for name in ("type", "clips", "minutes", "m/s", "leave the ground"):
+    for name in ("type", "clips", "minutes", "m/s", "time in jumps"):
         types.add_column(name, justify="left" if name == "type" else "right")
     for kind in found.types:
-        row = (kind.clips, f"{kind.seconds / 60:.2f}", f"{kind.speed / 100:.2f}", f"{kind.flights:.0%}")
+        row = (kind.clips, f"{kind.seconds / 60:.2f}", f"{kind.speed / 100:.2f}", f"{kind.in_the_air:.0%}")
         types.add_row(kind.name, *map(str, row))
     if found.types:
         out.print()
@@ -84,22 +84,34 @@ def _print(found: Diagnosis) -> None:
             out.print(
                 f"cannot be used: {clip.fault if clip.name in clip.fault else f'{clip.name}: {clip.fault}'}"
             )
-    warnings = [*found.warnings, *(f"{kind.name}: {line}" for kind in found.types for line in kind.warnings)]
-    for line in warnings:
-        out.print(f"warning: {line}")
-    if not warnings and not any(clip.fault for clip in found.clips):
+    for line in found.skipped[:SHOWN_SKIPS]:
+        out.print(f"skipped {line}")
+    if len(found.skipped) > SHOWN_SKIPS:
+        out.print(f"skipped {len(found.skipped) - SHOWN_SKIPS} more; --json lists all")
+    for line in found.lines:
+        out.print(line)
+    warned = any(line.startswith("warning: ") for line in found.lines)
+    if found.types and not warned and not any(clip.fault for clip in found.clips):
         out.print("nothing looks wrong")
 
 
-def _cells(clip: ClipFacts) -> tuple[str, ...]:
-    return (
-        clip.name,
-        ", ".join(clip.types),
-        f"{clip.seconds:.1f}",
-        f"{clip.fps:g}",
-        clip.rig,
-        clip.unit.replace("detected from leg length: ", ""),
-        clip.up,
-        f"{clip.floor:+.1f}",
-        str(clip.glitches),
-    )
+def _print_clips(clips: list[ClipFacts], out: PlainConsole) -> None:
+    """Print a row for each clip, and below what rigs there are."""
+    from rich.table import Table
+
+    rigs = list(dict.fromkeys(map(_rig, clips)))
+    table = Table(box=None, header_style="bold", pad_edge=False)
+    columns = ("clip", "type", "s", "fps", *(("rig",) if len(rigs) > 1 else ()), "floor cm", "glitches")
+    for name in columns:
+        table.add_column(name, justify="left" if name in ("clip", "type") else "right", overflow="fold")
+    for clip in clips:
+        number = (str(rigs.index(_rig(clip)) + 1),) if len(rigs) > 1 else ()
+        measured = (f"{clip.seconds:.1f}", f"{clip.fps:g}", *number, f"{clip.floor:+.1f}", str(clip.glitches))
+        table.add_row(clip.name, ", ".join(clip.types), *measured)
+    out.print(table)
+    for place, rig in enumerate(rigs, 1):
+        out.print(f"rig {place}: {rig}" if len(rigs) > 1 else f"rig of all clips: {rig}")
+
+
+def _rig(clip: ClipFacts) -> str:
+    return f"{clip.rig}; {clip.unit.replace('detected from leg length: ', '')}; {clip.up} up"

@@ -171,7 +171,6 @@ def _print(board: Scoreboard, console: PlainConsole) -> None:
         for note in section.notes:
             console.print(f"note: {note}", style="dim")
     console.print()
-    console.print("Targets", style="bold")
     _print_table(board.summary(), console)
 
 

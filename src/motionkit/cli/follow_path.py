@@ -23,6 +23,7 @@ from motionkit.cli.synthesis_options import (
     words_console,
     write_motion,
 )
+from motionkit.names import nfc
 
 if TYPE_CHECKING:
     from motionkit.cli.rig_options import RigChoice
@@ -78,7 +79,7 @@ def command(
     from motionkit.models.bundled import open_model
 
     is_file = Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file()
-    kinds = [word.strip() for word in (types or "").split(",") if word.strip()]
+    kinds = [nfc(word.strip()) for word in (types or "").split(",") if word.strip()]
     if types is not None and not kinds:
         raise click.UsageError("--types is empty; give motion types such as running,cartwheel")
     if is_file and (size is not None or speed is not None):

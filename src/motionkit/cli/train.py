@@ -13,6 +13,7 @@ from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, 
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs
+from motionkit.names import nfc
 from motionkit.training.budgets import BUDGETS
 
 BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
@@ -22,7 +23,7 @@ PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tin
 
 def _names(context: click.Context, parameter: click.Parameter, text: str | None) -> tuple[str, ...]:
     """Parse names separated by commas."""
-    return tuple(filter(None, (word.strip() for word in (text or "").split(","))))
+    return tuple(filter(None, (nfc(word.strip()) for word in (text or "").split(","))))
 
 
 def _type_weights(context: click.Context, parameter: click.Parameter, text: str | None) -> dict[str, float]:

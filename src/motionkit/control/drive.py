@@ -19,6 +19,7 @@ from motionkit.control.steering import (
 )
 from motionkit.features.control import Controls
 from motionkit.models.model import MotionModel
+from motionkit.names import nfc
 
 DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
 PATH = ""  # stands for a type where a path names the types
@@ -101,7 +102,9 @@ class Driver:
     def set_wish(self, wish: Wish) -> None:
         """Follow another wish from the next frame on; raises ControlError for an unknown type."""
         if wish.type is not None:
-            self.model.type_id(wish.type)
+            kind = nfc(wish.type)
+            self.model.type_id(kind)
+            wish = replace(wish, type=kind)
         if wish.path is not self.wish.path:
             path = wish.path
             self._follower = None if path is None else PathFollower(self.model, path, self.choice)
@@ -117,6 +120,7 @@ class Driver:
         Raises:
             ControlError: for an unknown type.
         """
+        kind = nfc(kind)
         self.model.type_id(kind)
         self._waiting = (kind, seconds, choice)
 

@@ -17,6 +17,7 @@ import numpy as np
 from motionkit.arrays import Array, normalized
 from motionkit.errors import ControlError
 from motionkit.files import parse_json, read_text
+from motionkit.names import nfc
 
 METRE = 100.0
 SPACING = 2.0  # cm between the points a path is resampled to
@@ -301,7 +302,7 @@ def _part(where: str, points: list, kind: str, speed: float | None, stop: float)
         except ControlError as error:
             raise ControlError(f"{where}: {error} {unit}") from None
     return PathPart(
-        np.array(points, np.float64) * METRE, kind, None if speed is None else speed * METRE, float(stop)
+        np.array(points, np.float64) * METRE, nfc(kind), None if speed is None else speed * METRE, float(stop)
     )
 
 

@@ -16,6 +16,7 @@ from motionkit.errors import ControlError
 from motionkit.features.control import Controls, blend_types, types_ahead
 from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
+from motionkit.names import nfc
 
 DEFAULT_SECONDS = 4.0
 MAX_SECONDS = 3600.0
@@ -42,7 +43,7 @@ def parse_types(
     Raises:
         ControlError: for a part without a type, or a time that is no positive number.
     """
-    words = [word.strip() for word in text.split(",")]
+    words = [nfc(word.strip()) for word in text.split(",")]
     if not any(words):
         raise ControlError("expected motion types such as running,cartwheel, found none")
     timed: list[tuple[str, float | None]] = []

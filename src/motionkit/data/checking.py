@@ -17,6 +17,7 @@ from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import FEATURE_COUNT, LAYOUTS
 from motionkit.files import check_regular
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.names import nfc
 
 MAX_TYPES = 1000
 MAX_ROWS = 2**40
@@ -51,7 +52,7 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     check("types", isinstance(types, list) and all(isinstance(t, str) for t in types), "names")
     faults = [type_fault(t) for t in types if type_fault(t)]
     check("types", not faults, f"names of motion types, found {''.join(faults[:1])}")
-    check("types", 0 < len(types) <= MAX_TYPES and len(set(types)) == len(types), "distinct names")
+    check("types", 0 < len(types) <= MAX_TYPES and len(set(map(nfc, types))) == len(types), "distinct names")
     check("fps", _number(manifest.get("fps"), 1.0, 1000.0), "a number from 1 to 1000")
     check("layout", manifest.get("layout") in LAYOUTS, f"one of {', '.join(LAYOUTS)}")
     body = (JOINT_COUNT, 3)

@@ -38,6 +38,7 @@ from motionkit.features.reference import (
 from motionkit.files import read_json
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.names import nfc
 
 FORMAT = 1
 SAME_BODY = 1e-3  # cm by which offsets of one body may differ
@@ -107,6 +108,7 @@ class Dataset:
             found = self.manifest.get("format") if isinstance(self.manifest, dict) else None
             raise DatasetError(f"{path}: dataset format {str(found)[:40]!r}, expected {FORMAT}")
         check_manifest(path, self.manifest, Clip)
+        self.manifest |= _names_composed(self.manifest)
         self.types: tuple[str, ...] = tuple(self.manifest["types"])
         self.fps: float = self.manifest["fps"]
         self.clips = tuple(Clip(**values) for values in self.manifest["clips"])
@@ -196,7 +198,7 @@ class Dataset:
         """The pose embedding, fitted to the training poses with more weight on rare types."""
         train = self.select("train")
         if not train:
-            raise DatasetError(f"{self.folder}: no training clips")
+            raise no_training_clips(self.folder)
         clips = [clip for clip in train if not clip.mirrored] or train
         rows = np.concatenate([np.arange(clip.start, clip.start + clip.frames) for clip in clips])
         rows = rows[:: 1 + len(rows) // EMBEDDING_FRAMES]
@@ -293,6 +295,14 @@ class Dataset:
         return replace(data, reference=reference)
 
 
+def no_training_clips(folder: Path) -> DatasetError:
+    """The error where all clips of a dataset are held out."""
+    return DatasetError(
+        f"{folder}: no training clips; the split column of labels.csv holds all of them out: mark some as train and "
+        "run preprocess again"
+    )
+
+
 def mirror_clip(
     data: ClipData, layout: FeatureLayout, mirrored_type_ids: Array, sided_types: Array
 ) -> ClipData:
@@ -310,6 +320,16 @@ def mirror_clip(
         mirror_phases(data.phases, sided_types[data.types]),
         data.reference,
     )
+
+
+def _names_composed(manifest: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries of a manifest that hold names of types and characters, with these in NFC."""
+    out: dict[str, Any] = {"types": [nfc(name) for name in manifest["types"]]}
+    for key in ("phase_seconds", "phase_events", "characters"):
+        if key in manifest:
+            out[key] = {nfc(name): value for name, value in manifest[key].items()}
+    twins = manifest.get("mirrored_types", {})
+    return out | {"mirrored_types": {nfc(name): nfc(other) for name, other in twins.items()}}
 
 
 def _identity(path: Path) -> tuple[int, ...]:

@@ -15,10 +15,11 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.cleaning import clean
-from motionkit.data.events import jumps_of
+from motionkit.data.events import frames_in_the_air
 from motionkit.data.glitches import find_leaps
-from motionkit.data.labels import Segment, SourceFile, find_sources
+from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
 from motionkit.data.level import floor_tilts, footfalls, performer
+from motionkit.data.phases import PhaseStretch, phase_rule, phase_stretch
 from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
 from motionkit.data.repeat import LEAST_FRAMES
 from motionkit.errors import MotionkitError
@@ -38,7 +39,9 @@ MOST = 0.6
 # A type falls into two groups if their centres are this many times as far apart as clips are from their own centre,
 # and at least so far (cm per joint); likewise a clip is like another type if it is so much nearer to its centre.
 APART, FAR = 2.5, 6.0
+GROUPED = 6  # clips of a type that may fall into groups; fewer always lie somewhere
 NEARER = 0.5
+HELD_OUT = ("validation", "test")
 SPEED_SCALE = 10.0  # cm/s over the ground that count as 1 cm per joint
 
 
@@ -77,36 +80,72 @@ class ClipFacts:
 
 @dataclass(frozen=True)
 class TypeFacts:
-    """What there is of one type: clips, seconds, mean speed over the ground (cm/s), share of clips with flights."""
+    """What there is of one type.
+
+    Attributes:
+        clips, seconds: its stretches and their length.
+        speed: mean speed over the ground in cm/s.
+        flights: share of the clips that leave the ground.
+        in_the_air: share of the time in flights, which last a sixth of a second at least.
+        unlearnable: why training cannot learn it, and what to do; empty if it can.
+        warnings: what looks wrong, unlearnable included.
+        notes: what else to know before training.
+    """
 
     name: str
     clips: int
     seconds: float
     speed: float
     flights: float
+    in_the_air: float
+    unlearnable: str = ""
     warnings: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All files and types of a folder, and the label table used, if any."""
+    """All files and types of a folder, and the label table used, if any; skipped are files that are passed over."""
 
     clips: tuple[ClipFacts, ...]
     types: tuple[TypeFacts, ...]
     labels: Path | None
     warnings: tuple[str, ...] = field(default=())
+    skipped: tuple[str, ...] = ()
+
+    @property
+    def lines(self) -> list[str]:
+        """What looks wrong with the folder and its types, and what else to know, as lines to print."""
+        types = [(kind, line) for kind in self.types for line in kind.warnings]
+        notes = [f"note: {kind.name}: {line}" for kind in self.types for line in kind.notes]
+        warnings = [*self.warnings, *(f"{kind.name}: {line}" for kind, line in types)]
+        return [*(f"warning: {line}" for line in warnings), *notes]
 
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """One stretch of a type: clip, seconds, speed, whether it leaves the ground, where its poses are (D,), split."""
+    """One stretch of a type.
+
+    Attributes:
+        clip: its file.
+        seconds, speed: its length, and its speed over the ground in cm/s.
+        flying: seconds in the air.
+        place: where its poses are (D,).
+        split: as the labels have it.
+        moves: its kicks, punches and jumps.
+    """
 
     clip: str
     seconds: float
     speed: float
-    flies: bool
+    flying: float
     place: Array
     split: str
+    moves: PhaseStretch
+
+    @property
+    def trains(self) -> bool:
+        return self.split not in HELD_OUT
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,17 +172,22 @@ def diagnose(
     """
     sources, table = find_sources([Path(folder) for folder in folders], labels)
     clips: list[ClipFacts] = []
+    skipped: list[str] = []
     standing: list[_Standing | None] = []
     shown: dict[str, list[_Shown]] = defaultdict(list)
     for done, source in enumerate(sources, 1):
-        facts, stretches, stands = _look(source)
-        clips.append(facts)
-        standing.append(stands)
-        for kind, stretch in stretches:
-            shown[kind].append(stretch)
+        if source.skip_reason:
+            skipped.append(f"{source.name}: {source.skip_reason}")
+        else:
+            facts, stretches, stands = _look(source)
+            clips.append(facts)
+            standing.append(stands)
+            for kind, stretch in stretches:
+                shown[kind].append(stretch)
         if progress:
             progress(done, len(sources))
-    types = tuple(_type_facts(kind, shown) for kind in sorted(shown))
+    sides = {kind: _one_side(stretches) for kind, stretches in shown.items()}
+    types = tuple(_type_facts(kind, shown, sides) for kind in sorted(shown))
     rigs = sorted({clip.rig for clip in clips if clip.rig})
     warnings = [f"{len(rigs)} different rigs: {', '.join(rigs[:6])}"] if len(rigs) > 1 else []
     clips = _with_tilts(clips, standing)
@@ -154,7 +198,7 @@ def diagnose(
             f"the floor under {_listed([clip.name for clip in tilted])} rises by up to {steepest:.1f} cm a metre; "
             "preprocess levels it"
         )
-    return Diagnosis(tuple(clips), types, table, tuple(warnings))
+    return Diagnosis(tuple(clips), types, table, tuple(warnings), tuple(skipped))
 
 
 def _with_tilts(clips: list[ClipFacts], standing: list[_Standing | None]) -> list[ClipFacts]:
@@ -168,8 +212,6 @@ def _with_tilts(clips: list[ClipFacts], standing: list[_Standing | None]) -> lis
 
 def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], _Standing | None]:
     """The facts of a file, its stretches by type, and where its toes stand."""
-    if source.skip_reason:
-        return ClipFacts(source.name, fault=source.skip_reason), [], None
     try:
         fps = next((s.fps for s in source.segments if s.fps), None)
         motion, rig = retarget_file(source.path, fps=fps)
@@ -226,40 +268,91 @@ def _describe(name: str, motion: Motion, split: str) -> _Shown:
         name,
         len(motion) / FPS,
         float(np.linalg.norm(np.diff(motion.root_positions[:, [0, 2]], axis=0), axis=1).mean()) * FPS,
-        bool(jumps_of(features, layout)),
+        frames_in_the_air(features, layout) / FPS,
         place,
         split,
+        phase_stretch(features, DEFAULT_LAYOUT),
     )
 
 
-def _type_facts(kind: str, shown: dict[str, list[_Shown]]) -> TypeFacts:
+def _type_facts(kind: str, shown: dict[str, list[_Shown]], sides: dict[str, tuple[str, str]]) -> TypeFacts:
+    """The facts of a type; sides are those of _one_side of all types."""
     mine = shown[kind]
     seconds = sum(stretch.seconds for stretch in mine)
-    flights = sum(stretch.flies for stretch in mine) / len(mine)
-    warnings = []
-    if all(stretch.split in ("test", "validation") for stretch in mine):
-        warnings.append("all its clips are held out, so that there is none to learn from")
-    elif len(mine) == 1:
-        warnings.append("one clip only, which will be memorized; give it several")
-    if seconds < LEAST_FRAMES / FPS:
-        warnings.append(f"{seconds:.1f} s in all, expected at least {LEAST_FRAMES / FPS:g} s to learn from")
-    elif seconds < REPEATED_BELOW:
-        warnings.append(
-            f"{seconds:.1f} s in all; training repeats steps and poses, but more would be learnt better"
-        )
-    elif seconds < FEW_SECONDS:
-        warnings.append(f"{seconds:.1f} s in all; more would be learnt better")
-    grounded = [stretch.clip for stretch in mine if not stretch.flies]
+    flights = sum(stretch.flying > 0.0 for stretch in mine) / len(mine)
+    unlearnable = _unlearnable(mine)
+    warnings = [unlearnable] if unlearnable else _too_little([stretch for stretch in mine if stretch.trains])
+    grounded = [stretch.clip for stretch in mine if not stretch.flying]
     if flights >= MOST and grounded:
         warnings.append(f"most clips leave the ground, but not {_listed(grounded)}")
-    groups = two_groups(np.stack([stretch.place for stretch in mine])) if len(mine) >= 4 else None
+    groups = two_groups(np.stack([stretch.place for stretch in mine])) if len(mine) >= GROUPED else None
     if groups is not None:
         warnings.append(
             f"its clips fall into two groups: {_listed([mine[i].clip for i in groups])} differ from the others"
         )
     warnings += _misplaced(kind, shown)
     speed = sum(stretch.speed * stretch.seconds for stretch in mine) / max(seconds, 1e-6)
-    return TypeFacts(kind, len(mine), seconds, speed, flights, tuple(warnings))
+    in_the_air = sum(stretch.flying for stretch in mine) / max(seconds, 1e-6)
+    notes = () if unlearnable else _sided(kind, sides)
+    return TypeFacts(
+        kind, len(mine), seconds, speed, flights, in_the_air, unlearnable, tuple(warnings), notes
+    )
+
+
+def _unlearnable(mine: list[_Shown]) -> str:
+    """Why a type with these stretches cannot be learnt, and what to do; "" if it can."""
+    files: dict[str, float] = defaultdict(float)
+    for stretch in mine:
+        if stretch.trains:
+            files[stretch.clip] += stretch.seconds
+    if not files:
+        return (
+            "it cannot be learnt: the split column of labels.csv holds out all its clips; mark some as train"
+        )
+    longest, needed = max(files.values()), LEAST_FRAMES / FPS
+    if longest < needed:
+        return (
+            f"it cannot be learnt: it is too short, {longest:.1f} s, and {needed:g} s are needed; "
+            "give it longer clips"
+        )
+    return ""
+
+
+def _too_little(training: list[_Shown]) -> list[str]:
+    """Lines for a type with few training clips or seconds."""
+    out = []
+    if len(training) == 1:
+        out.append("one clip only, which will be memorized; give it several")
+    seconds = sum(stretch.seconds for stretch in training)
+    if seconds < REPEATED_BELOW:
+        out.append(
+            f"{seconds:.1f} s in all; training repeats steps and poses, but more would be learnt better"
+        )
+    elif seconds < FEW_SECONDS:
+        out.append(f"{seconds:.1f} s in all; more would be learnt better")
+    return out
+
+
+def _one_side(mine: list[_Shown]) -> tuple[str, str]:
+    """The strike that a type is made of, and its side, if all its strikes are of one; else two empty words."""
+    rule = phase_rule([stretch.moves for stretch in mine])
+    if rule is None or not rule.sided:
+        return "", ""
+    found = {strike.right for stretch in mine for strike in stretch.moves.events[rule.event]}
+    return (rule.event, "right" if found.pop() else "left") if len(found) == 1 else ("", "")
+
+
+def _sided(kind: str, sides: dict[str, tuple[str, str]]) -> tuple[str, ...]:
+    """A line for a type of one side that its mirrored clips show on both; not if another type has the other side."""
+    strike, side = sides[kind]
+    other = (strike, "left" if side == "right" else "right")
+    if not strike or mirrored_type(kind) != kind or other in sides.values():
+        return ()
+    plural = "kicks are" if strike == "kick" else "punches are"
+    return (
+        f"all its {plural} of the {side} side, and mirrored clips teach the other side too; "
+        "--no-mirror of quickstart and preprocess keeps to one",
+    )
 
 
 def two_groups(places: Array) -> list[int] | None:

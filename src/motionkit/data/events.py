@@ -54,9 +54,9 @@ def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]
     }
 
 
-def jumps_of(features: Array, layout: FeatureLayout) -> list[Event]:
-    """Flights of both feet in unnormalised features (T, 276), in temporal order."""
-    return _jumps(_positions(features, layout))
+def frames_in_the_air(features: Array, layout: FeatureLayout) -> int:
+    """How many of the frames of unnormalised features (T, 276) are flights of both feet."""
+    return sum(end - start for start, end in _flights(_positions(features, layout)))
 
 
 def _positions(features: Array, layout: FeatureLayout) -> np.ndarray:
@@ -111,12 +111,15 @@ def _punches(positions: np.ndarray) -> list[Event]:
     return out
 
 
-def _jumps(positions: np.ndarray) -> list[Event]:
+def _flights(positions: np.ndarray) -> list[tuple[int, int]]:
     clearance = positions[:, FOOT_JOINTS, 1] - _STANDING
-    flights = [run for run in _runs(clearance.min(axis=1) > AIR) if run[1] - run[0] >= AIR_FRAMES]
+    return [run for run in _runs(clearance.min(axis=1) > AIR) if run[1] - run[0] >= AIR_FRAMES]
+
+
+def _jumps(positions: np.ndarray) -> list[Event]:
     ahead = positions[:, FOOT_JOINTS, 2]
     apart = np.abs(ahead[:, 0] - ahead[:, 2])
     return [
         replace(_event("jump", start, end, len(positions)), stride=bool(apart[start:end].mean() > STRIDE))
-        for start, end in flights
+        for start, end in _flights(positions)
     ]

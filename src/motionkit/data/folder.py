@@ -37,6 +37,12 @@ def may_replace(folder: Path) -> bool:
         return not any(folder.iterdir())
 
 
+def remove_dataset(folder: Path) -> None:
+    """Remove a dataset that is to be made anew; other files in its folder stay."""
+    if may_replace(folder):
+        _remove(folder, DATASET_NAMES)
+
+
 def set_aside(folder: Path) -> list[Path]:
     """Old datasets of this place that a killed run moved aside and did not restore."""
     return _beside(folder, "old")

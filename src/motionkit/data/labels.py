@@ -14,6 +14,7 @@ from pathlib import Path
 from motionkit.errors import DatasetError
 from motionkit.files import files_below, read_text
 from motionkit.motion.sides import other_side
+from motionkit.names import nfc
 
 MAX_FRAME = 10**9
 MAX_NAME = 100
@@ -67,23 +68,23 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
     if table is None:
         return [_by_name(path, folder) for path, folder in found], None
     rows = read_labels(table)
-    by_path = {_resolved(table.parent / name): segments for name, segments in rows.items()}
+    by_path = {_key(table.parent / name): segments for name, segments in rows.items()}
     by_name = _unique_basenames(rows)
     sources = []
     for path, folder in found:
-        segments = by_path.get(_resolved(path)) or by_name.get(path.name.lower())
+        segments = by_path.get(_key(path)) or by_name.get(nfc(path.name).lower())
         name = str(path.relative_to(folder.parent)) if path.is_relative_to(folder.parent) else path.name
         reason = "" if segments else f"not in {table.name}"
         sources.append(SourceFile(path, name, tuple(segments or ()), reason))
     return sources, table
 
 
-def _resolved(path: Path) -> Path:
-    """The path without links; unchanged if the system cannot resolve it (a name that is too long)."""
+def _key(path: Path) -> str:
+    """The path without links, in NFC; with its links if the system cannot resolve it (a name that is too long)."""
     try:
-        return path.resolve()
+        return nfc(str(path.resolve()))
     except (OSError, RuntimeError):  # before Python 3.13 a loop of links is a RuntimeError
-        return path
+        return nfc(str(path))
 
 
 def _nearby_labels(folders: Sequence[Path]) -> Path | None:
@@ -96,13 +97,14 @@ def _nearby_labels(folders: Sequence[Path]) -> Path | None:
 
 
 def _unique_basenames(rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
-    counts = Counter(Path(name).name.lower() for name in rows)
-    return {Path(n).name.lower(): s for n, s in rows.items() if counts[Path(n).name.lower()] == 1}
+    names = {name: nfc(Path(name).name).lower() for name in rows}
+    counts = Counter(names.values())
+    return {names[name]: segments for name, segments in rows.items() if counts[names[name]] == 1}
 
 
 def _by_name(path: Path, folder: Path) -> SourceFile:
     inside = path.relative_to(folder)
-    kind = inside.parent.name if inside.parent.name else type_from_file_name(path.stem)
+    kind = nfc(inside.parent.name or type_from_file_name(path.stem))
     fault = type_fault(kind)
     if fault:
         raise DatasetError(f"{path}: the folder or file name gives the motion type {fault}; rename it")
@@ -190,7 +192,7 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
         return None if value is None else int(value)
 
     start, end, fps = frame("start_frame"), frame("end_frame"), number("fps")
-    kind = (row["type"] or "").strip()
+    kind = nfc((row["type"] or "").strip())
     split = (row.get("split") or "").strip().lower()
     if not kind:
         raise DatasetError(f"{path}:{line}: expected a motion type, found none")
@@ -205,7 +207,7 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
         raise DatasetError(f"{path}:{line}: expected start_frame < end_frame, found {first} and {last}")
     if fps is not None and not 1 <= fps <= 1000:
         raise DatasetError(f"{path}:{line}: expected fps between 1 and 1000, found {fps:g}")
-    subject = (row.get("subject") or "").strip()
+    subject = nfc((row.get("subject") or "").strip())
     if subject and _name_fault(subject):
         raise DatasetError(f"{path}:{line}: expected a subject, found {_name_fault(subject)}")
     return Segment(first, last, kind, subject, fps, split)

@@ -10,7 +10,7 @@ right one through the second, so the phase also gives the side.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -58,10 +58,18 @@ def type_stretches(types: np.ndarray) -> list[tuple[int, int, int]]:
 
 
 @dataclass(frozen=True)
-class _Stretch:
+class PhaseStretch:
+    """What tells whether a type has a phase, of one of its stretches: frames, whether it turns over, its events."""
+
     frames: int
     turns: bool
     events: dict[str, list[Event]]
+
+
+def phase_stretch(features: Array, layout: str) -> PhaseStretch:
+    """Look at a stretch of unnormalised features (T, 276)."""
+    events = find_events(features, feature_layout(layout))
+    return PhaseStretch(len(features), turns_over(features, layout), events)
 
 
 def phase_rules(clips: Iterable[tuple[Array, np.ndarray]], layout: str) -> dict[int, PhaseRule]:
@@ -70,17 +78,16 @@ def phase_rules(clips: Iterable[tuple[Array, np.ndarray]], layout: str) -> dict[
     Args:
         clips: features (T, 276) and type ids (T,) of every clip.
     """
-    stretches: dict[int, list[_Stretch]] = defaultdict(list)
+    stretches: dict[int, list[PhaseStretch]] = defaultdict(list)
     for features, types in clips:
         for start, end, kind in type_stretches(types):
-            shown = features[start:end]
-            events = find_events(shown, feature_layout(layout))
-            stretches[kind].append(_Stretch(end - start, turns_over(shown, layout), events))
-    rules = {kind: _rule(mine) for kind, mine in stretches.items()}
+            stretches[kind].append(phase_stretch(features[start:end], layout))
+    rules = {kind: phase_rule(mine) for kind, mine in stretches.items()}
     return {kind: rule for kind, rule in rules.items() if rule is not None}
 
 
-def _rule(stretches: list[_Stretch]) -> PhaseRule | None:
+def phase_rule(stretches: Sequence[PhaseStretch]) -> PhaseRule | None:
+    """The rule of a type with these stretches; None for types without a phase."""
     frames = [s.frames for s in stretches]
     whole = PhaseRule("", float(np.mean(frames)))
     if 2 * sum(s.turns for s in stretches) > len(stretches):

@@ -19,8 +19,8 @@ from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import detection_windows
 from motionkit.evaluation.judge import GRACE, LIVELY, Judge
 from motionkit.evaluation.paths import PathTrial, follow_trials
-from motionkit.evaluation.real import PROFILE_SECONDS
-from motionkit.evaluation.report import Goal, Section, Table
+from motionkit.evaluation.real import PROFILE_SECONDS, SHORTEST, RealMotion
+from motionkit.evaluation.report import Goal, Section, Table, markdown_table
 from motionkit.evaluation.rolling import Take, commanded_plans, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
@@ -71,7 +71,7 @@ class TypeVerdict:
         """The verdict in one line."""
         if self.works:
             return f"{self.type} works: shown in {self.shown} of {self.rollouts} roll-outs"
-        return f"{self.type}: {'; '.join(self.reasons)}"
+        return f"{self.type} does not work: {'; '.join(self.reasons)}"
 
 
 def quick_verdicts(
@@ -100,14 +100,17 @@ def quick_verdicts(
         kind: _verdict(model, judge, kind, takes[i * size : (i + 1) * size], paths.get(kind))
         for i, kind in enumerate(kinds)
     }
-    return [verdicts.get(kind) or _unlearnt(kind) for kind in model.types if kind in judge.real.types]
+    real = judge.real
+    return [verdicts.get(kind) or _unlearnt(real, kind) for kind in model.types if kind in real.types]
 
 
-def _unlearnt(kind: str) -> TypeVerdict:
-    """The verdict on a type that has no training clips."""
-    return TypeVerdict(
-        kind, 0, 0.0, 0, 0, 0.0, None, WALKS_WITHIN, 0.0, ("there are no clips to learn from",)
-    )
+def _unlearnt(real: RealMotion, kind: str) -> TypeVerdict:
+    """The verdict on a type without training clips, or without one that is long enough."""
+    longest = real.longest.get(kind, 0.0)
+    why = "there are no clips to learn from"
+    if longest:
+        why = f"its clips are too short: at most {longest:.1f} s, and {SHORTEST / real.fps:g} s are needed"
+    return TypeVerdict(kind, 0, 0.0, 0, 0, 0.0, None, WALKS_WITHIN, 0.0, (why,))
 
 
 def types_section(trial: Trial, progress: Callable[[float], None]) -> Section:
@@ -131,7 +134,7 @@ def verdict_section(verdicts: list[TypeVerdict]) -> Section:
     rows = [
         (
             v.type,
-            "works" if v.works else "falls short",
+            "works" if v.works else "does not work",
             f"{v.shown} of {v.rollouts}",
             v.joint_speed,
             v.path,
@@ -152,6 +155,27 @@ def verdict_section(verdicts: list[TypeVerdict]) -> Section:
         Goal(f"{v.type} works", float(v.works), "yes", 1.0, None, "; ".join(v.reasons)) for v in verdicts
     ]
     return Section("types", "Does each type work?", [Table("Types", columns, rows)], goals, notes)
+
+
+def verdict_page(verdicts: list[TypeVerdict], settings: EvaluationSettings) -> str:
+    """The verdicts as Markdown, for someone who has not measured motion before."""
+    section = verdict_section(verdicts)
+    works = sum(verdict.works for verdict in verdicts)
+    lines = [
+        "# Which types work",
+        "",
+        f"{works} of {len(verdicts)} types work.",
+        "",
+        *(f"- {verdict.sentence()}" for verdict in verdicts),
+        "",
+        f"Each type was asked for in {settings.seeds} roll-outs of {settings.accuracy_seconds:g} s, from standing and "
+        "from walking. Gaits also followed a figure-eight.",
+        "",
+        *markdown_table(section.tables[0]),
+        "",
+        *(f"- {note}" for note in section.notes),
+    ]
+    return "\n".join(lines) + "\n"
 
 
 def _verdict(

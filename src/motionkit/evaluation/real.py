@@ -91,12 +91,14 @@ class RealMotion:
         held_out: the split that is held out: "test", or "validation", for which test clips are not read.
         stretches: the recorded stretches.
         training: bodies of the training clips by clip number.
+        longest: seconds of the longest training stretch of each type, short ones included.
     """
 
     def __init__(self, dataset: Dataset, held_out: str = "test") -> None:
         self.types, self.fps, self.held_out = dataset.types, dataset.fps, held_out
         self.stretches: list[Stretch] = []
         self.training: dict[int, Body] = {}
+        self.longest: dict[str, float] = {}
         poses, kinds, clips = [], [], []
         # A mirrored clip whose recording is in the same split adds nothing; where types have one recording, one of the
         # two trains and the other is held out.
@@ -109,6 +111,9 @@ class RealMotion:
             data = dataset.read(clip)
             body = body_of(dataset.motion(clip, data))
             for start, end, kind in type_stretches(data.types):
+                if clip.split == "train":
+                    name, seconds = dataset.types[kind], (end - start) / self.fps
+                    self.longest[name] = max(self.longest.get(name, 0.0), seconds)
                 if end - start >= SHORTEST:
                     part = body.cut(start, end)
                     self.stretches.append(Stretch(dataset.types[kind], number, clip.name, clip.split, part))

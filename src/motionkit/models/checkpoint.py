@@ -39,6 +39,7 @@ from motionkit.models.motion_type import (
 )
 from motionkit.models.tensor_file import TensorFile, open_tensors
 from motionkit.models.weights import NetworkWeights
+from motionkit.names import nfc
 
 FORMAT = "motionkit-model-4"
 MOST_BYTES = 256 * 2**20  # of a model file; the bundled one has 13 MB
@@ -153,13 +154,13 @@ def load_model(path: str | Path) -> MotionModel:
     embedding = PoseEmbedding(arrays["pose_embedding.matrix"], arrays["pose_embedding.offset"])
     return MotionModel(
         NetworkWeights(config, size, weights),
-        {name: _read_type(header, arrays, name, embedding, fps) for name in header["types"]},
+        {nfc(name): _read_type(header, arrays, name, embedding, fps) for name in header["types"]},
         fps,
         Scaling(arrays["scaling.mean"], arrays["scaling.std"]),
         Scaling(arrays["trajectory.mean"], arrays["trajectory.std"]),
         arrays["reference_rotations"],
         embedding,
-        {name: arrays[f"character.{name}"] for name in header["characters"]},
+        {nfc(name): arrays[f"character.{name}"] for name in header["characters"]},
         header["uses_references"],
         header.get("card", {}),
         header.get("own_bodies", False),

@@ -22,6 +22,7 @@ from motionkit.models.config import ModelConfig
 from motionkit.models.parts import partition
 from motionkit.models.weights import part_columns
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.names import nfc
 
 MOST_TYPES, MOST_CHARACTERS, LONGEST_NAME = 1000, 10_000, 200
 MOST_RECORDINGS = 10_000  # start poses or reference clips per type
@@ -96,7 +97,7 @@ def check_names(types: Any, characters: Any) -> None:
                 raise ModelError(
                     f"{what} have {_shown(name)}, expected a printable name of up to {LONGEST_NAME} characters"
                 )
-        if len(set(names)) < len(names):
+        if len({nfc(name) for name in names}) < len(names):
             raise ModelError(f"{what} have a name twice")
     if "default" not in characters:
         raise ModelError("characters lack 'default'")

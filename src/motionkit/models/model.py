@@ -18,6 +18,7 @@ from motionkit.models.architectures import PredictorConfig
 from motionkit.models.motion_type import MotionType, recorded_rhythm, recorded_speeds, recorded_velocity
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
+from motionkit.names import nfc
 
 REFERENCE_CHOICES = ("auto", "none")
 
@@ -145,9 +146,9 @@ class MotionModel:
 
     def character(self, name: str) -> Skeleton:
         """A character's skeleton; raises ControlError for an unknown name."""
-        if name not in self.characters:
+        if nfc(name) not in self.characters:
             raise ControlError(unknown_name("character", name, tuple(self.characters)))
-        return canonical_skeleton(self.characters[name])
+        return canonical_skeleton(self.characters[nfc(name)])
 
     def moved_skeleton(self, name: str) -> Skeleton:
         """The skeleton that the network moves for a character: its own if shows_bodies, else the default one."""

@@ -11,6 +11,7 @@ from motionkit.control.path import MAX_STOP
 from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
 from motionkit.inference.rollout import NOISE_KINDS
+from motionkit.names import nfc
 from motionkit.play.limits import Limits
 from motionkit.play.recording import FORMATS
 
@@ -57,7 +58,7 @@ def _count(value: Any) -> int:
 def _name(value: Any) -> str:
     if not isinstance(value, str) or not 0 < len(value) <= MAX_NAME:
         raise ValueError(f"a name of at most {MAX_NAME} characters")
-    return value
+    return nfc(value)
 
 
 def _flag(value: Any) -> bool:

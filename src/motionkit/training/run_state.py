@@ -15,6 +15,7 @@ from motionkit.errors import ModelError
 from motionkit.files import atomic_write
 from motionkit.models.file_check import TensorFacts, check_shapes, check_values
 from motionkit.models.tensor_file import open_tensors
+from motionkit.training.options import flat_options
 from motionkit.training.window_blocks import BlockStart
 
 FORMAT = "motionkit-run-1"
@@ -51,6 +52,19 @@ def save_run(
     tensors = {n: t.detach().cpu().contiguous().clone() for n, t in tensors.items()}
     with atomic_write(path, "wb") as file:
         file.write(save(tensors, metadata={"run": json.dumps({"format": FORMAT, **facts})}))
+
+
+def run_options(path: Path) -> dict[str, Any]:
+    """The options of the run of a checkpoint, by the names of flat_options; raises ModelError as load_run does."""
+    with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
+        facts = file.metadata
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        raise ModelError(f"{path}: not a training checkpoint of this release")
+    try:
+        _check_facts(facts)
+    except ModelError as error:
+        raise ModelError(f"{path}: the checkpoint is damaged ({error})") from None
+    return flat_options(facts["options"])
 
 
 def load_run(

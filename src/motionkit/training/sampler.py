@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from motionkit.arrays import Array
-from motionkit.data.dataset import ClipData, Dataset
+from motionkit.data.dataset import ClipData, Dataset, no_training_clips
 from motionkit.data.phases import type_stretches
 from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
@@ -109,7 +109,7 @@ class WindowSampler:
         self.dataset, self.options, self.seed, self.kept = dataset, options, seed, kept
         self.clips = dataset.select("train")
         if not self.clips:
-            raise DatasetError(f"{dataset.folder}: no training clips")
+            raise no_training_clips(dataset.folder)
         self.controls = ControlLayout(dataset.types, controls)
         self.reference_map = reference_map(dataset.pose_embedding, dataset.scaling)
         self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]

@@ -349,8 +349,13 @@ class TrainingRun:
         return options.rate * warm * (options.final_rate + (1.0 - options.final_rate) * cosine)
 
     def go(self) -> TrainResult:
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self.output.parent.mkdir(parents=True, exist_ok=True)  # fails now, not after hours
+        for folder in (self.folder, self.output.parent):  # fails now, not after hours
+            try:
+                folder.mkdir(parents=True, exist_ok=True)
+            except OSError as error:
+                raise MotionkitError(
+                    f"{folder}: cannot be written ({error.strerror or error}); choose another --run-folder or -o"
+                ) from None
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
         if self.repeated:
             self._note(f"recordings of {', '.join(self.repeated)} repeated: they are few and short")
@@ -367,16 +372,17 @@ class TrainingRun:
             finished = self.progress() >= 1.0
             if self.rank == 0:
                 self._save_all()
-                if not finished:
-                    self._note("stopped; continue with --resume")
-                elif self._calibrate_and_score():
-                    self._save_model()  # again, with reference gains, and scores in the card
-            if self.world > 1:
-                dist.barrier()  # all processes stopped at the same step
-                dist.destroy_process_group()
         finally:
             for number, handler in previous.items():
                 signal.signal(number, handler)
+        if self.rank == 0:
+            if not finished:
+                self._note("stopped; continue with --resume")
+            elif self._calibrate_and_score():
+                self._save_model()  # again, with reference gains, and scores in the card
+        if self.world > 1:
+            dist.barrier()  # all processes stopped at the same step
+            dist.destroy_process_group()
         return TrainResult(self.output, self.step, self.seconds, finished, self.losses)
 
     def _schedule_notes(self) -> list[str]:

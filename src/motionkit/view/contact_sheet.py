@@ -25,6 +25,7 @@ from motionkit.view.contact_sheet_geometry import (
     screen_points,
     sliding_frames,
 )
+from motionkit.view.lettering import lettered
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -64,7 +65,7 @@ class _Canvas:
     """Lines, dots and text in final pixels, drawn ZOOM times larger."""
 
     def __init__(self, width: int, height: int) -> None:
-        image, image_draw, self._fonts = load_pillow()
+        image, image_draw, _ = load_pillow()
         self.image: Image.Image = image.new("RGB", (width * ZOOM, height * ZOOM), WHITE)
         self._draw = image_draw.Draw(self.image)
 
@@ -86,15 +87,11 @@ class _Canvas:
         self, x: float, y: float, words: str, color: Color = INK, size: float = 12, anchor: str = "la"
     ) -> None:
         """Draw text with its anchor ("la" left top, "ma" middle top, "rm" right middle ...) at (x, y)."""
-        font = default_font(self._fonts, size * ZOOM)
+        words, font = lettered(words, size * ZOOM)
         try:
             self._draw.text((x * ZOOM, y * ZOOM), words, fill=color, font=font, anchor=anchor)
-        except (
-            ValueError,
-            UnicodeError,
-        ):  # Pillow without FreeType has only a small Latin-1 font without anchors
-            plain = words.encode("latin-1", "replace").decode("latin-1")
-            self._draw.text((x * ZOOM, y * ZOOM), plain, fill=color, font=font)
+        except ValueError:  # Pillow without FreeType has only a small font without anchors
+            self._draw.text((x * ZOOM, y * ZOOM), words, fill=color, font=font)
 
     def finished(self) -> Image.Image:
         image, _, _ = load_pillow()
@@ -111,14 +108,6 @@ def load_pillow() -> tuple[Any, Any, Any]:
             'drawing needs Pillow, which is not installed: pip install "motionkit[view]"'
         ) from None
     return Image, ImageDraw, ImageFont
-
-
-def default_font(fonts: Any, size: float) -> Any:
-    """Pillow's own font at a size in pixels, or the only one that Pillow 10.0 has."""
-    try:
-        return fonts.load_default(size)
-    except TypeError:  # Pillow 10.0
-        return fonts.load_default()
 
 
 def pose_frames(frames: int, poses: int = 12, every: int | None = None) -> list[int]:

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionkit.view.contact_sheet import default_font, load_pillow
+from motionkit.view.contact_sheet import load_pillow
 from motionkit.view.figure_data import Shown
+from motionkit.view.lettering import lettered
 from motionkit.view.surface import Array
 
 if TYPE_CHECKING:
@@ -25,13 +26,12 @@ class Labels:
     """A tag for each motion: its name on the colour of its shirt."""
 
     def __init__(self, shown: Sequence[Shown], colors: Sequence[Color], width: int, height: int) -> None:
-        image, image_draw, fonts = load_pillow()
+        image, image_draw, _ = load_pillow()
         size = max(SMALLEST, height // 26)
-        font = default_font(fonts, size)
         most = max(4.0 * size, 0.9 * width / len(shown))
         self.width = width
         self.tags = [
-            _tag(image, image_draw, font, one.name, color, most)
+            _tag(image, image_draw, size, one.name, color, most)
             for one, color in zip(shown, colors, strict=True)
         ]
         self.height = max(tag.height for tag in self.tags) + GAP
@@ -56,9 +56,10 @@ class Labels:
             picture.paste(tag, (round(left), round(top)))
 
 
-def _tag(image: Any, image_draw: Any, font: Any, name: str, color: Color, most: float) -> Image.Image:
+def _tag(image: Any, image_draw: Any, size: int, name: str, color: Color, most: float) -> Image.Image:
     pen = image_draw.Draw(image.new("L", (1, 1)))
-    words, box = _shortened(pen, font, _plain(pen, font, name), most)
+    words, font = lettered(name or "?", size)
+    words, box = _shortened(pen, font, words, most)
     _, line_top, _, line_bottom = _box(pen, font, "Áy")
     tag: Image.Image = image.new(
         "RGB",
@@ -79,16 +80,6 @@ def _shortened(pen: Any, font: Any, name: str, most: float) -> tuple[str, tuple[
             return words, box
         kept -= 1
         words = f"{name[: (kept + 1) // 2]}...{name[len(name) - kept // 2 :]}"
-
-
-def _plain(pen: Any, font: Any, name: str) -> str:
-    """A name on one line, with characters that the font lacks replaced."""
-    name = "".join(letter if letter.isprintable() else "?" for letter in name) or "?"
-    try:
-        _box(pen, font, name)
-    except UnicodeError:  # Pillow without FreeType has only a small Latin-1 font
-        return name.encode("latin-1", "replace").decode("latin-1")
-    return name
 
 
 def _box(pen: Any, font: Any, words: str) -> tuple[float, ...]:

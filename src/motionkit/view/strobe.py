@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from motionkit.files import atomic_write
-from motionkit.view.contact_sheet import default_font, load_pillow
+from motionkit.view.contact_sheet import load_pillow
 from motionkit.view.figure_data import CM, Shown
 from motionkit.view.framing import Camera, frame_at
+from motionkit.view.lettering import lettered
 from motionkit.view.picture import SHIRTS, SKY, ZOOM, Actor, Scenery, grid_step, sunlight
 from motionkit.view.raster import fill_triangles
 from motionkit.view.surface import Array
@@ -90,13 +91,14 @@ class StrobePicture(Scenery):
     def _legend(self, pen: Any) -> None:
         """Write the motion's name, and the types in their colours."""
         x, y = 16, 12
-        large, small = (default_font(self.pillow[2], size) for size in (20, 16))
-        pen.text((x, y), self.shown.name, fill=INK, font=large)
+        name, font = lettered(self.shown.name, 20)
+        pen.text((x, y), name, fill=INK, font=font)
         for kind, actor in self.of_kind.items():
             if kind:
                 pen.rectangle((x, y + 36, x + 12, y + 48), fill=actor.color)
-                pen.text((x + 18, y + 32), kind, fill=INK, font=small)
-                x += 30 + int(pen.textlength(kind, font=small))
+                kind, font = lettered(kind, 16)
+                pen.text((x + 18, y + 32), kind, fill=INK, font=font)
+                x += 30 + int(pen.textlength(kind, font=font))
 
     def _line(self, pen: Any, points: Array, color: tuple[int, int, int]) -> None:
         if len(points) > 1:

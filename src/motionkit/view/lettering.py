@@ -1,0 +1,123 @@
+"""Chooses a font for a text by the letters it has, so that no letter comes out as a box.
+
+Pillow's own font has little more than ASCII. Where a text needs more, it is drawn in the Latin, Greek and Cyrillic
+letters of assets/fonts, else in a font of the system. Letters that none of them has are spelled out.
+"""
+
+from __future__ import annotations
+
+import io
+import unicodedata
+from collections.abc import Iterator
+from functools import lru_cache
+from importlib.resources import files
+from typing import Any
+
+from motionkit.names import nfc
+
+OWN_FONT = "DejaVuSans-letters.ttf"
+# Fonts with the letters of other scripts, which Pillow finds by these names in the folders of Windows, macOS and Linux.
+SYSTEM_FONTS = (
+    "NotoSansCJK-Regular.ttc",
+    "NotoSansCJKjp-Regular.otf",
+    "DroidSansFallbackFull.ttf",
+    "wqy-microhei.ttc",
+    "wqy-zenhei.ttc",
+    "fonts-japanese-gothic.ttf",
+    "Arial Unicode.ttf",
+    "Hiragino Sans GB.ttc",
+    "AppleSDGothicNeo.ttc",
+    "YuGothM.ttc",
+    "msgothic.ttc",
+    "msyh.ttc",
+    "malgun.ttf",
+    "seguisym.ttf",
+    "DejaVuSans.ttf",
+    "FreeSans.ttf",
+)
+_MARKS = frozenset(map(chr, range(0x300, 0x370)))  # above and below letters; those left in NFC are left out
+_NO_LETTER = "\U0010ffff"  # has no glyph in any font: it is drawn as a font draws letters that it lacks
+
+
+@lru_cache(maxsize=1024)
+def lettered(words: str, size: float) -> tuple[str, Any]:
+    """A text on one line as it is to be drawn, and a font for it at a size in pixels.
+
+    Letters that no font has lose their marks, or become their code, such as U+65E5.
+    """
+    words = "".join(letter if letter.isprintable() else "?" for letter in nfc(words))
+    found: list[tuple[int, Any]] = []
+    for font in _fonts(size):
+        lacking = len(_lacking(font, words))
+        if not lacking:
+            return words, font
+        found.append((lacking, font))
+    _, best = min(found, key=lambda each: each[0])
+    return _spelled(words, best), best
+
+
+def _fonts(size: float) -> Iterator[Any]:
+    """Pillow's own font, if it has any size, and others; that of Pillow 10.0 or without FreeType has one size."""
+    from PIL import ImageFont
+
+    own = _default_font(size)
+    scalable = [
+        font for font in (own, _named_font(OWN_FONT, size)) if isinstance(font, ImageFont.FreeTypeFont)
+    ]
+    if not scalable:
+        yield own
+        return
+    yield from scalable
+    yield from filter(None, (_named_font(name, size) for name in SYSTEM_FONTS))
+
+
+@lru_cache(maxsize=64)
+def _default_font(size: float) -> Any:
+    from PIL import ImageFont
+
+    try:
+        return ImageFont.load_default(size)
+    except TypeError:  # Pillow 10.0
+        return ImageFont.load_default()
+
+
+@lru_cache(maxsize=512)
+def _named_font(name: str, size: float) -> Any:
+    """A font by the name of its file; None where there is none, or Pillow has no FreeType."""
+    from PIL import ImageFont
+
+    own = (files("motionkit") / "assets" / "fonts" / name).read_bytes() if name == OWN_FONT else None
+    try:
+        return ImageFont.truetype(name if own is None else io.BytesIO(own), round(size))
+    except (OSError, ImportError):
+        return None
+
+
+def _lacking(font: Any, words: str) -> set[str]:
+    """The letters of a text that a font does not have."""
+    letters = {letter for letter in words if not letter.isspace()}
+    from PIL import ImageFont
+
+    if not isinstance(font, ImageFont.FreeTypeFont):
+        return {letter for letter in letters if ord(letter) > 255}
+    single = font.font_variant(layout_engine=ImageFont.Layout.BASIC)  # no dotted circle under a mark
+    box = _drawn(single, _NO_LETTER)
+    return {letter for letter in letters if letter in _MARKS or _drawn(single, letter) == box}
+
+
+def _drawn(font: Any, letter: str) -> tuple[Any, bytes]:
+    mask = font.getmask(letter)
+    return mask.size, bytes(mask)
+
+
+def _spelled(words: str, font: Any) -> str:
+    lacking, out = _lacking(font, words), ""
+    for letter in words:
+        plain = "".join(c for c in unicodedata.normalize("NFKD", letter) if not unicodedata.combining(c))
+        if letter not in lacking:
+            out += letter
+        elif _lacking(font, plain):
+            out += f" U+{ord(letter):04X} "
+        else:
+            out += plain
+    return " ".join(out.split()) or "?"
