@@ -13,10 +13,8 @@ from motionkit.evaluation.trial import Trial
 from motionkit.metrics.ground import STANDING_TOE, TOES, foot_positions, ground_speed
 
 PART_SECONDS = 2.0
-LOW, FAST = (
-    1.5,
-    15.0,
-)  # a toe slides that is less than so many cm above a standing one and moves faster, in cm/s
+# A toe slides that is less than so many cm above a standing one and moves faster than so many cm/s.
+LOW, FAST = 1.5, 15.0
 
 
 def sliding_toes(body: Body) -> tuple[int, int]:

@@ -125,8 +125,7 @@ class FootLock:
         shown = place + self.shift
         self.anchor = np.where(caught[..., None], shown, self.anchor + speed * (place - self.toes))
         self.released = np.where(let_go[..., None], self.shift, self.released)
-        frames = np.where(self.step > 0.0, np.float32(LOCK.step_frames), np.float32(LOCK.ease_frames))
-        rest = np.clip(1.0 - (self.age + 1.0) / frames, 0.0, 1.0)[..., None]
+        rest = np.clip(1.0 - (self.age + 1.0) / _release_frames(self.step), 0.0, 1.0)[..., None]
         share = rest * rest * (3.0 - 2.0 * rest)
         self.shift = np.where(self.locked[..., None], self.anchor - place, self.released * share)
         steps = np.where(known[:, None], length(place - self.toes), np.float32(0.0))
@@ -143,8 +142,7 @@ class FootLock:
     ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
         """Whether left (0) or right (1) feet, with toes at places (N, 2), are caught and let go in this frame."""
         locked, age, step = self.locked[:, foot], self.age[:, foot], self.step[:, foot]
-        frames = np.where(step > 0.0, np.float32(LOCK.step_frames), np.float32(LOCK.ease_frames))
-        eased = (age >= frames) | (self.released[:, foot] == 0.0).all(axis=-1)
+        eased = (age >= _release_frames(step)) | (self.released[:, foot] == 0.0).all(axis=-1)
         far, limit = length(self.anchor[:, foot] - place), LOCK.max_slide * scale
         waits = (self.step[:, 1 - foot] > 0.0) & (far <= LOCK.max_wait * limit)
         slid = locked & (far > limit) & ~waits
@@ -178,3 +176,8 @@ class FootLock:
         below = np.sqrt(np.maximum(allowed * allowed - aside, 0.0))
         need = np.clip(-reach[..., 1] - below, 0.0, LOCK.max_drop * scale[:, None]).max(axis=-1)
         self.drop = np.maximum(need, LOCK.hip_return * self.drop)
+
+
+def _release_frames(step: Floats) -> Floats:
+    """Frames in which feet that were let go join the predicted ones again, by how high their steps rise, 0 for none."""
+    return np.where(step > 0.0, np.float32(LOCK.step_frames), np.float32(LOCK.ease_frames))

@@ -32,6 +32,8 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_normalize, quat_to_matrix
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
+Span = tuple[int, int]  # first frame, and the frame after the last
+
 # Frames at 60 fps, as those of LOCK; motions of other rates have as many frames in the same time.
 MIN_LOCK_FRAMES = 4
 # How far feet hold the root is averaged over as many frames to both sides: it trembles as they do.
@@ -43,9 +45,6 @@ RISE_FRAMES = 10  # a body is raised so many frames early for a hand that would 
 RATE = 60.0
 # Joints that the floor keeps up by raising all of the body; feet are moved by themselves.
 ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
-
-
-Span = tuple[int, int]  # first frame, and the frame after the last
 
 
 def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Motion:
@@ -109,7 +108,7 @@ def _frames(count: float, fps: float) -> int:
     return max(1, round(count * fps / RATE))
 
 
-def locked_spans(contacts: Array, fps: float = RATE) -> list[tuple[int, int]]:
+def locked_spans(contacts: Array, fps: float = RATE) -> list[Span]:
     """Spans (start, end) of frames in contact, from probabilities (T, n) of parts of a foot."""
     level = contacts.max(axis=-1).tolist()
     spans, start = [], None
@@ -197,7 +196,7 @@ def _raised_steps(place: Array, steps: list[Span], whole: int) -> Array:
     return out
 
 
-def _faded(shifts: list[Array], spans: list[tuple[int, int]], shape: tuple[int, int], ease: int) -> Array:
+def _faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease: int) -> Array:
     """Shifts (n, k) given for some spans as shifts of all frames, of shape (T, k); they fade out in `ease` frames.
 
     Frames between two near spans blend both; within a span only that one has weight.

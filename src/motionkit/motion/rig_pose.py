@@ -28,9 +28,8 @@ from motionkit.motion.rotations import quat_angle, quat_between, quat_inverse, q
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
 
 _BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
-_OPPOSED = (
-    -0.5
-)  # mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged
+# Mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged.
+_OPPOSED = -0.5
 _STRAIGHT = 0.8  # share of the legs' length by which feet are below the hips of a standing body
 _SAMPLES = 32  # recorded poses that show the shape of a rig
 

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from motionkit.errors import ModelError
 from motionkit.files import atomic_write
 from motionkit.models.file_check import TensorFacts, check_shapes, check_values
-from motionkit.models.tensor_file import open_tensors
+from motionkit.models.tensor_file import TensorFile, open_tensors
 from motionkit.training.options import flat_options
 from motionkit.training.window_blocks import BlockStart
 
@@ -57,14 +57,20 @@ def save_run(
 def run_options(path: Path) -> dict[str, Any]:
     """The options of the run of a checkpoint, by the names of flat_options; raises ModelError as load_run does."""
     with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
-        facts = file.metadata
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise ModelError(f"{path}: not a training checkpoint of this release")
+        facts = _facts_of(path, file)
     try:
         _check_facts(facts)
     except ModelError as error:
         raise ModelError(f"{path}: the checkpoint is damaged ({error})") from None
     return flat_options(facts["options"])
+
+
+def _facts_of(path: Path, file: TensorFile) -> dict[str, Any]:
+    """The facts of an open checkpoint, not checked further; raises ModelError if it is none of this release."""
+    facts = file.metadata
+    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+        raise ModelError(f"{path}: not a training checkpoint of this release")
+    return facts
 
 
 def load_run(
@@ -76,9 +82,7 @@ def load_run(
         ModelError: if the file is damaged or does not fit.
     """
     with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
-        facts = file.metadata
-        if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-            raise ModelError(f"{path}: not a training checkpoint of this release")
+        facts = _facts_of(path, file)
         try:
             _check_facts(facts)
             _check_fit(file.found, module, average, "block" in facts)
