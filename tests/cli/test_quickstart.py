@@ -111,6 +111,18 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
     assert motionkit(*words[:-1], "--add", "--resume").code == 2, "begun without --add"
 
 
+@pytest.mark.usefixtures("brief")
+def test_changed_clips_are_told(motionkit, clips: Path) -> None:
+    words = ("quickstart", "mine", "--steps", 1, "--device", "cpu")
+    assert motionkit(*words).code == 0
+    assert "newer" not in motionkit(*words, "--resume").err
+    changed = sorted(clips.glob("*.bvh"))[0]
+    later = changed.stat().st_mtime + 3600
+    os.utime(changed, (later, later))
+    said = motionkit(*words, "--resume")
+    assert said.code == 0 and f"{changed.name} is newer than" in said.err
+
+
 @pytest.fixture
 def old_results(clips: Path, tmp_path: Path) -> set[Path]:
     """What an earlier quickstart has left."""

@@ -199,6 +199,16 @@ def test_drifting_trajectories_are_too_long_or_too_short(dataset: Dataset) -> No
     assert 0.05 < np.std(factors) < 0.5
 
 
+def test_only_windows_that_go_straight_drift(dataset: Dataset) -> None:
+    windows = sampler(dataset, trajectory_drift=0.2)
+    trajectory, way = np.ones((30, 24), np.float32), np.zeros((31, 3), np.float32)
+    way[:, 0] = np.arange(31)
+    random = torch.Generator().manual_seed(1)
+    assert not np.array_equal(windows._drifted(trajectory, way, random), trajectory)
+    way[16:, 0] = way[15::-1, 0][:15]  # there and back
+    assert np.array_equal(windows._drifted(trajectory, way, random), trajectory)
+
+
 def test_a_sampler_changes_its_options_but_not_its_splices(dataset: Dataset) -> None:
     sampler = WindowSampler(dataset, SamplerOptions(window=24, splices=3, balance=0.0))
     sampler.make_splices()

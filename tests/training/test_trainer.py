@@ -326,6 +326,16 @@ def test_resuming_with_other_settings_is_refused(dataset_folder: Path, tmp_path:
         train(dataset_folder, path, tiny_options(steps=2, window=48), resume=True, device="cpu")
 
 
+def test_resuming_with_other_clips_is_refused(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+    path = tmp_path / "m.safetensors"
+    train(dataset_folder, path, tiny_options(steps=1), device="cpu")
+    fewer = Dataset(dataset_folder)
+    fewer.clips = fewer.clips[1:]
+    with pytest.raises(DatasetError, match="other training clips"):
+        train(fewer, path, tiny_options(steps=2), resume=True, device="cpu")
+    assert train(dataset_folder, path, tiny_options(steps=2), resume=True, device="cpu").steps == 2
+
+
 def test_no_checkpoint_to_resume_from(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
     with pytest.raises(DatasetError, match="no checkpoint to resume from"):
         train(dataset_folder, tmp_path / "m.safetensors", tiny_options(), resume=True, device="cpu")

@@ -22,6 +22,7 @@ from motionkit.cli.common import (
     stages_on,
 )
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
+from motionkit.files import files_below
 
 if TYPE_CHECKING:
     from motionkit.data.dataset import Dataset
@@ -109,7 +110,9 @@ def command(
     going_on = "--force" if force else "--resume"
     try:
         dataset = _made_dataset(target) if resume else None
-        if dataset is None:
+        if dataset is not None:
+            _tell_changed(data, target)
+        else:
             _look(data)
             if not resume:
                 _clear(target)
@@ -165,6 +168,19 @@ def _made_dataset(target: Path) -> Dataset | None:
         return Dataset(target / DATASET)
     except DatasetError:
         return None
+
+
+def _tell_changed(data: Path, target: Path) -> None:
+    """Remark on files that are newer than the dataset, which is left as it is."""
+    from motionkit.data.folder import MANIFEST
+
+    made = (target / DATASET / MANIFEST).stat().st_mtime
+    newer = [path for path in files_below(data, ".bvh") if path.stat().st_mtime > made]
+    if newer:
+        more = f" and {len(newer) - 1} more are" if len(newer) > 1 else " is"
+        remark(
+            f"{newer[0]}{more} newer than {target / DATASET}, which goes on without them; --force begins anew"
+        )
 
 
 def _whole_model(path: Path, options: TrainOptions) -> MotionModel | None:

@@ -10,6 +10,8 @@ phases.npy      (N,) float32: phase of a flip, strike or jump (data/phases.py), 
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -266,6 +268,18 @@ class Dataset:
     def select(self, split: str) -> list[Clip]:
         """The clips of a split, "train", "validation" or "test"."""
         return [clip for clip in self.clips if clip.split == split]
+
+    def training_digest(self) -> str:
+        """A digest of what a run sees: the types, the scalings, and the ways and types of the training clips."""
+        names = ("feature_scaling", "trajectory_scaling")
+        facts = [self.types, self.layout.version, {name: self.manifest[name] for name in names}]
+        digest = hashlib.sha256(json.dumps(facts).encode())
+        for clip in self.select("train"):
+            rows = slice(clip.start, clip.start + clip.frames)
+            digest.update(json.dumps([clip.frames, clip.body, clip.mirrored]).encode())
+            for name in ("ground", "types"):
+                digest.update(np.ascontiguousarray(self._arrays[name][rows]).tobytes())
+        return digest.hexdigest()
 
     def clip_types(self, clip: Clip) -> Array:
         """Type ids (T,) of a clip without reading its features."""

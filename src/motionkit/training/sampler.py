@@ -37,6 +37,7 @@ from motionkit.training.losses import Batch
 GAP_FRAMES = 30  # of the shortest gap in reference poses; the longest is twice as long
 LEAST_CUT = 60  # frames of the shortest cut window, of clips that have as many
 MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
+STRAIGHT = 0.95  # of its way, that a window gets on by: it goes straight
 
 
 @dataclass(frozen=True)
@@ -45,7 +46,8 @@ class ControlSampling:
 
     trajectory_dropout: float = 0.5  # share of windows without a trajectory
     # Standard deviation of a factor on the length of a window's trajectory. A network that is fed its own trajectory,
-    # and has only seen true ones, hands on whatever speed it is given, a little higher every time.
+    # and has only seen true ones, hands on whatever speed it is given, a little higher every time. Only windows that go
+    # straight have it: a gait keeps its speed, but the way of a dance is where its next step shows.
     trajectory_drift: float = 0.0
     # Share of windows without reference poses; before and after a change of type it is sampled separately.
     reference_dropout: float = 0.5
@@ -267,7 +269,7 @@ class WindowSampler:
         inputs = x[:frames] + noise * options.noise
         asked = Controls(
             weights,
-            self._drifted(trajectory[:frames], generator),
+            self._drifted(trajectory[:frames], data.ground[: frames + 1], generator),
             np.full(frames, float(u >= options.controls.trajectory_dropout), np.float32),
             data.phases[:frames],
             data.reference[:frames],
@@ -294,13 +296,20 @@ class WindowSampler:
         padded["offsets"] = self.dataset.bodies[body]
         return padded
 
-    def _drifted(self, trajectory: Array, generator: torch.Generator) -> Array:
-        """Trajectories (T, 24) of a window, longer or shorter by one factor where the options ask for it."""
+    def _drifted(self, trajectory: Array, ground: Array, generator: torch.Generator) -> Array:
+        """Trajectories (T, 24) of a window, longer or shorter by one factor where the options ask for it.
+
+        Args:
+            ground: (T + 1, 3) root x, z (cm) and heading (radians).
+        """
         drift = self.options.controls.trajectory_drift
         if drift == 0.0:
             return trajectory
+        change = drift * float(torch.randn((), generator=generator))
+        if not _straight(ground):
+            return trajectory
         factor = np.ones(TRAJECTORY_COUNT, np.float32)
-        factor[: 2 * len(TRAJECTORY_OFFSETS)] += drift * float(torch.randn((), generator=generator))
+        factor[: 2 * len(TRAJECTORY_OFFSETS)] += change
         return trajectory * factor
 
     def _with_reference(self, types: Array, generator: torch.Generator) -> Array:
@@ -314,6 +323,12 @@ class WindowSampler:
             first = int(begins * len(types))
             gain[first : first + GAP_FRAMES + int(frames * GAP_FRAMES)] = 0.0
         return gain
+
+
+def _straight(ground: Array) -> bool:
+    """Whether a way (T, 3) of root x, z (cm) and heading gets on by nearly all of its length."""
+    steps = np.diff(ground[:, :2], axis=0)
+    return bool(np.linalg.norm(steps.sum(axis=0)) >= STRAIGHT * np.linalg.norm(steps, axis=1).sum())
 
 
 def _pad(values: Array, frames: int) -> Array:

@@ -260,6 +260,7 @@ class TrainingRun:
                 f"{dataset.folder}: layout {dataset.layout.version}, but preset {options.preset} needs "
                 f"{config.layout}: run preprocess with --layout {config.layout}"
             )
+        self.digest = dataset.training_digest()
         begun_from = None if options.init is None else open_model(options.init)
         self.kept: dict[str, MotionType] = {}
         self.repeated: tuple[str, ...] = ()
@@ -312,7 +313,7 @@ class TrainingRun:
         return self.folder / "checkpoint.safetensors"
 
     def resume(self) -> None:
-        """Load the checkpoint. Its options must equal those of this run, except FREE_ON_RESUME."""
+        """Load the checkpoint. Its options and clips must equal those of this run, except FREE_ON_RESUME."""
         if not self.checkpoint.is_file():
             raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
         facts, block = load_run(self.checkpoint, self.module, self.average, self.optimizer)
@@ -323,6 +324,11 @@ class TrainingRun:
             words = ", ".join(f"{name} {before[name]!r:.60} (now {now[name]!r:.60})" for name in changed)
             raise ModelError(
                 f"{self.checkpoint}: the run was started with {words}; resume it with the same options"
+            )
+        if facts.get("data", self.digest) != self.digest:  # earlier releases have not written it
+            raise DatasetError(
+                f"{self.checkpoint}: the run was started with other training clips than those of "
+                f"{self.dataset.folder}; resume it with the same, or delete {self.folder} and start anew"
             )
         self.step, self.seconds = int(facts["step"]), float(facts["seconds"])
         self._block = block
@@ -525,7 +531,12 @@ class TrainingRun:
         return True
 
     def _save_checkpoint(self) -> None:
-        facts = {"step": self.step, "seconds": self.seconds, "options": self.options.to_dict()}
+        facts = {
+            "step": self.step,
+            "seconds": self.seconds,
+            "options": self.options.to_dict(),
+            "data": self.digest,
+        }
         save_run(self.checkpoint, self.module, self.average, self.optimizer, facts, self.blocks.unfinished)
         self._emit("checkpoint")
 
