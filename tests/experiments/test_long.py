@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
+from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments.long_rollouts import (
     INITIAL,
@@ -16,6 +17,7 @@ from motionkit.experiments.long_rollouts import (
     _distances,
     _swing,
     beginning,
+    fastest_recorded,
     long_rollout,
     long_row,
     long_types,
@@ -99,6 +101,24 @@ def test_distances_are_those_to_the_nearest_pose() -> None:
     moved = library[:1].copy()
     moved[0, :3] += np.array([3.0, 0.0, 0.0], np.float32)
     assert _distances(moved, library)[0] == pytest.approx(3.0 / 23**0.5, rel=1e-3)
+
+
+def test_the_fastest_frames_of_a_type_are_those_in_a_row(paper_data: Dataset) -> None:
+    """By hand: the fastest 30 frames are faster than whole stretches, and all frames are the stretches as they are."""
+    kind = a_tested_type(paper_data)
+    number = paper_data.types.index(kind)
+    ways = []
+    for clip in paper_data.select("train"):
+        data = paper_data.read(clip)
+        for start, end, shown in type_stretches(data.types):
+            if shown == number and end - start >= paper_data.fps:
+                ways.append(
+                    np.linalg.norm(np.diff(data.ground[start:end, :2], axis=0), axis=1) * paper_data.fps
+                )
+    short = max(way[i : i + 29].mean() for way in ways for i in range(len(way) - 28))
+    assert fastest_recorded(paper_data, kind, 30) == pytest.approx(short, rel=1e-3)
+    whole = max(way.mean() for way in ways)
+    assert fastest_recorded(paper_data, kind, 10**6) == pytest.approx(whole, rel=1e-3) and whole < short
 
 
 def test_trembling_is_no_swing() -> None:

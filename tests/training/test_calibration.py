@@ -1,4 +1,4 @@
-"""Reference gains, found by how roll-outs move."""
+"""Reference gains and noise, found by how roll-outs move."""
 
 from __future__ import annotations
 
@@ -11,17 +11,19 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
-from motionkit.models.checkpoint import load_model
+from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.model import MotionModel
 from motionkit.training import calibration
 from motionkit.training.calibration import (
     GAINS,
     Manner,
     calibrated_gains,
+    calibrated_noise,
     made_manners,
     manner_of,
     recorded_manners,
     with_gains,
+    with_noise,
 )
 from motionkit.training.trainer import train
 from synthetic_motions import make_walk
@@ -109,6 +111,50 @@ def test_roll_outs_depend_on_the_gain(tiny_model: MotionModel, dataset: Dataset)
 
 def test_a_model_without_references_has_nothing_to_find(tiny_model: MotionModel, dataset: Dataset) -> None:
     assert calibrated_gains(tiny_model.with_reference("none"), dataset, 10) == {}
+
+
+def moved_by_noise(model: MotionModel) -> MotionModel:
+    """The model with a type that no velocity steers and no phase moves."""
+    walking = model.types["walking"]
+    assert walking.gait is not None and walking.gait.cycle_seconds == 0.0
+    return model.with_types({"walking": {"steered": False}})
+
+
+def test_types_that_noise_alone_moves_get_as_much_as_moves_them_as_recorded(
+    tiny_model: MotionModel, dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Roll-outs whose speed is the recorded one times their noise, without references."""
+    model = moved_by_noise(tiny_model)
+    recorded = recorded_manners(dataset, ["walking"])["walking"]
+
+    def made(alone: MotionModel, moved: list[str], frames: int, repeats: int) -> dict[str, Manner]:
+        assert not alone.uses_references and moved == ["walking"]
+        noise = alone.types["walking"].preset.noise_scale
+        return {"walking": replace(recorded, speed=noise / 1.2 * recorded.speed)}
+
+    monkeypatch.setattr(calibration, "made_manners", made)
+    assert calibrated_noise(model, dataset, 10) == {"walking": 1.2}
+    assert calibrated_noise(model.with_reference("none"), dataset, 10) == {}
+
+
+def test_noise_of_its_own_is_for_roll_outs_without_references(
+    tiny_model: MotionModel, tmp_path: Path
+) -> None:
+    model = with_noise(tiny_model, {"cartwheel": 1.3})
+    save_model(tmp_path / "m.safetensors", model)
+    read = load_model(tmp_path / "m.safetensors")
+    for kind, scale in (("cartwheel", 1.3), ("walking", read.types["walking"].preset.noise_scale)):
+        assert read.types[kind].preset.noise_scale == tiny_model.types[kind].preset.noise_scale
+        assert read.with_reference("none").types[kind].preset.noise_scale == scale
+    assert read.types["walking"].preset.noise_alone is None
+
+
+def test_training_ends_with_the_noise_in_the_file(
+    dataset_folder: Path, tmp_path: Path, tiny_options: Callable, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("motionkit.training.trainer.calibrated_noise", lambda *_: {"cartwheel": 1.21})
+    train(dataset_folder, tmp_path / "m.safetensors", tiny_options(steps=1, score_seconds=0.1), device="cpu")
+    assert load_model(tmp_path / "m.safetensors").types["cartwheel"].preset.noise_alone == 1.21
 
 
 def test_training_ends_with_the_gains_in_the_file(

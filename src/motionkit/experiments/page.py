@@ -98,9 +98,10 @@ network's own prediction, fed back, and frames are drawn at full sigma. Each rol
 distance of its poses to the nearest pose in the training clips of the type (root mean square over joints, in the
 heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
 those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
-recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest training
-clip of its type. `motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset tptn-paper
---budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all types; tptn-paper-26500 is such a run on
+recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five
+seconds of its type in the training clips (before, than the fastest clip as a whole, which a fifth of the recorded
+salsa does not keep to). `motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset
+tptn-paper --budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all types; tptn-paper-26500 is such a run on
 one core, stopped after 26,496 steps and 100 minutes. It hands on whatever speed it is fed, a little higher every time,
 so that a walk becomes a run. tptn-paper-33500 goes on from it for 7,000 steps (2,500 at a rate of 1e-4, 4,500 at 2e-4)
 with `--trajectory-drift 0.15`: the trajectory that a window is given is too long or too short by one factor, and only

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
@@ -87,15 +87,18 @@ def save_model(path: str | Path, model: MotionModel, half: bool = False) -> None
         "steered": [name for name, kind in types.items() if kind.steered],
         "uses_references": model.uses_references,
         **({"own_bodies": True} if model.own_bodies else {}),
-        **{
-            field: {name: getattr(kind.preset, field) for name, kind in types.items()}
-            for field in PRESET_FIELDS
-        },
+        **{field: _presets(types, field) for field in PRESET_FIELDS},
         "card": _plain(model.card),
     }
     data = save(model_arrays(model, half), metadata={"motionkit": json.dumps(header)})
     with atomic_write(path, "wb") as file:
         file.write(data)
+
+
+def _presets(types: Mapping[str, MotionType], field: str) -> dict[str, float]:
+    """One field of the sampling presets, of the types that have it."""
+    values = {name: getattr(kind.preset, field) for name, kind in types.items()}
+    return {name: value for name, value in values.items() if value is not None}
 
 
 def _plain(value: Any) -> Any:

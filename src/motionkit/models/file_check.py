@@ -71,6 +71,7 @@ def check_header(header: dict[str, Any]) -> None:
     for key, low, high in (
         ("reference_gain", *REFERENCE_GAINS),
         ("noise_scale", *REFERENCE_GAINS),
+        ("noise_alone", *REFERENCE_GAINS),
         ("velocity_blend", 0.0, 1.0),
         ("slip_correction", 0.0, 1.0),
     ):

@@ -124,7 +124,8 @@ class MotionModel:
         """The model as it is ("auto"), or without its reference recordings ("none").
 
         Without them no poses, phases or ground paths of a recording are played. Performances and strikes keep
-        their length and jumps their rhythm, by which their phase is counted; gaits and jumps their usual velocity.
+        their length and jumps their rhythm, by which their phase is counted; gaits and jumps their usual velocity;
+        types with neither are drawn with noise enough to move as recorded.
 
         Raises:
             ControlError: for another choice.
@@ -137,6 +138,7 @@ class MotionModel:
         for name, kind in self.types.items():
             rhythm = None if kind.performed else recorded_rhythm(kind.reference_clips)
             changes[name] = {"reference_clips": (), "rhythm": rhythm, "speeds": self.speed_range(name)}
+            changes[name]["preset"] = kind.preset.without_references
             if rhythm is not None or (kind.steered and not kind.stands):
                 changes[name]["velocity"] = recorded_velocity(kind.reference_clips, self.fps)
             if kind.gait is not None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -61,12 +61,20 @@ class SamplingPreset:
             follow references recorded on another trajectory slide most; gaits with much of it change speed slowly.
         noise_scale: factor on the sampling temperature. A standing body needs noise to sway; a body that a reference
             moves only shakes.
+        noise_alone: the same without reference recordings, where a type has nothing else that keeps it moving: no
+            trajectory, as gaits have, and no phase. None is noise_scale.
     """
 
     reference_gain: float = 1.0
     velocity_blend: float = 0.0
     slip_correction: float = 0.0
     noise_scale: float = 1.0
+    noise_alone: float | None = None
+
+    @property
+    def without_references(self) -> SamplingPreset:
+        """The preset without reference recordings."""
+        return self if self.noise_alone is None else replace(self, noise_scale=self.noise_alone)
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,6 +213,12 @@ class MotionType:
     def has_phase(self) -> bool:
         """Whether the type is a performance, or made of strikes or jumps."""
         return any(bool((clip.phases >= 0.0).any()) for clip in self.reference_clips)
+
+    @property
+    def moves_by_noise(self) -> bool:
+        """Whether nothing but noise keeps a type moving whose recordings have been left out."""
+        phase = self.rhythm is not None or (self.gait is not None and self.gait.cycle_seconds > 0.0)
+        return not (self.reference_clips or self.steered or phase)
 
     def phase_seconds(self, fps: float) -> float:
         """Length in seconds of its first performance, or of its usual strike or jump; 0 without a phase."""

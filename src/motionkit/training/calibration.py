@@ -1,7 +1,11 @@
-"""Reference gains from roll-outs: how much of a reference pose a type needs to be shown to move as recorded.
+"""Sampling presets from roll-outs: what a type needs to move as recorded.
 
-A network falls short of the movements it is shown, in some types more than in others, and more after a short training
-than after a long one. A gain makes up for it; more of it than needed makes the motion jerk and lifts the feet.
+Reference gains: a network falls short of the movements it is shown, in some types more than in others, and more after a
+short training than after a long one. A gain makes up for it; more of it than needed makes the motion jerk and lifts the
+feet.
+
+Noise without references: a dance has neither a trajectory nor a phase to keep it moving. Drawn with too little noise it
+comes to rest in its mean pose, with too much it shakes.
 """
 
 from __future__ import annotations
@@ -26,6 +30,8 @@ from motionkit.motion.skeleton import JOINT_COUNT
 
 # That are tried. With less than its poses a type that a network shakes through shakes less and stands more firmly.
 GAINS = (0.5, 0.7, 1.0, 1.5, 2.0, 2.5)
+# Factors on the sampling temperature that are tried without references. What noise moves grows much faster than it.
+NOISES = (0.2, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5)
 SEED, REPEATS = 500, 8  # of the validation split
 TOGETHER = 128  # roll-outs that are made at once
 # Seconds in which a roll-out, which stands or walks first, is on its way to its type: one that is begun from its own
@@ -34,6 +40,7 @@ CHANGE = 1.0
 LEAST_FRAMES = 8  # of a recorded stretch that counts
 JERK = 1.2  # times the recorded jerk costs nothing: a network shakes a little at any gain
 JERK_WEIGHT = 0.25
+JERK_OF_NOISE = 1.0  # its weight where noise makes it
 SELDOM = 0.05  # share of time that hardly counts beside more
 # Share of time beyond the recorded in which hovering costs nothing, as in the scoreboard's target.
 HOVERING = 0.02
@@ -52,11 +59,11 @@ class Manner:
     planted: float
     hovering: float
 
-    def cost(self, recorded: Manner) -> float:
+    def cost(self, recorded: Manner, jerk_weight: float = JERK_WEIGHT) -> float:
         """How far it is from a recorded one: in speed, planted time, more hovering than HOVERING, more jerk than JERK.
 
-        All count by the logarithms of their ratios. Jerk counts little, since recordings that have been smoothed have
-        hardly any.
+        All count by the logarithms of their ratios. Jerk counts little by default, since recordings that have been
+        smoothed have hardly any.
         """
         faster, shakier = (
             math.log(max(made, 1e-3) / max(real, 1e-3))
@@ -69,7 +76,7 @@ class Manner:
                 (self.hovering, recorded.hovering + HOVERING),
             )
         )
-        shaking = JERK_WEIGHT * max(0.0, shakier - math.log(JERK))
+        shaking = jerk_weight * max(0.0, shakier - math.log(JERK))
         return abs(faster) + abs(longer) + max(0.0, higher) + shaking
 
 
@@ -97,9 +104,45 @@ def calibrated_gains(
     return {kind: _cheapest(gains, found) for kind, found in costs.items()}
 
 
+def calibrated_noise(
+    model: MotionModel,
+    dataset: Dataset,
+    frames: int,
+    repeats: int = REPEATS,
+    noises: Sequence[float] = NOISES,
+) -> dict[str, float]:
+    """Return the noise of each type that moves by it alone without references, by the manner of such roll-outs.
+
+    Args:
+        dataset: has the recordings; types without any are left out.
+        frames: length of each roll-out.
+        repeats: roll-outs of each type, with successive seeds.
+    """
+    if not model.uses_references:
+        return {}
+    alone = model.with_reference("none")
+    moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
+    real = recorded_manners(dataset, moved)
+    costs: dict[str, list[float]] = {kind: [] for kind in real}
+    for noise in noises:
+        tried = _with_presets(alone, {kind: {"noise_scale": noise} for kind in real})
+        for kind, manner in made_manners(tried, list(real), frames, repeats).items():
+            costs[kind].append(manner.cost(real[kind], JERK_OF_NOISE))
+    return {kind: noises[int(np.argmin(found))] for kind, found in costs.items()}
+
+
 def with_gains(model: MotionModel, gains: Mapping[str, float]) -> MotionModel:
     """Return the model with other reference gains of some types."""
-    presets = {kind: replace(model.types[kind].preset, reference_gain=gain) for kind, gain in gains.items()}
+    return _with_presets(model, {kind: {"reference_gain": gain} for kind, gain in gains.items()})
+
+
+def with_noise(model: MotionModel, noises: Mapping[str, float]) -> MotionModel:
+    """Return the model with another noise of some types without references."""
+    return _with_presets(model, {kind: {"noise_alone": noise} for kind, noise in noises.items()})
+
+
+def _with_presets(model: MotionModel, changes: Mapping[str, Mapping[str, float]]) -> MotionModel:
+    presets = {kind: replace(model.types[kind].preset, **values) for kind, values in changes.items()}
     return model.with_types({kind: {"preset": preset} for kind, preset in presets.items()})
 
 

@@ -34,7 +34,7 @@ from motionkit.models.network import PartTransformer, parameter_count
 from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
-from motionkit.training.calibration import calibrated_gains, with_gains
+from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_gains, with_noise
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
 from motionkit.training.options import OptimizerOptions, TrainOptions, flat_options
 from motionkit.training.rehearsal import keep_types
@@ -294,7 +294,9 @@ class TrainingRun:
         self.step, self.seconds = 0, 0.0
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
-        self.gains: dict[str, float] = {}  # reference gains, found at the end
+        # Reference gains, and noise without references, found at the end.
+        self.gains: dict[str, float] = {}
+        self.noises: dict[str, float] = {}
         kept, controls = tuple(self.kept), config.controls
         self.sampler = WindowSampler(dataset, options.sampler, options.seed, kept, controls)
         share = batch // self.world
@@ -561,18 +563,20 @@ class TrainingRun:
             self.options.sampler.controls.reference_dropout < 1.0 and network.config.controls == "extended"
         )
         model = bundle_model(network.weights(), self.dataset, card, references, self.kept)
-        return with_gains(model, self.gains)
+        return with_noise(with_gains(model, self.gains), self.noises)
 
     def _calibrate_and_score(self) -> bool:
-        """Find the reference gains and score roll-outs, if the options ask for scores; say whether either worked."""
+        """Find the sampling presets and score roll-outs, if the options ask for scores; say whether either worked."""
         frames = int(self.options.output.score_seconds * self.dataset.fps)
-        calibrated = frames > 0 and self._attempt("the reference gains", lambda: self._calibrate(frames))
+        calibrated = frames > 0 and self._attempt("the sampling presets", lambda: self._calibrate(frames))
         return self._score() or calibrated
 
     def _calibrate(self, frames: int) -> None:
         # There are many of these roll-outs: half the length of those that are scored will do.
         gains = calibrated_gains(self.model(), self.dataset, frames // 2)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in self.kept}
+        noises = calibrated_noise(self.model(), self.dataset, frames // 2)
+        self.noises = {kind: noise for kind, noise in noises.items() if kind not in self.kept}
 
     def _score(self) -> bool:
         """Score roll-outs and write samples, if the options ask for it, and return whether that worked."""
