@@ -101,13 +101,13 @@ those of the held-out recording. It holds where no part is {apart:g} times as fa
 recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five
 seconds of its type in the training clips (before, than the fastest clip as a whole, which a fifth of the recorded
 salsa does not keep to). `motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset
-tptn-paper --budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all types; tptn-paper-26500 is such a run on
-one core, stopped after 26,496 steps and 100 minutes. It hands on whatever speed it is fed, a little higher every time,
-so that a walk becomes a run. tptn-paper-33500 goes on from it for 7,000 steps (2,500 at a rate of 1e-4, 4,500 at 2e-4)
-with `--trajectory-drift 0.15`: the trajectory that a window is given is too long or too short by one factor, and only
-its frames say how fast the body goes. The paper has noise on the frames and says nothing of its control signals
-(section 4.3). The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
-tptn-medium is the first seed of TPTN at that budget.
+tptn-paper --budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all types; tptn-paper-26500 is
+such a run on one core, stopped after 26,496 steps and 100 minutes. It hands on whatever speed it is fed, a little
+higher every time, so that a walk becomes a run. tptn-paper-33500 goes on from it for 7,000 steps (2,500 at a rate of
+1e-4, 4,500 at 2e-4) with `--trajectory-drift 0.15`: the trajectory that a window is given is too long or too short by
+one factor, and only its frames say how fast the body goes. The paper has noise on the frames and says nothing of its
+control signals (section 4.3). The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no
+dance (`--type`). tptn-medium is the first seed of TPTN at that budget.
 """
 
 

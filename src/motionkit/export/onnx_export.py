@@ -142,6 +142,9 @@ def metadata(
         "uses_references": model.uses_references,
         "reference_gain": {name: kind.preset.reference_gain for name, kind in model.types.items()},
         "noise_scale": {name: kind.preset.noise_scale for name, kind in model.types.items()},
+        "noise_alone": {
+            name: kind.preset.without_references.noise_scale for name, kind in model.types.items()
+        },
         "controls": {
             "type_weights": {
                 "shape": [1, len(model.types)],
