@@ -154,6 +154,14 @@ ASKED: dict[str, list[tuple[int, str, Any]]] = {
         (460, "perform", ["punching", 3]),
         (560, "wish", {"velocity": [0, 0], "facing": 1.5, "type": None}),
     ],
+    "starts": [
+        (0, "wish", {"velocity": [0, 0], "facing": None, "type": None}),
+        (60, "wish", {"velocity": [90, 90], "facing": None, "type": None}),
+        (190, "wish", {"velocity": [0, 0], "facing": None, "type": None}),
+        (290, "wish", {"velocity": [0, -100], "facing": 0, "type": None}),
+        (400, "wish", {"velocity": [0, 0], "facing": None, "type": None}),
+        (480, "wish", {"velocity": [-120, 300], "facing": None, "type": None}),
+    ],
     "types on a path": [
         (20, "path", TYPES_ON_A_PATH),
         (520, "wish", {"velocity": [60, -40], "facing": None, "type": "dance-indian"}),
@@ -205,7 +213,9 @@ def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int)
     return np.stack(places)
 
 
-@pytest.mark.parametrize(("asked", "choice", "seed"), [("wishes", 0, 8), ("types on a path", 5, 1)])
+@pytest.mark.parametrize(
+    ("asked", "choice", "seed"), [("wishes", 0, 8), ("starts", 3, 4), ("types on a path", 5, 1)]
+)
 def test_the_page_makes_the_motion_of_numpy(page: Page, asked: str, choice: int, seed: int) -> None:
     noise = np.random.default_rng(seed).standard_normal((FRAMES + 1, 276), np.float32)
     words = base64.b64encode(noise.astype("<f4").tobytes()).decode()

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.first_steps import FirstSteps
 from motionkit.control.follow import PathFollower
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
@@ -93,6 +94,7 @@ class Driver:
         self.type = kind or steered_type(model, (0.0, 0.0), None)
         self.steering = Steering(model.fps, self.options.steering)
         self._player, self._played = ReferencePlayer(model, choice), ""
+        self._first_steps = FirstSteps(model, choice)
         self._follower: PathFollower | None = None
         self._performance: _Performance | None = None
         self._waiting: tuple[str, float, int] | None = None
@@ -187,8 +189,17 @@ class Driver:
         if self.model.types[kind].steered:
             self._played = ""
             asked = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
+            if self._goes_from_standing(kind):
+                self._first_steps.begin(kind)
+            if self._first_steps.takes(kind):
+                asked = self._first_steps.reference(asked, trajectory)
             return kind, asked.with_mask(1.0)
         return self._with_reference(kind, trajectory)
+
+    def _goes_from_standing(self, kind: str) -> bool:
+        """Whether this frame is the first of a gait after standing."""
+        known = self.model.types
+        return known[kind].goes and self._target in known and known[self._target].stands
 
     def _with_reference(self, kind: str, trajectory: Array | None) -> tuple[str, Controls]:
         """A type with its reference clips, for as long as it is wished."""

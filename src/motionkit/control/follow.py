@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.first_steps import FirstSteps
 from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
 from motionkit.control.path import SPACING, Path2D
@@ -64,14 +65,15 @@ class FollowResult:
 class PathFollower:
     """Turns a path into the controls of every frame for one character; a Controller.
 
-    Who walks or runs takes the speed and the turns of the path; other types are reference_gain by recordings, which
-    choice picks among.
+    Who walks or runs takes the speed and the turns of the path, and the first steps after a stop from recordings; other
+    types are moved by recordings, which choice picks among.
     """
 
     def __init__(self, model: MotionModel, path: Path2D, choice: int = 0, behind: int = 0) -> None:
         """behind: frames of the first part's performance that lie behind already."""
         self.model, self.path, self.fps = model, path, model.fps
         self.player, self.behind = ReferencePlayer(model, choice, own_share=0.0), behind
+        self.first_steps = FirstSteps(model, choice)
         self.types = np.array([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
         gaits = [model.types[part.type].gait for part in path.parts]
@@ -98,7 +100,9 @@ class PathFollower:
     def __call__(self, frame: int, ground: Array) -> Controls:
         self.arc = self._project(ground[0, :2])
         self.arcs.append(self.arc)
+        stood = self.stood
         standing = self._standing()
+        goes_on = stood is not None and self.stood is None
         ahead = self._arcs_ahead(TRAJECTORY_OFFSETS)
         points, tangents = self.path.at(ahead)
         heading = ground[0, 2]
@@ -111,6 +115,10 @@ class PathFollower:
         if self.model.types[kind].steered or standing:
             self.entered = part
             asked = Controls.of_types(self._type_weights(standing=standing)[None])
+            if goes_on and self.model.types[kind].goes:
+                self.first_steps.begin(kind)
+            if not standing and self.first_steps.takes(kind):
+                asked = self.first_steps.reference(asked, trajectory[None])
         else:
             if part != self.entered:
                 behind = self.behind if self.entered < 0 else 0

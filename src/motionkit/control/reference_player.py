@@ -49,6 +49,7 @@ PLAYED = 0.5  # a frame is not entered if more than this share of the LEAST_SECO
 # draw, one for as many successive choices as draw evenly.
 GOLDEN, STEPS = (math.sqrt(5.0) - 1.0) / 2.0, tuple(math.sqrt(n) % 1.0 for n in (2.0, 3.0, 7.0, 11.0))
 SIBLINGS = 32
+FEW_SECONDS = 12.0  # of recordings of a type, for players of few
 
 
 # What is shown (T, F) of a clip at frames (T,).
@@ -145,15 +146,21 @@ class ReferencePlayer:
     """
 
     def __init__(
-        self, model: MotionModel, choice: int = 0, own_share: float = OWN_SHARE, rests: bool = False
+        self,
+        model: MotionModel,
+        choice: int = 0,
+        own_share: float = OWN_SHARE,
+        rests: bool = False,
+        few: bool = False,
     ) -> None:
         """Start with no type.
 
         Args:
             own_share: the share of the recorded trajectory in one that is asked for.
             rests: where a trajectory is asked for, frames that little movement follows may suit it, too.
+            few: play few recordings of each type (few_clips).
         """
-        self.model, self.choice, self.own_share, self.rests = model, choice, own_share, rests
+        self.model, self.choice, self.own_share, self.rests, self.few = model, choice, own_share, rests, few
         self.random = random.Random(choice)
         self.kind = ""
         self.clip: ReferenceClip | None = None
@@ -235,6 +242,10 @@ class ReferencePlayer:
         if self.clip is None or not self.at:
             return None
         return float(forward_speeds(self.clip.ground[: self.at], self.model.fps)[-1])
+
+    def forget(self) -> None:
+        """Forget the recording that is played: the body has gone its own way since, and the next fades in from none."""
+        self.kind, self.clip, self.at, self.left, self.pause = "", None, 0, None, None
 
     def event_frames(self) -> int:
         """Frames from here to the end of the next strike or jump, zero if none comes."""
@@ -395,7 +406,8 @@ class ReferencePlayer:
     @property
     def _clips(self) -> tuple[ReferenceClip, ...]:
         """The clips of the type, in the stance of a body that began by standing."""
-        return self._in_stance or self._type.reference_clips
+        clips = self._in_stance or self._type.reference_clips
+        return few_clips(clips, self.model.fps) if self.few else clips
 
     def _present(self) -> Array | None:
         return None if self.clip is None else pose_state(self.clip, min(self.at, len(self.clip) - 1))
@@ -528,6 +540,12 @@ class ReferencePlayer:
             if frames:
                 found.append((clip, frames))
         return found
+
+
+def few_clips(clips: tuple[ReferenceClip, ...], fps: float) -> tuple[ReferenceClip, ...]:
+    """The first clips of a type that last FEW_SECONDS together, and one at least: enough for first steps."""
+    ends = np.cumsum([len(clip) for clip in clips])
+    return clips[: max(1, int(np.searchsorted(ends, FEW_SECONDS * fps, side="right")))]
 
 
 def _between(movement: Array, of_all: Array) -> list[int]:

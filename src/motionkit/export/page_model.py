@@ -18,7 +18,7 @@ import numpy as np
 
 from motionkit.arrays import Array, spans
 from motionkit.control.motion_index import MotionIndex
-from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.reference_player import ReferencePlayer, few_clips
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.character import model_first_type
 from motionkit.inference.kernel_image import BASE, KernelImage, kernel_image
@@ -124,7 +124,8 @@ def _types(model: MotionModel) -> list[dict[str, Any]]:
     player, rows = ReferencePlayer(model), Counter[str]()
     out = []
     for name, kind in model.types.items():
-        gait = kind.gait
+        gait, player.kind = kind.gait, name
+        clips = _clip_entries(_clips(kind, model.fps), player, rows)
         out.append(
             {
                 "name": name,
@@ -135,7 +136,8 @@ def _types(model: MotionModel) -> list[dict[str, Any]]:
                 "performed": kind.performed,
                 "phased": kind.has_phase,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,
-                "clips": _clip_entries(_clips(kind), player, rows),
+                "clips": [] if kind.steered else clips,
+                "first": clips if kind.steered else [],
             }
         )
     return out
@@ -173,13 +175,15 @@ def _clip_entries(
     return out
 
 
-def _clips(kind: MotionType) -> tuple[ReferenceClip, ...]:
-    """The reference clips of a type that a page shows: gaits are steered without."""
-    return () if kind.steered else kind.reference_clips
+def _clips(kind: MotionType, fps: float) -> tuple[ReferenceClip, ...]:
+    """The reference clips of a type that a page shows: gaits are steered without, but for their first steps."""
+    if kind.steered:
+        return few_clips(kind.reference_clips, fps) if kind.goes else ()
+    return kind.reference_clips
 
 
 def _shown_clips(model: MotionModel) -> list[ReferenceClip]:
-    return [clip for kind in model.types.values() for clip in _clips(kind)]
+    return [clip for kind in model.types.values() for clip in _clips(kind, model.fps)]
 
 
 def _phased(clip: ReferenceClip) -> bool:

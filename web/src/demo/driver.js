@@ -3,7 +3,8 @@
 import { free, typeNumber } from "./kernel.js";
 import { Follower, Path } from "./path.js";
 import { Player } from "./player.js";
-import { STANDS_BELOW, Springs, steeredType } from "./springs.js";
+import { STANDS_BELOW, Springs, stands, steeredType } from "./springs.js";
+import { FirstSteps } from "./steps.js";
 
 const [BLEND, AFTER_EVENT, DEFAULT_SECONDS] = [12, 10, 2];
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
@@ -13,7 +14,7 @@ export class Driver {
   constructor(model, choice = 0) {
     const type = typeNumber(model, model.start.type);
     Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
-    Object.assign(this, { follower: null, performance: null, waiting: null });
+    Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice) });
     this.weights = free(model, type).weights;
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
   }
@@ -87,7 +88,15 @@ export class Driver {
     const trajectory = this.springs.trajectory(velocity, facing);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
-    return [kind, { ...free(model, kind), trajectory, slip }];
+    if (this.#goesFromStanding(kind)) this.firstSteps.begin(kind);
+    const asked = { ...free(model, kind), trajectory, slip };
+    return [kind, this.firstSteps.takes(kind) ? this.firstSteps.reference(asked, trajectory) : asked];
+  }
+
+  // Whether this frame is the first of a gait after standing.
+  #goesFromStanding(kind) {
+    const { types } = this.model;
+    return !stands(types[kind]) && this.target !== null && stands(types[this.target]);
   }
 
   // A type with its reference clips, for as long as it is wished.

@@ -3,6 +3,7 @@
 import { free, typeNumber } from "./kernel.js";
 import { Player, askedSpeed } from "./player.js";
 import { TRAJECTORY, stands } from "./springs.js";
+import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
@@ -87,7 +88,7 @@ export class Follower {
   constructor(model, path, choice = 0) {
     const numbers = path.parts.map(({ type }) => typeNumber(model, type));
     const stand = model.types.reduce((least, type, n) => (stands(type) && !(model.types[least]?.gait.speed <= type.gait.speed) ? n : least), -1);
-    Object.assign(this, { model, path, stand, arc: 0, stops: path.stops, stood: null, entered: -1, player: new Player(model, choice, 0) });
+    Object.assign(this, { model, path, stand, arc: 0, stops: path.stops, stood: null, entered: -1, player: new Player(model, choice, 0), firstSteps: new FirstSteps(model, choice) });
     this.types = path.part.map((part) => numbers[part]);
     this.facings = path.part.map((part) => model.types[numbers[part]].gait?.facing ?? 0);
     this.speeds = this.#profile(numbers);
@@ -97,7 +98,9 @@ export class Follower {
   controls([x, z, heading]) {
     const { model, path } = this;
     this.arc = this.#nearest(x, z);
+    const { stood } = this;
     const standing = this.#standing();
+    const goesOn = stood !== null && this.stood === null;
     const trajectory = new Float32Array(24);
     this.#ahead().forEach((arc, n) => {
       const [point, tangent] = path.at(arc);
@@ -110,7 +113,9 @@ export class Follower {
     // On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
     if (model.types[type].steered || standing) {
       this.entered = part;
-      return { ...free(model, type), weights, trajectory, slip: 0 };
+      if (goesOn && !stands(model.types[type])) this.firstSteps.begin(type);
+      const asked = { ...free(model, type), weights, trajectory, slip: 0 };
+      return !standing && this.firstSteps.takes(type) ? this.firstSteps.reference(asked, trajectory) : asked;
     }
     if (part !== this.entered) this.player.begin(type, null, askedSpeed(trajectory, model.fps));
     this.entered = part;

@@ -20,9 +20,10 @@ export class Player {
    * @param {object} model of readModel
    * @param {number} choice the same choice plays the same
    * @param {number} ownShare of the recorded trajectory in one that is asked for
+   * @param {"clips" | "first"} kept which recordings of a type to play
    */
-  constructor(model, choice = 0, ownShare = OWN_SHARE) {
-    Object.assign(this, { model, random: new PythonRandom(choice), choice, ownShare, draws: 0, type: -1, clip: null, at: 0, left: null, pause: null });
+  constructor(model, choice = 0, ownShare = OWN_SHARE, kept = "clips") {
+    Object.assign(this, { kept, model, random: new PythonRandom(choice), choice, ownShare, draws: 0, type: -1, clip: null, at: 0, left: null, pause: null });
     Object.assign(this, { played: new Map(), indices: new Map(), since: 0 });
   }
 
@@ -34,13 +35,18 @@ export class Player {
     const count = type === this.type ? CANDIDATES_WITHIN : CANDIDATES;
     const { clip: left, at: leftAt, left: before } = this;
     Object.assign(this, { type, clip: null, at: 0, left: null, pause: null, since: 0 });
-    const { clips, performed } = this.model.types[type];
+    const { [this.kept]: clips, performed } = this.model.types[type];
     if (!clips.length) return;
     if (performed) this.clip = this.#performance(clips, near);
     else if (trajectory && near) [this.clip, this.at] = this.#index().nearest(near, trajectory, RECONSIDERED);
     else [this.clip, this.at] = this.#drawn(clips, count, near, speed);
     // A performance begins without a blend: a handspring is over the hands before the blend would be.
     if (left && !this.clip.performed) this.left = this.#leaving(left, leftAt, before);
+  }
+
+  /** Forgets the recording that is played: the body has gone its own way since. */
+  forget() {
+    Object.assign(this, { type: -1, clip: null, at: 0, left: null, pause: null });
   }
 
   /** Frames from here to the end of the next strike or jump, zero if none comes. */
@@ -89,7 +95,7 @@ export class Player {
 
   #index() {
     if (!this.indices.has(this.type)) {
-      const index = new MotionIndex(this.model.types[this.type].clips, (clip, at) => this.#state(clip, at), (clip, at) => this.#trajectory(clip, at));
+      const index = new MotionIndex(this.model.types[this.type][this.kept], (clip, at) => this.#state(clip, at), (clip, at) => this.#trajectory(clip, at));
       this.indices.set(this.type, index);
     }
     return this.indices.get(this.type);

@@ -1,0 +1,95 @@
+"""First steps from standing are those of recordings, live and on paths, and bodies do not drop."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from model_changes import with_clips
+from motionkit.control.drive import Driver, Wish
+from motionkit.control.first_steps import FIRST_STEPS, FirstSteps
+from motionkit.control.follow import follow_path
+from motionkit.control.path import PathPart, make_path
+from motionkit.control.reference_player import FEW_SECONDS, ReferencePlayer, few_clips
+from motionkit.control.synthesize import SynthesisOptions
+from motionkit.features.control import Controls
+from motionkit.inference.character import CharacterStream
+from motionkit.models.bundled import load_bundled_model
+from motionkit.models.model import MotionModel
+
+HIPS = 0
+AT_ORIGIN = np.zeros((1, 3), np.float32)
+AHEAD = np.zeros((1, 24), np.float32)
+
+
+def gains(driver: Driver, wish: Wish, frames: int, first: int) -> list[float]:
+    driver.set_wish(wish)
+    return [float(driver(frame, AT_ORIGIN).reference_gain[0]) for frame in range(first, first + frames)]
+
+
+def test_a_gait_is_shown_recordings_for_its_first_steps_from_standing(tiny_model: MotionModel) -> None:
+    driver = Driver(tiny_model)
+    assert gains(driver, Wish((0.0, 0.0)), 30, 0) == [0.0] * 30
+    gain = tiny_model.types["walking"].preset.reference_gain
+    walked = gains(driver, Wish((0.0, 120.0), type="walking"), FIRST_STEPS + 10, 30)
+    assert walked == [pytest.approx(gain)] * FIRST_STEPS + [0.0] * 10
+    assert gains(driver, Wish((0.0, 300.0), type="running"), 10, 200) == [0.0] * 10, "it goes already"
+
+
+def test_another_gait_ends_the_first_steps(tiny_model: MotionModel) -> None:
+    steps = FirstSteps(tiny_model)
+    assert not steps.takes("walking")
+    steps.begin("walking")
+    assert steps.takes("walking") and not steps.takes("running") and not steps.takes("walking")
+
+
+def test_every_start_enters_the_recordings_anew(tiny_model: MotionModel) -> None:
+    asked = Controls.of_types(np.zeros((1, len(tiny_model.types)), np.float32))
+    once, again = FirstSteps(tiny_model, 3), FirstSteps(tiny_model, 3)
+    again.begin("running")
+    for steps in (once, again):
+        steps._player.random.seed(0)
+        steps._player._draws = 0
+        steps.begin("walking")
+    first, second = (steps.reference(asked, AHEAD) for steps in (once, again))
+    assert np.array_equal(first.reference, second.reference), "nothing fades in from the run before"
+
+
+def test_few_clips_are_the_first_ones_and_one_at_least(tiny_model: MotionModel) -> None:
+    clips = tiny_model.types["walking"].reference_clips
+    longest = max(clips, key=len)
+    fps = len(longest) / FEW_SECONDS  # it lasts as long as all may
+    assert few_clips((longest, *clips), fps) == (longest,)
+    assert few_clips((longest,), fps / 2.0) == (longest,)
+    assert few_clips((), 60.0) == ()
+    player = ReferencePlayer(with_clips(tiny_model, {"walking": [longest] * 40}), few=True)
+    assert len(player._clips) == 0
+    player.kind = "walking"
+    assert 0 < len(player._clips) < 40
+
+
+def test_a_body_that_goes_on_after_a_stop_does_not_drop() -> None:
+    """By 8 cm it did before the first foot followed."""
+    line = np.array([[0.0, 0.0], [0.0, 200.0]])
+    parts = [
+        PathPart(line, "walking", 130.0, stop=1.5),
+        PathPart(np.array([[0.0, 500.0]]), "walking", 130.0),
+    ]
+    followed = follow_path(load_bundled_model(), make_path(parts), SynthesisOptions(seed=3))
+    heights = followed.motion.root_positions[:, 1]
+    way = np.linalg.norm(np.diff(followed.motion.root_positions[:, [0, 2]], axis=0), axis=1) * 60.0
+    stands = np.flatnonzero(way < 15.0)
+    before, after = heights[: stands[0]], heights[stands[-1] : stands[-1] + 120]
+    assert after.min() > before.min() - 3.0
+
+
+def test_a_live_body_that_begins_to_walk_does_not_drop() -> None:
+    model = load_bundled_model()
+    driver = Driver(model, "idle")
+    stream = CharacterStream(model, seed=5)
+    stream.reset(0, type="idle")
+    heights = []
+    for frame in range(300):
+        driver.set_wish(Wish((0.0, 130.0 if frame >= 90 else 0.0)))
+        heights.append(float(stream.step(driver(frame, stream.ground)).positions[0, HIPS, 1]))
+    assert min(heights[90:200]) > min(heights[200:]) - 3.0
