@@ -229,9 +229,8 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
     (tmp_path / "figure-6-curves.png").write_bytes(b"")
     found = read_scenes(tmp_path)
     text = page(RESULTS, Extras(tuple(found)), tmp_path)
-    assert (
-        "| shipped, 200 training steps (cm/frame) | tptn-0, 200 training steps (cm/frame) | paper |" in text
-    )
+    steps = "200 training steps in its last run (cm/frame)"
+    assert f"| shipped, {steps} | tptn-0, {steps} | paper |" in text
     assert "| 6 | walking a path with large curvatures | 1.500 ± 0.707 | 3.500 ± 0.707 | 0.513 |" in text
     assert "1.500 ± 0.707; 1 of 2 did not reach the end" in text
     assert text.count("![Figure") == 1 and "](figure-6-curves.png)" in text
@@ -248,7 +247,8 @@ def test_a_claim_needs_a_difference_of_twice_the_spread() -> None:
     mine, near, far = Figure(1.0, 0.1, 3), Figure(1.15, 0.1, 3), Figure(1.3, 0.1, 3)
     assert verdict(low, mine, near, None).startswith("cannot be said: within")
     assert verdict(low, mine, far, None) == "agrees" and verdict(low, far, mine, None) == "does not agree"
-    assert verdict(low, mine, Figure(1.3, 0.0, 1), None) == "agrees", "one seed is judged by TPTN's spread"
+    one = verdict(low, mine, Figure(1.3, 0.0, 1), None)
+    assert one == "agrees, by one seed", "it is judged by TPTN's spread"
     assert verdict(low, Figure(1.0, 0.0, 1), Figure(9.0, 0.0, 1), None) == "cannot be said: one seed"
     moving = Column("bm-euler", "BM", "truth", 1)
     assert verdict(moving, Figure(48.0, 0.5, 3), Figure(56.0, 0.5, 3), truth) == "agrees"
@@ -260,10 +260,12 @@ def test_the_page_has_a_verdict_on_each_claim_that_was_run() -> None:
     one = rows["two parts move more like the recordings than the whole body"]
     # 12.1 is nearer to the recorded 50 than 10.1.
     assert one[2:] == ("82.162 against 79.207", "10.1 ± 0.1 against 12.1 ± 0.1", "does not agree")
-    assert rows["two parts move more like them than four that share the root"][-1] == "agrees"
+    assert rows["two parts move more like them than four that share the root"][-1] == "agrees, by one seed"
     still = [result("L2 Loss", "losses", 0, 2.0), *(result("TPTN", "tptn", s, 90.0 + s) for s in range(3))]
     (moved,) = claims_table(still, "claims").rows
-    assert moved[0] == "L2 losses smooth too much" and moved[-1] == "agrees", "less, if not farther from 50"
+    assert moved[0] == "L2 losses smooth too much" and moved[-1] == "agrees, by one seed", (
+        "less, if not farther"
+    )
     assert "## What is learnt" in page(RESULTS) and "| does not agree |" in page(RESULTS)
 
 
@@ -272,7 +274,8 @@ def test_the_page_names_networks_that_look_at_nothing() -> None:
         return result(name, "parts", 0, 5.0) | {"derivatives": {"trajectory": 1.0, "features": gain}}
 
     text = page([looking("TPTN", 0.01), looking("EBTN", 0.9)])
-    assert "hardly depends on the frames fed in (gain below 0.1, in the paper about 1): TPTN." in text
+    assert "hardly depends on the last frame fed in (mean gain below 0.1 at one test sequence;" in text
+    assert "whole output): TPTN. These" in text
     assert "hardly depends" not in page([looking("TPTN", 0.9)])
 
 

@@ -115,7 +115,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     "--trajectory-drift",
     type=click.FloatRange(0.0, 1.0),
     help="Standard deviation of a factor on the trajectory of training windows that go straight; 0 by default. "
-    "0.15 keeps a tptn-paper that is fed its own trajectory at its speed.",
+    "0.15 keeps a tptn-paper that is fed its own trajectory from going ever faster.",
 )
 @click.option(
     "--splices",

@@ -1,4 +1,4 @@
-"""The skeleton control signal c^s (paper section 3.2), shown with several performers.
+"""The skeleton control signal c^s (paper section 3), shown with several performers.
 
 All roll-outs begin with the same recorded frames, have the same types and trajectory, and differ in c^s alone. The
 network predicts joint positions beside rotations, so the limbs of a body that it moves can be measured in them.

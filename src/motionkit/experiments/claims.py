@@ -77,14 +77,15 @@ def _figure(figure: Figure, digits: int) -> str:
 def verdict(column: Column, ours: Figure, rival: Figure, truth: Figure | None) -> str:
     """Return "agrees" or "does not agree" where the difference is more than twice the larger spread over seeds.
 
-    One seed of the rival is judged by the spread of TPTN; with one seed of both nothing can be said.
+    One seed of the rival is judged by the spread of TPTN, and told; with one seed of both nothing can be said.
     """
     if max(ours.seeds, rival.seeds) < 2:
         return "cannot be said: one seed"
     gap = column.loss(rival.mean, truth) - column.loss(ours.mean, truth)
     if abs(gap) <= 2.0 * max(ours.spread, rival.spread):
         return "cannot be said: within twice the spread"
-    return "agrees" if gap > 0.0 else "does not agree"
+    single = ", by one seed" if min(ours.seeds, rival.seeds) < 2 else ""
+    return ("agrees" if gap > 0.0 else "does not agree") + single
 
 
 def blind(results: Results) -> list[str]:

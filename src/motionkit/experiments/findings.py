@@ -96,14 +96,14 @@ def _still(folder: str, results: Results) -> list[str]:
 
 
 def _blind(folder: str, results: Results) -> list[str]:
-    """Name the networks whose predictions hardly depend on what they are shown."""
+    """Name the networks whose predicted trajectory hardly depends on the last frame."""
     names = blind(results)
     if not names:
         return []
     return [
-        f"`{folder}`: the predicted trajectory hardly depends on the frames fed in (gain below {BLIND:g}, in the paper "
-        f"about 1): {', '.join(names)}. What these networks add to a copy of the present frame is nearly the same for "
-        "every input, so their variants cannot be told apart."
+        f"`{folder}`: the predicted trajectory hardly depends on the last frame fed in (mean gain below {BLIND:g} at "
+        f"one test sequence; the paper gives about 1 for its whole output): {', '.join(names)}. These networks go "
+        "where the trajectory that they are given goes, and do not see yet how the body moves."
     ]
 
 
@@ -113,7 +113,10 @@ def _unlearnt(folder: str, results: Results) -> list[str]:
     floor = figure_of([r for r in results if r["name"] == "motion matching"], "mpjpe")
     if not networks or floor is None:
         return []
-    errors = {r["name"]: figure_of([r], "mpjpe") for r in networks}
+    errors = {
+        name: figure_of([r for r in networks if r["name"] == name], "mpjpe")
+        for name in dict.fromkeys(r["name"] for r in networks)
+    }
     better = sorted(name for name, error in errors.items() if error and error.mean < floor.mean)
     if len(better) > len(errors) / 2:
         return []
@@ -140,8 +143,8 @@ def _compared(results: Results, rival: str) -> str:
         seeds = a.seeds if fixed else min(a.seeds, b.seeds)
         if seeds < 2:
             verdict = "one seed, too little to say"
-        elif abs(gap) <= max(a.spread, b.spread):
-            verdict = "within the spread"
+        elif abs(gap) <= 2.0 * max(a.spread, b.spread):
+            verdict = "within twice the spread"
         else:
             verdict = "TPTN is better" if gap > 0 else f"{rival} is better"
         words.append(f"{name} {a.mean:.3g} against {b.mean:.3g} ({verdict})")

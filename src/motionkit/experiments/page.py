@@ -29,7 +29,7 @@ HEAD = """# Experiments
 
 The paper's experiments on free motion: `motionkit experiment` trains its network, every variant and the networks of
 other papers alike, rolls them out on test sequences, and writes these tables. This page is written by
-`motionkit experiment tables` from the results in `experiments/results`; nothing on it is typed in.
+`motionkit experiment tables` from the results in `experiments/results`; no figure on it is typed in.
 
 ```text
 motionkit preprocess cmu/ --labels docs/free-cmu-labels.csv --layout expmap-root-1 --own-bodies --raw -o datasets/paper
@@ -37,11 +37,13 @@ motionkit experiment run all --data datasets/paper --seeds 3 # continues where i
 motionkit experiment tables
 ```
 
-**How to read them.** Each cell is the mean over seeds, ± the standard deviation over seeds where there are two or more,
-and in brackets the paper's figure, which was measured on the paper's own data, after 2000 epochs. Bold is a best value
-that is better by more than the spread over seeds; with one seed nothing is bold. BM is best where it is nearest to the
-recorded one. Networks are drawn at full sigma, from 87 initial frames (30 where a sequence is short), with the types,
-trajectory and skeleton of the test sequence, without foot IK, reference poses, velocity blending or corrections.
+**How to read them.** Each cell is the mean over seeds, ± the standard deviation over seeds where there are two or
+more, and in brackets the paper's figure, which was measured on the paper's own data after its own training (2000
+epochs; table 3 on the data of PFNN). The command above takes the default budget and all frames of the test sequences;
+those of the tables below stand beside their budgets. Bold is a best value that is better by more than the spread over
+seeds; with one seed nothing is bold. BM is best where it is nearest to the recorded one. Networks are drawn at full
+sigma, from 87 initial frames (30 where a sequence is short), with the types, trajectory and skeleton of the test
+sequence, without foot IK, reference poses, velocity blending or corrections.
 Metrics are those of [metrics.md](metrics.md): `bm-euler`, `afs`, `ssim-channel`, `mpjpe`, `path-mean`.
 The table of the shipped model has it with all that surrounds it: reference poses, sampling presets, corrections and
 foot locks, and follows the trajectory where it lies on the ground; it leaves out test sequences that are mirror
@@ -55,8 +57,9 @@ SCENES = """## The paper's figures 1 and 5 to 9
 `motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). The paper gives its
 paths as pictures alone: types and shapes are those of the paper, lengths are chosen to suit the recordings, so the
 distances are of like paths and not of the same. Each distance is the mean over frames from the root's place on the
-ground to the nearest point of the path, ± the standard deviation over seeds. Feet are not held, as in the paper's
-figures; the shipped model uses its reference poses. `python docs/make_scenes.py` draws the pictures below.
+ground to the nearest point of the path, ± the standard deviation over seeds. Feet are not held; in the paper they are
+unless it says otherwise, as it does of figure 9. The shipped model uses its reference poses. `python
+docs/make_scenes.py` draws the pictures below.
 """
 
 
@@ -69,7 +72,7 @@ def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
         cells = [scene_cell(each["scenes"][number]) for each in scenes]
         paper = "" if scene["paper"] is None else f"{scene['paper']:g}"
         rows.append((scene["figure"], scene["text"], *cells, paper))
-    names = [f"{each['model']}, {each['steps']} training steps (cm/frame)" for each in scenes]
+    names = [f"{each['model']}, {each['steps']} training steps in its last run (cm/frame)" for each in scenes]
     table = TextTable("Distances from paths", ("figure", "what it shows", *names, "paper"), tuple(rows))
     parts = [SCENES, markdown(table)]
     for scene in scenes[0]["scenes"]:
@@ -99,15 +102,10 @@ distance of its poses to the nearest pose in the training clips of the type (roo
 heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
 those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
 recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five
-seconds of its type in the training clips (before, than the fastest clip as a whole, which a fifth of the recorded
-salsa does not keep to). `motionkit experiment long MODEL` makes them, and `motionkit train datasets/paper --preset
-tptn-paper --budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all types; tptn-paper-26500 is
-such a run on one core, stopped after 26,496 steps and 100 minutes. It hands on whatever speed it is fed, a little
-higher every time, so that a walk becomes a run. tptn-paper-33500 goes on from it for 7,000 steps (2,500 at a rate of
-1e-4, 4,500 at 2e-4) with `--trajectory-drift 0.15`: the trajectory that a window is given is too long or too short by
-one factor, and only its frames say how fast the body goes. The paper has noise on the frames and says nothing of its
-control signals (section 4.3). The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no
-dance (`--type`). tptn-medium is the first seed of TPTN at that budget.
+seconds of its type in the training clips. `motionkit experiment long MODEL` makes them, and `motionkit train
+datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all
+types. The paper has noise on the frames and says nothing of its control signals (section 4.3). The networks of
+`experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
 """
 
 
@@ -116,9 +114,10 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path) -> list[str]:
     parts = [LONG.format(apart=APART)] if models else []
     for each in models:
         rows = tuple(long_row(facts) for facts in each["rollouts"])
-        parts.append(
-            markdown(TextTable(f"{each['model']}, {each['steps']} training steps", LONG_HEADER, rows))
-        )
+        title = f"{each['model']}, {each['steps']} training steps in its last run"
+        parts.append(markdown(TextTable(title, LONG_HEADER, rows)))
+        if each.get("note"):
+            parts.append(f"{each['note']}\n")
         held = sum(facts["holds"] for facts in each["rollouts"])
         parts.append(f"{held} of {len(rows)} roll-outs of {each['model']} hold.\n")
         sheet = sheet_name(each["model"])
@@ -129,7 +128,7 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path) -> list[str]:
 
 BODIES = """## Skeleton control
 
-The control signal c^s holds the joints of the performer's body in its rest pose (paper section 3.2). Here one recording
+The control signal c^s holds the joints of the performer's body in its rest pose (paper section 3). Here one recording
 is continued with the bodies of {count} performers in that signal, and with the same initial frames, types, trajectory
 and seeds. The network predicts joint positions beside rotations, so what it takes the body to be is measured in
 them, after the initial frames have left its receptive field; steps are the largest distance between the ankles in a
@@ -143,7 +142,8 @@ def bodies_section(models: Sequence[dict[str, Any]]) -> list[str]:
     parts = [BODIES.format(count=len(models[0]["performers"]))] if models else []
     for each in models:
         shown = each["performers"]
-        title = f"{each['model']}, {each['steps']} training steps: {each['type']}, {each['seeds']} seeds"
+        trained = f"{each['model']}, {each['steps']} training steps in its last run"
+        title = f"{trained}: {each['type']}, {each['seeds']} seeds"
         parts.append(markdown(TextTable(title, BODIES_HEADER, tuple(bodies_row(row) for row in shown))))
         words = ", ".join(f"{name} {slope:.2f}" for name, slope in slopes(shown).items())
         parts.append(
@@ -153,7 +153,8 @@ def bodies_section(models: Sequence[dict[str, Any]]) -> list[str]:
 
 
 LEARNT = """A claim of the paper **agrees** or **does not agree** where its metric differs by more than twice the spread
-over seeds; else it **cannot be said**. BM is better the nearer it is to the recorded one, unless the claim is that the
+over seeds, that of TPTN where the variant has one seed; else it **cannot be said**. Of sixteen claims some agree by
+chance. BM is better the nearer it is to the recorded one, unless the claim is that the
 variant moves less. The verdicts are computed, and hold for the training that the networks had here; the lines below
 the tables say how little that is.
 """
@@ -181,8 +182,10 @@ def page(results: Results, extras: Extras | None = None, beside: Path = Path("do
     parts += ["## What is learnt\n", LEARNT]
     for folder in protocol_folders(results):
         here = [result for result in results if result["folder"] == folder]
-        table = claims_table(here, f"The paper's claims: `{folder}`")
-        parts += [markdown(table)] if table.rows else []
+        # They are of the small data set, and so are the figures beside them.
+        if here[0]["data"] == "D_L":
+            table = claims_table(here, f"The paper's claims: `{folder}`")
+            parts += [markdown(table)] if table.rows else []
     parts += [*(f"- {line}" for line in findings(results)), "", "## Tables\n"]
     parts += [markdown(table) for table in tables(results)]
     parts += [*scenes_section(extras.scenes, beside), *long_section(extras.long, beside)]
