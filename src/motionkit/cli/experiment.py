@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -236,10 +237,12 @@ def run_command(
     with progress_bar() as bar:
         task = bar.add_task("running", total=100)
         try:
-            for count, path in enumerate(
-                run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share)), 1
-            ):
-                remark(f"{count} of {len(left)}: wrote {path}")
+            # Closed at once on Ctrl-C, so that runs in processes of their own have stopped before the last line.
+            with closing(
+                run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share))
+            ) as made:
+                for count, path in enumerate(made, 1):
+                    remark(f"{count} of {len(left)}: wrote {path}")
         except KeyboardInterrupt:
             remark("stopped; the same command continues")
             sys.exit(STOPPED)
