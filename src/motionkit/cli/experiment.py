@@ -5,11 +5,12 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from contextlib import closing
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from motionkit.cli.common import (
     STOPPED,
@@ -26,6 +27,7 @@ from motionkit.training.budgets import BUDGETS
 
 if TYPE_CHECKING:
     from motionkit.experiments.runs import Plan
+    from motionkit.experiments.variants import Variant
 
 RESULTS = Path("experiments/results")
 SCENES = Path("experiments/scenes")
@@ -104,6 +106,11 @@ def _results_option(function: Callable) -> Callable:
     return option(function)
 
 
+def counted(number: int, word: str) -> str:
+    """Return a number with its word: "1 run", "2 runs"."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
 def _needs_torch() -> None:
     from importlib.util import find_spec
 
@@ -134,10 +141,13 @@ def list_command(
 ) -> None:
     """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
     _needs_torch()
-    from motionkit.experiments.runs import Plan, result_file
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.runs import Plan, made_from
     from motionkit.experiments.variants import VARIANTS, parameters
 
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
+    asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
+    made_of = made_from(select(data, selection)) if asked or data.exists() else None
     minutes = _usual_minutes(plan)
     rows = [
         {
@@ -147,7 +157,7 @@ def list_command(
             "parameters": parameters(v),
             "paper_parameters": v.paper_parameters,
             "seeds": v.seeds,
-            "done": sum(result_file(plan, v, seed).exists() for seed in range(v.seeds)),
+            "done": sum(_counts(plan, v, seed, made_of) for seed in range(v.seeds)),
             "minutes": minutes.get(v.name),
         }
         for v in VARIANTS
@@ -173,14 +183,28 @@ def list_command(
     stdout_console().print(table)
 
 
-def _usual_minutes(plan: Plan) -> dict[str, float]:
-    """Minutes that runs of this folder took here."""
-    from motionkit.experiments.runs import read_results
+def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:
+    """Whether a run has a result that `experiment run` would not make again; a remark says why one does not count."""
+    from motionkit.experiments.runs import is_done
 
-    found = read_results(plan.results) if plan.results.exists() else []
-    return {
-        r["name"]: r["timing"]["seconds"] / 60 for r in found if r["folder"] == plan.folder and "timing" in r
-    }
+    try:
+        return is_done(plan, each, seed, made)
+    except MotionkitError as error:
+        remark(f"not counted: {error}")
+        return False
+
+
+def _usual_minutes(plan: Plan) -> dict[str, float]:
+    """Minutes that runs of this folder took here; files that are no results are left out."""
+    from motionkit.experiments.runs import read_result
+
+    minutes = {}
+    for path in (plan.results / plan.folder).glob("*.json"):
+        with suppress(MotionkitError):
+            result = read_result(path)
+            if "timing" in result:
+                minutes[result["name"]] = result["timing"]["seconds"] / 60
+    return minutes
 
 
 @command.command("run")
@@ -223,7 +247,8 @@ def run_command(
     The first seed of everything comes first.
     """
     _needs_torch()
-    from motionkit.experiments.runs import Plan, result_file, run_all
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.runs import Plan, check_writable, is_done, made_from, run_all
     from motionkit.experiments.variants import chosen
 
     variants = [each for each in chosen(names) if each.runs_at(budget)]
@@ -232,8 +257,11 @@ def run_command(
         (variant, seed) for seed in range(seeds) for variant in variants
         if seed < (variant.seeds if variant.preset and not every_seed else seeds if variant.preset else 1)
     ]  # fmt: skip
-    left = [(v, seed) for v, seed in tasks if not result_file(plan, v, seed).exists()]
-    remark(f"{len(tasks)} runs, {len(tasks) - len(left)} of them done")
+    made_of = made_from(select(data, selection))
+    left = [(v, seed) for v, seed in tasks if not is_done(plan, v, seed, made_of)]
+    if left:
+        check_writable(plan)
+    remark(f"{counted(len(tasks), 'run')}, {len(tasks) - len(left)} of them done")
     with progress_bar() as bar:
         task = bar.add_task("running", total=100)
         try:

@@ -1,4 +1,4 @@
-"""Reads the results that commands write for one model each: long roll-outs, bodies and scenes."""
+"""Checks the results of runs, and reads those that commands write for one model: long roll-outs, bodies, scenes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,94 @@ from pathlib import Path
 from typing import Any
 
 from motionkit.errors import MotionkitError
+from motionkit.experiments.datasets import SELECTIONS
 from motionkit.experiments.scenes import SCENES
+from motionkit.experiments.shipped import GROUP as SHIPPED_GROUP
+from motionkit.experiments.variants import GROUPS, VARIANTS
 from motionkit.files import read_json
 
 Results = list[dict[str, Any]]
+
+# A field's type: a class, (float includes whole numbers, bool is none), [one] for a list of such, {name: one} for an
+# object with these fields at least, {...: one} for any names; None beside a class where the value may be null.
+Shape = Any
+NUMBER_OR_NULL = (float, None)
+MEANS: Shape = {...: [NUMBER_OR_NULL]}  # metric to [made, recorded]
+RESULT: Shape = {
+    "name": str,
+    "group": str,
+    "seed": int,
+    "data": str,
+    "longest": int,
+    "parameters": int,
+    "groups": {"all": MEANS},
+    "distribution": {"fid-pose": NUMBER_OR_NULL, "diversity": NUMBER_OR_NULL, "diversity-gt": NUMBER_OR_NULL},
+    "sequences": [{"sequence": str, "frames": int, "values": MEANS}],
+}
+OF_NETWORKS: Shape = {
+    "budget": {"name": str, "steps": int, "batch": int, "window": int, "rate": float},
+    "curve": [[float]],
+    "derivatives": {...: float},
+    "timing": {"seconds": float, "machine": str},
+}
+MADE: Shape = {"training": str, "test": str, "version": str}
+
+
+def check_result(result: Any) -> None:
+    """Check that the result of a run has all that tables and figures take from it.
+
+    Raises:
+        MotionkitError: a field is missing or of another type, or the names of experiment and data set are unknown.
+    """
+    _check(result, RESULT, "")
+    name, group, data = result["name"], result["group"], result["data"]
+    if data not in SELECTIONS:
+        raise MotionkitError(f"the data set {data!r:.40}, expected one of {', '.join(SELECTIONS)}")
+    if group != SHIPPED_GROUP:
+        known = {each.name: each for each in VARIANTS}
+        if name not in known:
+            raise MotionkitError(
+                f"the experiment {name!r:.40}, which `motionkit experiment list` does not have"
+            )
+        if group not in GROUPS:
+            raise MotionkitError(f"the group {group!r:.40}, expected one of {', '.join(GROUPS)}")
+        if known[name].preset:
+            _check(result, OF_NETWORKS, "")
+            if result["derivatives"]:  # of networks that predict a trajectory
+                _check(result["derivatives"], {"trajectory": float, "features": float}, "derivatives")
+    if "made" in result:
+        _check(result["made"], MADE, "made")
+    for part, values in result["groups"].items():
+        _check(values, MEANS, f"groups.{part}")
+    pairs = [*result["groups"].values(), *(row["values"] for row in result["sequences"])]
+    if any(len(pair) != 2 for values in pairs for pair in values.values()):
+        raise MotionkitError("a metric without its two values, made and recorded")
+    if any(len(point) != 2 for point in result.get("curve", [])):
+        raise MotionkitError("a point of the curve without step and loss")
+
+
+def _check(value: Any, shape: Shape, where: str) -> None:
+    """Raise MotionkitError that names the first field of another type."""
+    if isinstance(shape, tuple):
+        if value is None:
+            return
+        shape = shape[0]
+    plain = dict if isinstance(shape, dict) else list if isinstance(shape, list) else shape
+    wanted: Any = (int, float) if plain is float else plain
+    if not isinstance(value, wanted) or (isinstance(value, bool) and plain is not bool):
+        raise MotionkitError(f"{where or 'the whole'} is {value!r:.40}, expected {WORDS[plain]}")
+    if isinstance(shape, dict):
+        for key, one in shape.items():
+            if key is not ... and key not in value:
+                raise MotionkitError(f"{where + '.' if where else ''}{key} is missing")
+            for name in value if key is ... else [key]:
+                _check(value[name], one, f"{where}.{name}" if where else name)
+    if isinstance(shape, list):
+        for number, each in enumerate(value):
+            _check(each, shape[0], f"{where}[{number}]")
+
+
+WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
 
 
 def read_long(folder: Path) -> Results:

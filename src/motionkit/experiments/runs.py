@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import multiprocessing
 import os
@@ -9,11 +10,12 @@ import platform
 import re
 import signal
 import sys
+import tempfile
 import threading
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -23,15 +25,17 @@ from typing import Any
 
 import torch
 
+from motionkit import __version__
 from motionkit.data.dataset import Dataset
 from motionkit.data.workers import ctrl_c_held
 from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import select
 from motionkit.experiments.derivatives import control_derivatives
 from motionkit.experiments.floors import FLOORS
+from motionkit.experiments.model_results import check_result
 from motionkit.experiments.protocol import LONGEST, measure, model_continues, sequences_of
 from motionkit.experiments.variants import Variant, variant
-from motionkit.files import atomic_write
+from motionkit.files import atomic_write, read_json
 from motionkit.interrupts import postpone
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
@@ -96,6 +100,58 @@ def options_of(plan: Plan, each: Variant, seed: int) -> TrainOptions:
     )
 
 
+def made_from(dataset: Dataset) -> dict[str, str]:
+    """Return what a result says that it was made from: digests of training and test clips, and our version."""
+    tested = copy.copy(dataset)
+    tested.clips = tuple(replace(clip, split="train") for clip in dataset.select("test"))
+    return {
+        "training": dataset.training_digest(),
+        "test": tested.training_digest(),
+        "version": __version__,
+    }
+
+
+def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:
+    """Return whether the result of a run is there; results of before they had "made" count.
+
+    Args:
+        made: what a result of now would be made from, by made_from; None where that is not known.
+
+    Raises:
+        MotionkitError: the result is damaged, or was made from other data, or with another number of frames.
+    """
+    file = result_file(plan, each, seed)
+    if not file.exists():
+        return False
+    result = read_result(file)
+    if result["longest"] != plan.longest:
+        raise MotionkitError(
+            f"{file}: made with --frames {result['longest']}, not {plan.longest}; choose another "
+            "--results, or delete it"
+        )
+    found = result.get("made", made)
+    other = [part for part in ("training", "test") if made and found and found[part] != made[part]]
+    if other:
+        raise MotionkitError(
+            f"{file}: made from other {' and '.join(other)} clips than those of {plan.data} ({plan.selection}); choose "
+            "another --results, or delete it"
+        )
+    return True
+
+
+def check_writable(plan: Plan) -> None:
+    """Check that results and checkpoints can be written, before hours of training. Raises MotionkitError if not."""
+    for folder in (plan.results / plan.folder, plan.checkpoints / plan.folder):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise MotionkitError(
+                f"{folder}: cannot be written ({error.strerror or error}); choose another --results"
+            ) from None
+
+
 def run_one(
     plan: Plan, each: Variant, seed: int, say: Callable[[str], None], progress: Callable[[float], None]
 ) -> Path:
@@ -103,16 +159,19 @@ def run_one(
 
     Raises:
         DatasetError: if the dataset does not fit.
+        MotionkitError: a result is there that is damaged, or of other data or other frames.
     """
     file = result_file(plan, each, seed)
-    if file.exists():
-        return file
     dataset = select(plan.data, plan.selection)
+    made = made_from(dataset)
+    if is_done(plan, each, seed, made):
+        return file
     result: dict[str, Any] = {
         "name": each.name,
         "group": each.group,
         "seed": seed,
         "data": plan.selection,
+        "made": made,
     }
     if each.preset:
         result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
@@ -379,15 +438,24 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     Raises:
         MotionkitError: for a file that is none.
     """
-    out = []
-    for path in sorted(folder.rglob("*.json")):
-        try:
-            result = json.loads(path.read_text("utf-8"))
-            result["folder"] = path.parent.relative_to(folder).as_posix()
-            result["name"], result["seed"]
-        except (ValueError, KeyError, TypeError) as error:
-            raise MotionkitError(
-                f"{path}: not the result of an experiment ({error}); delete it and run it again"
-            ) from None
-        out.append(result)
-    return out
+    return [
+        read_result(path) | {"folder": path.parent.relative_to(folder).as_posix()}
+        for path in sorted(folder.rglob("*.json"))
+    ]
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Return one result with all that tables and figures take from it.
+
+    Raises:
+        MotionkitError: the file is none, a field is missing or of another type, or its names are unknown.
+    """
+    try:
+        result = read_json(path, "the result of an experiment", MotionkitError)
+        check_result(result)
+    except MotionkitError as error:
+        fault = str(error).removeprefix(f"{path}: ")
+        raise MotionkitError(
+            f"{path}: not the result of an experiment ({fault}); delete it and run it again"
+        ) from None
+    return result
