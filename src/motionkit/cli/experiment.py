@@ -437,14 +437,26 @@ def long_command(
     """
     _needs_torch()
     from motionkit.data.dataset import Dataset
-    from motionkit.experiments.long_rollouts import LONG_HEADER, long_rollout, long_row, long_types
+    from motionkit.experiments.long_rollouts import (
+        LONG_HEADER,
+        check_layout,
+        long_rollout,
+        long_row,
+        long_types,
+        types_known,
+    )
     from motionkit.files import atomic_write
     from motionkit.models.checkpoint import load_model
     from motionkit.motion.bvh import write_bvh
     from motionkit.view.contact_sheet import write_contact_sheet
 
     model, dataset = load_model(model_path), Dataset(data)
-    kinds, name = long_types(dataset, asked), model_path.stem
+    check_layout(dataset, model)
+    name, usual = model_path.stem, long_types(dataset, asked)
+    kinds = types_known(model, usual, bool(asked))
+    for kind in usual:
+        if kind not in kinds:
+            remark(f"{name} does not know {kind}, which is left out")
     tasks = [(kind, seed) for seed in range(seeds) for kind in kinds]
     made = []
     with progress_bar() as bar:

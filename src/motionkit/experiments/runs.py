@@ -17,6 +17,7 @@ from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
 from pathlib import Path
@@ -274,6 +275,8 @@ def _side_by_side(
 def _start(name: str, work: partial[Path]) -> _Running:
     ours, theirs = multiprocessing.Pipe(duplex=False)
     process = multiprocessing.get_context("spawn").Process(target=_serve, args=(work, theirs), daemon=True)
+    if os.name == "posix":
+        resource_tracker.ensure_running()  # else the first start would begin it, and let Ctrl-C through again
     with ctrl_c_held():  # the key reaches all processes of a terminal; the parent decides
         process.start()
     theirs.close()  # so that the end of the process ends what is heard

@@ -17,13 +17,16 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.synthesize import on_character
 from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError
 from motionkit.evaluation.reconstruction import HeldOut, as_motion, roll_like
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.experiments.protocol import Continue, TestSequence, measure, sequences_of
+from motionkit.experiments.variants import variant
 from motionkit.features.decode import decode_motion
 from motionkit.features.encode import encode_motion
 from motionkit.files import atomic_write
 from motionkit.models.model import MotionModel
+from motionkit.models.presets import preset
 from motionkit.motion.motion import Motion
 
 GROUP = "shipped"
@@ -85,7 +88,17 @@ def run_shipped(
     results: Path,
     progress: Callable[[float], None],
 ) -> list[Path]:
-    """Measure models by name, and write a result for each seed, beside those of the protocol."""
+    """Measure models by name, and write a result for each seed, beside those of the protocol.
+
+    Raises:
+        DatasetError: the dataset is not one that the protocol's networks are trained on.
+    """
+    layout = preset(variant("TPTN").preset).layout
+    if dataset.layout.version != layout:
+        raise DatasetError(
+            f"{dataset.folder}: layout {dataset.layout.version}, but the networks to compare with need {layout}: run "
+            f"preprocess with --layout {layout}"
+        )
     sequences = held_out(dataset, longest)
     folder, out = results / selection / GROUP, []
     for name, model in models.items():
