@@ -52,3 +52,51 @@ def test_tables_and_figures_name_a_broken_result(motionkit: Run, paper_folder: P
     for command in ("tables", "figures"):
         said = motionkit("experiment", command, "--results", "results", "-o", "out")
         assert said.failed_with("last-frame-0.json", "groups is missing")
+
+
+def rated(path: Path, scores: dict[str, tuple[int, ...]]) -> Path:
+    """The answers of a rater: model to its scores in the groups."""
+    answers = [
+        {"group": f"g{g}", "model": model, "score": score}
+        for model, given in scores.items()
+        for g, score in enumerate(given)
+    ]
+    path.write_text(json.dumps({"format": "motionkit-study-1", "answers": answers}))
+    return path
+
+
+def test_a_t_test_says_what_its_samples_are(motionkit: Run, tmp_path: Path) -> None:
+    one = rated(tmp_path / "one.json", {"TPTN": (4, 4, 4), "MVAE": (2, 3, 1), "flat": (3, 3, 3)})
+    said = motionkit("experiment", "ttest", one)
+    assert said.code == 0 and "TPTN: n 3, mean 4.000, std 0.000; 1 rater" in said.out
+    (row,) = [line.split() for line in said.out.splitlines() if "MVAE" in line]
+    assert [word for word in row if word != "│"][:5] == [
+        "MVAE",
+        "3",
+        "2.000",
+        "1.000",
+        "3.464",
+    ] and "4" in row
+    assert "flat is left out: all scores of TPTN are the same" in said.err and "one rater alone" in said.err
+    two = rated(tmp_path / "two.json", {"TPTN": (5, 4, 4), "MVAE": (2, 3)})
+    both = motionkit("experiment", "ttest", one, two, "--json")
+    facts = json.loads(both.out)
+    assert (facts["n"], facts["raters"]) == (3, 2) and {
+        r["model"]: r["freedom"] for r in facts["against"]
+    } == {
+        "MVAE": 4,
+        "flat": 4,
+    }
+    assert (
+        "answers differ in number; in the groups g0, g1, g2: MVAE 2, 2, 1; TPTN 2, 2, 2; flat 1, 1, 1"
+        in both.err
+    )
+    assert motionkit("experiment", "ttest", one, one).failed_with("the same answers as in")
+
+
+def test_a_model_alone_has_no_t_test(motionkit: Run, tmp_path: Path) -> None:
+    alone = rated(tmp_path / "alone.json", {"TPTN": (4, 3)})
+    assert motionkit("experiment", "ttest", alone).failed_with("no answers about models other than TPTN")
+    flat = rated(tmp_path / "flat.json", {"TPTN": (4, 4), "MVAE": (2, 2)})
+    said = motionkit("experiment", "ttest", flat)
+    assert said.code == 1 and "no model is left to compare TPTN with" in said.err.splitlines()[-1]

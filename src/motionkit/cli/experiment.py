@@ -407,7 +407,7 @@ def scenes_command(
             row["figure"], row["text"], mean, paper, f"{row['finished']} of {seeds}" if distances else ""
         )
     stdout_console().print(table)
-    stdout_console().print(f"wrote {len(facts)} scenes to {folder}")
+    stdout_console().print(f"wrote {counted(len(facts), 'scene')} to {folder}")
 
 
 @command.command("long")
@@ -541,12 +541,12 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
 
     FOLDER has one folder for each group of motions: recording.bvh, and one BVH file per model, named after it. The
     page shows the models without their names and in random order beside the recording, asks for a rank in five aspects
-    and for a score from 1 to 5, and saves the answers as a JSON file.
+    and for a score from 1 to 5, and saves the answers as answers-NAME.json, NAME being the rater's.
     """
     from motionkit.experiments.study import write_study
 
     groups = write_study(folder, output, seed)
-    stdout_console().print(f"wrote {output}: {groups} groups of motions")
+    stdout_console().print(f"wrote {output}: {counted(groups, 'group')} of motions")
 
 
 @command.command("ttest")
@@ -556,22 +556,49 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
 @click.option("--model", default="TPTN", show_default=True, help="Model that is compared with all others.")
 @json_option
 def ttest_command(answers: tuple[Path, ...], model: str, as_json: bool) -> None:
-    """Print the paper's tables 4 and 5 from ANSWERS of a study: mean, standard deviation, t and one-sided p."""
-    from motionkit.experiments.ttest import compare, read_answers, scores
+    """Print the paper's tables 4 and 5 from ANSWERS of a study, one file for each rater.
 
-    found = scores(read_answers(answers))
+    A sample is the mean score of a group of motions over all raters. n is the number of samples of each model; with
+    them stand mean, standard deviation, t, degrees of freedom and one-sided p.
+    """
+    from motionkit.experiments.ttest import NothingToTest, compare, read_answers, scores, unequal_samples
+
+    read = read_answers(answers)
+    found = scores(read)
     if model not in found:
         raise MotionkitError(f"no answers about {model!r}, expected one of {', '.join(sorted(found))}")
-    rows = [compare(found[model], rival) for name, rival in sorted(found.items()) if name != model]
+    if len(found) == 1:
+        raise MotionkitError(f"no answers about models other than {model}: nothing to compare it with")
+    rows = []
+    for name, rival in sorted(found.items()):
+        try:
+            rows += [compare(found[model], rival)] if name != model else []
+        except NothingToTest as error:
+            remark(f"{name} is left out: {error}")
+    if len(read) == 1:
+        remark("one rater alone: the figures are that person's taste")
+    if differing := unequal_samples(read):
+        remark(differing)
+    if not rows:
+        raise MotionkitError(f"no model is left to compare {model} with")
     if as_json:
         facts = [
-            {"model": r.rival.name, "mean": r.rival.mean, "std": r.rival.deviation, "t": r.t, "p": r.p}
+            {
+                "model": r.rival.name,
+                "n": len(r.rival.values),
+                "mean": r.rival.mean,
+                "std": r.rival.deviation,
+                "t": r.t,
+                "freedom": r.freedom,
+                "p": r.p,
+            }
             for r in rows
         ]
         mine = found[model]
         print_json(
             {
                 "model": model,
+                "n": len(mine.values),
                 "mean": mine.mean,
                 "std": mine.deviation,
                 "raters": len(answers),
@@ -582,13 +609,22 @@ def ttest_command(answers: tuple[Path, ...], model: str, as_json: bool) -> None:
     from rich.table import Table
 
     mine = found[model]
-    table = Table(title=f"{model}: mean {mine.mean:.3f}, std {mine.deviation:.3f}; {len(answers)} raters")
-    for name in ("against", "mean", "std", "t", "p (one-sided)"):
-        table.add_column(name, justify="left" if name == "against" else "right")
+    table = Table(
+        title=f"{model}: n {len(mine.values)}, mean {mine.mean:.3f}, std {mine.deviation:.3f}; "
+        f"{counted(len(answers), 'rater')}"
+    )
+    for name in ("against", "n", "mean", "std", "t", "df", "p (one-sided)"):
+        left = name == "against"
+        table.add_column(name, justify="left" if left else "right", no_wrap=not left)
     for r in rows:
-        table.add_row(
-            r.rival.name, f"{r.rival.mean:.3f}", f"{r.rival.deviation:.3f}", f"{r.t:.3f}", f"{r.p:.3e}"
+        figures = (
+            f"{r.rival.mean:.3f}",
+            f"{r.rival.deviation:.3f}",
+            f"{r.t:.3f}",
+            f"{r.freedom}",
+            f"{r.p:.3e}",
         )
+        table.add_row(r.rival.name, f"{len(r.rival.values)}", *figures)
     stdout_console().print(table)
 
 
