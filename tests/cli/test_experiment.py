@@ -6,6 +6,12 @@ import json
 from collections.abc import Callable
 from pathlib import Path
 
+import pytest
+
+from motionkit.cli.experiment import BODIES_SPARE, LONG_SPARE, _print_fitting, counted
+from motionkit.experiments.bodies import BODIES_HEADER, MEASURES, bodies_row
+from motionkit.experiments.long_rollouts import LONG_HEADER, long_row
+
 from .conftest import Outcome
 
 Run = Callable[..., Outcome]
@@ -100,3 +106,41 @@ def test_a_model_alone_has_no_t_test(motionkit: Run, tmp_path: Path) -> None:
     flat = rated(tmp_path / "flat.json", {"TPTN": (4, 4), "MVAE": (2, 2)})
     said = motionkit("experiment", "ttest", flat)
     assert said.code == 1 and "no model is left to compare TPTN with" in said.err.splitlines()[-1]
+
+
+LONG_FACTS = {
+    "type": "dance-salsa", "seed": 0, "distance": [4.1, 5.1, 15.4, 5.6], "distance-recorded": 7.3,
+    "swing": [9.0, 11.0, 13.0, 13.0], "swing-recorded": 20.0, "speed": [103.0, 52.0, 246.0, 57.0],
+    "speed-recorded": 317.0, "holds": False,
+}  # fmt: skip
+BODY = {"performer": "127", **{side: dict.fromkeys(MEASURES, 76.5) for side in ("recorded", "made")}}
+
+
+@pytest.mark.parametrize("columns", [60, 80, 140])
+@pytest.mark.parametrize(
+    ("header", "row", "spare"),
+    [(LONG_HEADER, long_row(LONG_FACTS), LONG_SPARE), (BODIES_HEADER, bodies_row(BODY), BODIES_SPARE)],
+)
+def test_tables_break_no_word_or_figure(
+    columns: int,
+    header: tuple[str, ...],
+    row: tuple[str, ...],
+    spare: tuple[int, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    _print_fitting(header, [row], spare)
+    said = capsys.readouterr()
+    shown = [i for i in range(len(header)) if columns > 60 or i not in spare[:3]]
+    words = sorted(word for i in shown for text in (header[i], row[i]) for word in text.split())
+    found = said.out.split()
+    assert all(word in found for word in words) and set(found) <= {
+        w for t in (*header, *row) for w in t.split()
+    }
+    assert max(map(len, said.out.splitlines())) <= columns
+    assert ("left out in a terminal of 60 columns" in said.err) == (columns == 60)
+
+
+def test_one_is_no_plural() -> None:
+    assert (counted(0, "run"), counted(1, "run"), counted(2, "run")) == ("0 runs", "1 run", "2 runs")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -33,6 +33,8 @@ RESULTS = Path("experiments/results")
 SCENES = Path("experiments/scenes")
 LONG = Path("experiments/long")
 BODIES = Path("experiments/bodies")
+# Columns of their tables that a narrow terminal can do without: the seed, and the recordings' own figures; hips, arms.
+LONG_SPARE, BODIES_SPARE = (1, 7, 5, 3), (6, 5, 4, 3)
 SETS = ["D_L", "all", "no-dances", "locomotion"]
 
 
@@ -109,6 +111,39 @@ def _results_option(function: Callable) -> Callable:
 def counted(number: int, word: str) -> str:
     """Return a number with its word: "1 run", "2 runs"."""
     return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _print_fitting(header: Sequence[str], rows: Sequence[Sequence[str]], spare: Sequence[int]) -> None:
+    """Print a table without breaking a word or a figure; what does not fit the terminal is left out.
+
+    Args:
+        spare: columns to leave out where there is no room, the first first.
+    """
+    from rich.cells import cell_len
+    from rich.table import Table
+
+    console, kept = stdout_console(), list(range(len(header)))
+    texts = [[name, *(row[i] for row in rows)] for i, name in enumerate(header)]
+    least = [max(cell_len(word) for text in column for word in text.split()) for column in texts]
+    room = console.width - 2 * len(header)  # two spaces behind each column
+    for number in spare:
+        if sum(least[i] for i in kept) > room:
+            kept.remove(number)
+            room += 2
+    widths = {i: least[i] for i in kept}
+    whole = {i: max(map(cell_len, texts[i])) for i in kept}
+    for _ in range(room - sum(widths.values())):  # one more for the column that lacks most
+        narrowest = max(kept, key=lambda i: whole[i] - widths[i])
+        widths[narrowest] += whole[narrowest] > widths[narrowest]
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for i in kept:
+        table.add_column(header[i], width=widths[i], justify="right" if i else "left", vertical="bottom")
+    for row in rows:
+        table.add_row(*(row[i] for i in kept))
+    console.print(table)
+    if len(kept) < len(header):
+        left_out = ", ".join(name for i, name in enumerate(header) if i not in kept)
+        remark(f"left out in a terminal of {console.width} columns: {left_out}")
 
 
 def _needs_torch() -> None:
@@ -292,7 +327,8 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
     """Measure the bundled model as shipped on the test sequences, for the second table.
 
     Reference poses, sampling presets, corrections and foot locks are on; it is measured with --reference none too.
-    Test sequences that are mirror images of training clips are left out, since the model has seen them.
+    Test sequences that are mirror images of training clips are left out, since the model has seen them. Results of
+    before are written over, also those of another number of --frames.
     """
     from motionkit.experiments.datasets import select
     from motionkit.experiments.shipped import run_shipped
@@ -366,8 +402,8 @@ def scenes_command(
     """Make what the paper's figures 1 and 5 to 9 show: NAMES of scenes or figure numbers, all by default.
 
     Each scene becomes a BVH file and a picture, both of the first seed. On paths the distance of the root's track is
-    printed beside the paper's, and written to a file named after the model, from which `experiment tables` takes it.
-    Feet are not held (--no-ik), as in the paper's figures.
+    printed beside the paper's. Without NAMES, when all scenes are made, distances are also written to a file named
+    after the model, from which `experiment tables` takes them. Feet are not held (--no-ik), as in the paper's figures.
     """
     from motionkit.experiments.scenes import chosen_scenes, make_scene, scene_facts
     from motionkit.files import atomic_write
@@ -474,14 +510,7 @@ def long_command(
     facts = {"model": name, "steps": model.card.get("steps"), "rollouts": [each.facts for each in made]}
     with atomic_write(output / f"{name}.json", "w") as out:
         out.write(json.dumps(facts, indent=1) + "\n")
-    from rich.table import Table
-
-    table = Table()
-    for heading in LONG_HEADER:
-        table.add_column(heading, overflow="fold")
-    for each in made:
-        table.add_row(*long_row(each.facts))
-    stdout_console().print(table)
+    _print_fitting(LONG_HEADER, [long_row(each.facts) for each in made], LONG_SPARE)
     stdout_console().print(f"wrote {sheet}")
 
 
@@ -521,14 +550,7 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
     file = output / f"{model_path.stem}.json"
     with atomic_write(file, "w") as out:
         out.write(json.dumps(facts, indent=1) + "\n")
-    from rich.table import Table
-
-    table = Table()
-    for heading in BODIES_HEADER:
-        table.add_column(heading, overflow="fold", justify="right")
-    for each in shown:
-        table.add_row(*bodies_row(each))
-    stdout_console().print(table)
+    _print_fitting(BODIES_HEADER, [bodies_row(each) for each in shown], BODIES_SPARE)
     stdout_console().print(f"wrote {file}")
 
 
