@@ -15,8 +15,9 @@ from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments import runs
 from motionkit.experiments.datasets import SELECTIONS, Selection, is_dance, select
+from motionkit.experiments.model_results import made_from
 from motionkit.experiments.protocol import METRICS, sequences_of
-from motionkit.experiments.runs import Plan, is_done, made_from, read_results, result_file, run_one
+from motionkit.experiments.runs import Plan, is_done, read_results, result_file, run_one
 from motionkit.experiments.shipped import features_after, recorded_motion, run_shipped
 from motionkit.experiments.tables import tables
 from motionkit.experiments.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
@@ -307,6 +308,7 @@ def test_the_shipped_model_is_measured_beside_the_others(plan: Plan) -> None:
     run_shipped(models, dataset, "all", 2, plan.longest, plan.results, lambda share: None)
     run(plan, variant("last frame"))
     results = read_results(plan.results)
+    assert all(each["made"] == made_from(dataset) for each in results)
     assert not any("mirrored" in row["sequence"] for row in results[-1]["sequences"])
     (table,) = [t for t in tables(results) if t.title.startswith("The shipped model as shipped")]
     rows = {row[0]: row for row in table.rows}

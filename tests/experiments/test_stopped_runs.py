@@ -1,4 +1,4 @@
-"""Runs side by side: Ctrl-C, a process that was killed, and what is told; also where results cannot be written."""
+"""Runs side by side: Ctrl-C, a process that was killed or failed, and what is told."""
 
 from __future__ import annotations
 
@@ -107,6 +107,14 @@ def test_a_killed_process_is_one_line(paper_folder: Path, tmp_path: Path) -> Non
     assert "Traceback" not in said
     (lasting,) = [log.parent for log in logs(tmp_path) if (log.parent / "checkpoint.safetensors").exists()]
     assert lasting.name in ("mvae-0.run", "pfnn-0.run"), "the other one stopped after its step"
+
+
+def test_a_fault_in_one_run_is_one_line(dataset_folder: Path, tmp_path: Path) -> None:
+    with running(tmp_path, dataset_folder, "--jobs", "2", "--steps", "100000") as process:
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 1 and "Traceback" not in said
+    assert "run preprocess with --layout expmap-root-1" in said.splitlines()[-1]
+    assert not list(tmp_path.glob("results/**/*.json"))
 
 
 @needs_proc

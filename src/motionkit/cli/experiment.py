@@ -177,7 +177,8 @@ def list_command(
     """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
     _needs_torch()
     from motionkit.experiments.datasets import select
-    from motionkit.experiments.runs import Plan, made_from
+    from motionkit.experiments.model_results import made_from
+    from motionkit.experiments.runs import Plan
     from motionkit.experiments.variants import VARIANTS, parameters
 
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
@@ -283,7 +284,8 @@ def run_command(
     """
     _needs_torch()
     from motionkit.experiments.datasets import select
-    from motionkit.experiments.runs import Plan, check_writable, is_done, made_from, run_all
+    from motionkit.experiments.model_results import made_from
+    from motionkit.experiments.runs import Plan, check_writable, is_done, run_all
     from motionkit.experiments.variants import chosen
 
     variants = [each for each in chosen(names) if each.runs_at(budget)]

@@ -1,22 +1,27 @@
-"""Checks the results of runs, and reads those that commands write for one model: long roll-outs, bodies, scenes."""
+"""What results say and must have; reads those that commands write for one model: long roll-outs, bodies, scenes."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from motionkit import __version__
+from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import SELECTIONS
 from motionkit.experiments.scenes import SCENES
-from motionkit.experiments.shipped import GROUP as SHIPPED_GROUP
 from motionkit.experiments.variants import GROUPS, VARIANTS
 from motionkit.files import read_json
 
 Results = list[dict[str, Any]]
+SHIPPED_GROUP = "shipped"  # of results that are no variant's
 
-# A field's type: a class, (float includes whole numbers, bool is none), [one] for a list of such, {name: one} for an
-# object with these fields at least, {...: one} for any names; None beside a class where the value may be null.
+# What a field holds: a class (float takes whole numbers too, no class takes true), [shape] for a list of them,
+# {name: shape} for an object with at least these fields, {...: shape} for one with any names, (shape, None) for a value
+# that may be null.
 Shape = Any
 NUMBER_OR_NULL = (float, None)
 MEANS: Shape = {...: [NUMBER_OR_NULL]}  # metric to [made, recorded]
@@ -38,6 +43,18 @@ OF_NETWORKS: Shape = {
     "timing": {"seconds": float, "machine": str},
 }
 MADE: Shape = {"training": str, "test": str, "version": str}
+WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
+
+
+def made_from(dataset: Dataset) -> dict[str, str]:
+    """Return what a result says that it was made from: digests of training and test clips, and our version."""
+    tested = copy.copy(dataset)  # a digest is of training clips
+    tested.clips = tuple(replace(clip, split="train") for clip in dataset.select("test"))
+    return {
+        "training": dataset.training_digest(),
+        "test": tested.training_digest(),
+        "version": __version__,
+    }
 
 
 def check_result(result: Any) -> None:
@@ -81,7 +98,7 @@ def _check(value: Any, shape: Shape, where: str) -> None:
         shape = shape[0]
     plain = dict if isinstance(shape, dict) else list if isinstance(shape, list) else shape
     wanted: Any = (int, float) if plain is float else plain
-    if not isinstance(value, wanted) or (isinstance(value, bool) and plain is not bool):
+    if not isinstance(value, wanted) or isinstance(value, bool):
         raise MotionkitError(f"{where or 'the whole'} is {value!r:.40}, expected {WORDS[plain]}")
     if isinstance(shape, dict):
         for key, one in shape.items():
@@ -92,9 +109,6 @@ def _check(value: Any, shape: Shape, where: str) -> None:
     if isinstance(shape, list):
         for number, each in enumerate(value):
             _check(each, shape[0], f"{where}[{number}]")
-
-
-WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
 
 
 def read_long(folder: Path) -> Results:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import json
 import multiprocessing
 import os
@@ -15,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
@@ -26,14 +25,13 @@ from typing import Any
 
 import torch
 
-from motionkit import __version__
 from motionkit.data.dataset import Dataset
 from motionkit.data.workers import ctrl_c_held
 from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import select
 from motionkit.experiments.derivatives import control_derivatives
 from motionkit.experiments.floors import FLOORS
-from motionkit.experiments.model_results import check_result
+from motionkit.experiments.model_results import check_result, made_from
 from motionkit.experiments.protocol import LONGEST, measure, model_continues, sequences_of
 from motionkit.experiments.variants import Variant, variant
 from motionkit.files import atomic_write, read_json
@@ -99,17 +97,6 @@ def options_of(plan: Plan, each: Variant, seed: int) -> TrainOptions:
         log_every=10,
         **each.options,
     )
-
-
-def made_from(dataset: Dataset) -> dict[str, str]:
-    """Return what a result says that it was made from: digests of training and test clips, and our version."""
-    tested = copy.copy(dataset)
-    tested.clips = tuple(replace(clip, split="train") for clip in dataset.select("test"))
-    return {
-        "training": dataset.training_digest(),
-        "test": tested.training_digest(),
-        "version": __version__,
-    }
 
 
 def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:

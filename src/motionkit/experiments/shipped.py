@@ -20,6 +20,7 @@ from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError
 from motionkit.evaluation.reconstruction import HeldOut, as_motion, roll_like
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.experiments.model_results import SHIPPED_GROUP, made_from
 from motionkit.experiments.protocol import Continue, TestSequence, measure, sequences_of
 from motionkit.experiments.variants import variant
 from motionkit.features.decode import decode_motion
@@ -29,7 +30,7 @@ from motionkit.models.model import MotionModel
 from motionkit.models.presets import preset
 from motionkit.motion.motion import Motion
 
-GROUP = "shipped"
+GROUP = SHIPPED_GROUP
 FIRST_SEED = 1000  # of test seeds (evaluation/settings.py)
 
 
@@ -106,7 +107,14 @@ def run_shipped(
             measured, _ = measure(
                 dataset, shipped_continues(model, dataset, seed), sequences, lambda share: None
             )
-            result = {"name": name, "group": GROUP, "seed": seed, "data": selection, "longest": longest}
+            result = {
+                "name": name,
+                "group": GROUP,
+                "seed": seed,
+                "data": selection,
+                "longest": longest,
+                "made": made_from(dataset),
+            }
             file = folder / f"{name.replace(' ', '-')}-{seed}.json"
             with atomic_write(file, "w") as stream:
                 stream.write(json.dumps({**result, "parameters": 0, **measured}, indent=1) + "\n")
