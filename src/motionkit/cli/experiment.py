@@ -184,7 +184,7 @@ def list_command(
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
     asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
     made_of = made_from(select(data, selection)) if asked or data.exists() else None
-    minutes = _usual_minutes(plan)
+    minutes, faults = _usual_minutes(plan), list[str]()
     rows = [
         {
             "name": v.name,
@@ -193,11 +193,14 @@ def list_command(
             "parameters": parameters(v),
             "paper_parameters": v.paper_parameters,
             "seeds": v.seeds,
-            "done": sum(_counts(plan, v, seed, made_of) for seed in range(v.seeds)),
+            "done": sum(_counts(plan, v, seed, made_of, faults) for seed in range(v.seeds)),
             "minutes": minutes.get(v.name),
         }
         for v in VARIANTS
     ]
+    if faults:
+        others = f" (and {counted(len(faults) - 1, 'other')})" if faults[1:] else ""
+        remark(f"not counted: {faults[0]}{others}")
     if as_json:
         print_json(rows)
         return
@@ -219,14 +222,14 @@ def list_command(
     stdout_console().print(table)
 
 
-def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:
-    """Whether a run has a result that `experiment run` would not make again; a remark says why one does not count."""
+def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None, faults: list[str]) -> bool:
+    """Whether a run has a result that `experiment run` takes as done; why one does not count is added to faults."""
     from motionkit.experiments.runs import is_done
 
     try:
         return is_done(plan, each, seed, made)
     except MotionkitError as error:
-        remark(f"not counted: {error}")
+        faults.append(str(error))
         return False
 
 

@@ -114,7 +114,7 @@ def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -
     result = read_result(file)
     if result["longest"] != plan.longest:
         raise MotionkitError(
-            f"{file}: made with --frames {result['longest']}, not {plan.longest}; choose another "
+            f"{file}: made with --frames {result['longest']}, not {plan.longest}; give these, choose another "
             "--results, or delete it"
         )
     found = result.get("made", made)
