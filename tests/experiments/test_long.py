@@ -10,7 +10,8 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
-from motionkit.errors import DatasetError, MotionkitError
+from motionkit.errors import ControlError, DatasetError, MotionkitError
+from motionkit.experiments.bodies import show_bodies
 from motionkit.experiments.long_rollouts import (
     INITIAL,
     LONG_HEADER,
@@ -21,8 +22,10 @@ from motionkit.experiments.long_rollouts import (
     long_rollout,
     long_row,
     long_types,
+    types_known,
 )
 from motionkit.experiments.model_results import read_long
+from motionkit.experiments.shipped import run_shipped
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.training.presets import train_options
@@ -86,6 +89,26 @@ def test_a_roll_out_is_measured_in_four_parts_and_repeats(
     (tmp_path / "other.json").write_text("[]")
     with pytest.raises(MotionkitError, match=r"other\.json: not the results of long roll-outs"):
         read_long(tmp_path)
+
+
+def test_a_dataset_of_another_layout_is_refused(paper_model: MotionModel, dataset_folder: Path) -> None:
+    other = Dataset(dataset_folder)
+    assert other.layout.version != paper_model.config.layout
+    with pytest.raises(DatasetError, match=r"layout .*, but the model needs expmap-root-1"):
+        long_rollout(paper_model, other, a_tested_type(other), 1.0, 0, lambda share: None)
+    with pytest.raises(DatasetError, match="but the model needs expmap-root-1"):
+        show_bodies(paper_model, other, a_tested_type(other), 1, lambda share: None)
+    with pytest.raises(DatasetError, match="but the networks to compare with need expmap-root-1"):
+        run_shipped({}, other, "all", 1, 30, Path("results"), lambda share: None)
+
+
+def test_types_that_a_model_does_not_know_are_left_out(paper_model: MotionModel) -> None:
+    first = next(iter(paper_model.types))
+    assert types_known(paper_model, [first, "dance-salsa"], asked=False) == [first]
+    with pytest.raises(ControlError, match="unknown motion type 'dance-salsa'"):
+        types_known(paper_model, [first, "dance-salsa"], asked=True)
+    with pytest.raises(ControlError, match="knows none of dance-salsa; choose others"):
+        types_known(paper_model, ["dance-salsa"], asked=False)
 
 
 def test_only_models_that_feed_their_trajectory_back(tiny_model: MotionModel, paper_data: Dataset) -> None:

@@ -15,8 +15,9 @@ from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments import runs
 from motionkit.experiments.datasets import SELECTIONS, Selection, is_dance, select
+from motionkit.experiments.model_results import made_from
 from motionkit.experiments.protocol import METRICS, sequences_of
-from motionkit.experiments.runs import Plan, read_results, result_file, run_one
+from motionkit.experiments.runs import Plan, is_done, read_results, result_file, run_one
 from motionkit.experiments.shipped import features_after, recorded_motion, run_shipped
 from motionkit.experiments.tables import tables
 from motionkit.experiments.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
@@ -112,6 +113,68 @@ def test_results_are_read_back_and_broken_ones_named(plan: Plan) -> None:
     (plan.results / "all" / "cpu-20" / "odd.json").write_text("{")
     with pytest.raises(MotionkitError, match=r"odd\.json: not the result of an experiment"):
         read_results(plan.results)
+
+
+def test_a_result_says_what_it_was_made_from(plan: Plan, labelled_folder: Path) -> None:
+    each = variant("last frame")
+    result = run(plan, each)
+    made = made_from(select(plan.data, plan.selection))
+    assert result["made"] == made and made["training"] != made["test"]
+    assert is_done(plan, each, 0, made) and not is_done(plan, each, 1, made)
+    longer = replace(plan, longest=60)
+    with pytest.raises(MotionkitError, match=r"last-frame-0\.json: made with --frames 30, not 60"):
+        is_done(longer, each, 0, made)
+    elsewhere = replace(plan, data=labelled_folder)
+    with pytest.raises(MotionkitError, match=r"last-frame-0\.json: made from other training and test clips"):
+        run(elsewhere, each)
+    # Other test clips of the same training clips.
+    dataset = select(plan.data, plan.selection)
+    dataset.clips = dataset.clips[:-1]
+    other = made_from(dataset)
+    assert other["training"] == made["training"]
+    with pytest.raises(MotionkitError, match="made from other test clips"):
+        is_done(plan, each, 0, other)
+    file = result_file(plan, each, 0)
+    del result["made"]  # as results of before
+    file.write_text(json.dumps(result))
+    assert is_done(elsewhere, each, 0, made_from(select(labelled_folder, "all")))
+    file.write_text("")
+    with pytest.raises(MotionkitError, match=r"last-frame-0\.json: .*delete it and run it again"):
+        run(plan, each)
+
+
+def test_the_committed_results_are_read() -> None:
+    folder = Path(__file__).resolve().parents[2] / "experiments" / "results"
+    assert len(read_results(folder)) == len(list(folder.rglob("*.json"))) > 100
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"groups": None}, "groups is None, expected an object"),
+        ({"groups": {}}, "groups.all is missing"),
+        ({"groups": {"all": {"afs": [1.0, "2"]}}}, r"groups.all.afs\[1\] is '2', expected a number"),
+        ({"groups": {"all": {"afs": [1.0]}}}, "a metric without its two values"),
+        ({"data": "D_X"}, "the data set 'D_X', expected one of D_L, all"),
+        ({"name": "nobody"}, "the experiment 'nobody'"),
+        ({"group": "odd"}, "the group 'odd', expected one of tptn"),
+        ({"longest": "240"}, "longest is '240', expected a whole number"),
+        ({"longest": True}, "longest is True, expected a whole number"),
+        ({"timing": {"seconds": "60", "machine": "CPU"}}, "timing.seconds is '60', expected a number"),
+        ({"curve": [[1]]}, "a point of the curve"),
+        ({"derivatives": {"trajectory": 1.0}}, "derivatives.features is missing"),
+        ({"made": {"training": "x", "version": "1"}}, "made.test is missing"),
+        *(({field: ...}, f"{field} is missing") for field in ("group", "data", "longest", "timing", "budget")),
+    ],
+)  # fmt: skip
+def test_a_fault_in_a_result_is_named(change: dict[str, Any], complaint: str, tmp_path: Path) -> None:
+    committed = (
+        Path(__file__).resolve().parents[2] / "experiments" / "results" / "D_L" / "long" / "tptn-0.json"
+    )
+    result = json.loads(committed.read_text("utf-8")) | change
+    (tmp_path / "odd.json").write_text(json.dumps({k: v for k, v in result.items() if v is not ...}))
+    with pytest.raises(MotionkitError, match=rf"odd\.json: not the result of an experiment \({complaint}"):
+        read_results(tmp_path)
 
 
 # ---- the tables of variants and data sets ----
@@ -245,6 +308,7 @@ def test_the_shipped_model_is_measured_beside_the_others(plan: Plan) -> None:
     run_shipped(models, dataset, "all", 2, plan.longest, plan.results, lambda share: None)
     run(plan, variant("last frame"))
     results = read_results(plan.results)
+    assert all(each["made"] == made_from(dataset) for each in results)
     assert not any("mirrored" in row["sequence"] for row in results[-1]["sequences"])
     (table,) = [t for t in tables(results) if t.title.startswith("The shipped model as shipped")]
     rows = {row[0]: row for row in table.rows}

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import random
+import shutil
+import subprocess
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +19,18 @@ from motionkit.experiments.page import Extras, page
 from motionkit.experiments.scenes import SCENES
 from motionkit.experiments.study import ASPECTS, write_study
 from motionkit.experiments.tables import Column, Figure, clear_best, latex, markdown, tables
-from motionkit.experiments.ttest import FORMAT, Score, compare, read_answers, scores, upper_tail
+from motionkit.experiments.ttest import (
+    FORMAT,
+    NothingToTest,
+    Score,
+    compare,
+    read_answers,
+    scores,
+    unequal_samples,
+    upper_tail,
+)
 from motionkit.motion.bvh import write_bvh
+from motionkit.motion.motion import Motion
 
 METRICS = (
     "bm-euler",
@@ -105,10 +118,38 @@ def test_students_t_on_known_points() -> None:
     assert upper_tail(2.228138852, 10) == pytest.approx(0.025, rel=1e-6)
 
 
+def answers_file(path: Path, rows: list[tuple[str, str, int]]) -> Path:
+    answers = [{"group": group, "model": model, "score": score} for group, model, score in rows]
+    path.write_text(json.dumps({"format": FORMAT, "answers": answers}))
+    return path
+
+
+def test_a_rater_counts_once(tmp_path: Path) -> None:
+    rows = [(group, model, score) for group in "ab" for model, score in (("TPTN", 4), ("MVAE", 2))]
+    one, two = (answers_file(tmp_path / f"{name}.json", rows) for name in ("one", "two"))
+    with pytest.raises(MotionkitError, match=r"two\.json: the same answers as in .*one\.json"):
+        read_answers([one, two])
+    twice = answers_file(tmp_path / "twice.json", [*rows, ("a", "MVAE", 5)])
+    with pytest.raises(MotionkitError, match=r"twice\.json: 2 answers about 'MVAE' in 'a', expected one"):
+        read_answers([twice])
+    twice.write_text(json.dumps(json.loads(one.read_text()) | {"rater": 3}))
+    with pytest.raises(MotionkitError, match="the rater 3, expected a text"):
+        read_answers([twice])
+
+
+def test_unequal_samples_are_told(tmp_path: Path) -> None:
+    rows = [(group, model, score) for group in "ab" for model, score in (("TPTN", 4), ("MVAE", 2))]
+    one = answers_file(tmp_path / "one.json", rows)
+    assert unequal_samples(read_answers([one])) is None
+    partial = answers_file(tmp_path / "partial.json", rows[:3])
+    told = unequal_samples(read_answers([one, partial]))
+    assert told == "answers differ in number; in the groups a, b: MVAE 2, 1; TPTN 2, 2"
+
+
 def test_the_statistic_is_that_of_two_equal_variances() -> None:
     made = compare(Score("a", (4.0, 5.0, 3.0)), Score("b", (1.0, 2.0, 3.0)))
     assert made.freedom == 4 and made.t == pytest.approx(2.0 / (2.0 / 3.0) ** 0.5)
-    with pytest.raises(MotionkitError, match="nothing to test"):
+    with pytest.raises(NothingToTest, match="nothing to test"):
         compare(Score("a", (4.0, 4.0)), Score("b", (4.0, 4.0)))
 
 
@@ -166,13 +207,67 @@ def test_a_study_is_blind_and_shuffled(tmp_path: Path, make_motion) -> None:
     assert write_study(folder, tmp_path / "study.html", seed=1) == 2
     text = (tmp_path / "study.html").read_text()
     assert text.count("<iframe") == 8 and all(aspect in text for aspect in ASPECTS)
-    shown, facts = text.split("const facts = ")
-    assert not any(name in shown for name in ("TPTN", "MVAE", "HTSS"))  # names stand in the facts alone
-    orders = json.loads(facts.split(";\n")[0])["orders"]
+    assert not any(name in text for name in ("TPTN", "MVAE", "HTSS")), "also for those who read the source"
+    facts = json.loads(text.split("const facts = ")[1].split(";\n")[0])
+    orders = json.loads(base64.b64decode(facts["orders"]))
     assert all(sorted(order) == ["HTSS", "MVAE", "TPTN"] for order in orders.values())
     (folder / "g1" / "HTSS.bvh").unlink()
     with pytest.raises(MotionkitError, match=r"g1: has MVAE, TPTN, the groups before HTSS, MVAE, TPTN"):
         write_study(folder, tmp_path / "study.html")
+
+
+def study_folder(folder: Path, motion: Motion, names: tuple[str, ...]) -> Path:
+    for name in names:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        write_bvh(folder / name, motion)
+    return folder
+
+
+def test_hidden_files_and_any_case_of_a_recording(tmp_path: Path, make_motion) -> None:
+    names = ("g0/Recording.BVH", "g0/TPTN.bvh", "g0/.old/TPTN.bvh", "g0/._TPTN.bvh", ".git/x/y.bvh")
+    folder = study_folder(tmp_path / "clips", make_motion(frames=20), names)
+    assert write_study(folder, tmp_path / "study.html") == 1
+    write_bvh(folder / "g0" / "more" / "TPTN.bvh", make_motion(frames=20))
+    with pytest.raises(MotionkitError, match=r"TPTN\.bvh: has the name of .*TPTN\.bvh; each model"):
+        write_study(folder, tmp_path / "study.html")
+
+
+SAVE = """
+const page = require("fs").readFileSync(process.argv[1], "utf8");
+const script = page.slice(page.lastIndexOf("<script>") + 8, page.lastIndexOf("</script>"));
+const box = {value: "2", classList: {toggle() {}}}, link = {click() {}}, said = {}, save = {};
+const parts = {save: {addEventListener: (_, run) => { save.run = run; }}, said, rater: {value: process.argv[2]}};
+const section = {dataset: {group: "g0"}, querySelector: () => box};
+let text = "";
+globalThis.document = {
+  getElementById: name => parts[name], createElement: () => link,
+  querySelectorAll: what => what === "section" ? [section] : [box],
+};
+globalThis.URL = {createObjectURL: () => ""};
+globalThis.Blob = class { constructor(words) { text = words[0]; } };
+eval(script);
+save.run();
+console.log(JSON.stringify({name: link.download, said: said.textContent, text}));
+"""
+
+
+@pytest.mark.skipif(shutil.which("node") is None, reason="no node here")
+def test_the_page_saves_a_raters_answers_under_the_name(tmp_path: Path, make_motion) -> None:
+    names = ("g0/recording.bvh", "g0/Größe.bvh", "g0/MVAE.bvh")
+    folder = study_folder(tmp_path / "clips", make_motion(frames=20), names)
+    write_study(folder, tmp_path / "study.html")
+
+    def save(rater: str) -> dict[str, Any]:
+        words = ["node", "-e", SAVE, str(tmp_path / "study.html"), rater]
+        return json.loads(subprocess.run(words, capture_output=True, text=True, check=True).stdout)
+
+    assert save(" ")["said"] == "your name or initials are missing"
+    saved = save("Ä. B/c")
+    assert saved["name"] == "answers-Ä-B-c.json" and saved["said"] == "saved answers-Ä-B-c.json"
+    (tmp_path / saved["name"]).write_text(saved["text"], encoding="utf-8")
+    (read,) = read_answers([tmp_path / saved["name"]])
+    assert read["rater"] == "Ä. B/c"
+    assert sorted(entry["model"] for entry in read["answers"]) == ["Größe", "MVAE"]
 
 
 def test_the_page_says_where_networks_have_not_learnt_enough() -> None:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import closing, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
+from click.core import ParameterSource
 
 from motionkit.cli.common import (
     STOPPED,
@@ -25,11 +27,14 @@ from motionkit.training.budgets import BUDGETS
 
 if TYPE_CHECKING:
     from motionkit.experiments.runs import Plan
+    from motionkit.experiments.variants import Variant
 
 RESULTS = Path("experiments/results")
 SCENES = Path("experiments/scenes")
 LONG = Path("experiments/long")
 BODIES = Path("experiments/bodies")
+# Columns of their tables that a narrow terminal can do without: the seed, and the recordings' own figures; hips, arms.
+LONG_SPARE, BODIES_SPARE = (1, 7, 5, 3), (6, 5, 4, 3)
 SETS = ["D_L", "all", "no-dances", "locomotion"]
 
 
@@ -103,6 +108,44 @@ def _results_option(function: Callable) -> Callable:
     return option(function)
 
 
+def counted(number: int, word: str) -> str:
+    """Return a number with its word: "1 run", "2 runs"."""
+    return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def _print_fitting(header: Sequence[str], rows: Sequence[Sequence[str]], spare: Sequence[int]) -> None:
+    """Print a table without breaking a word or a figure; what does not fit the terminal is left out.
+
+    Args:
+        spare: columns to leave out where there is no room, the first first.
+    """
+    from rich.cells import cell_len
+    from rich.table import Table
+
+    console, kept = stdout_console(), list(range(len(header)))
+    texts = [[name, *(row[i] for row in rows)] for i, name in enumerate(header)]
+    least = [max(cell_len(word) for text in column for word in text.split()) for column in texts]
+    room = console.width - 2 * len(header)  # two spaces behind each column
+    for number in spare:
+        if sum(least[i] for i in kept) > room:
+            kept.remove(number)
+            room += 2
+    widths = {i: least[i] for i in kept}
+    whole = {i: max(map(cell_len, texts[i])) for i in kept}
+    for _ in range(room - sum(widths.values())):  # one more for the column that lacks most
+        narrowest = max(kept, key=lambda i: whole[i] - widths[i])
+        widths[narrowest] += whole[narrowest] > widths[narrowest]
+    table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))
+    for i in kept:
+        table.add_column(header[i], width=widths[i], justify="right" if i else "left", vertical="bottom")
+    for row in rows:
+        table.add_row(*(row[i] for i in kept))
+    console.print(table)
+    if len(kept) < len(header):
+        left_out = ", ".join(name for i, name in enumerate(header) if i not in kept)
+        remark(f"left out in a terminal of {console.width} columns: {left_out}")
+
+
 def _needs_torch() -> None:
     from importlib.util import find_spec
 
@@ -133,11 +176,15 @@ def list_command(
 ) -> None:
     """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
     _needs_torch()
-    from motionkit.experiments.runs import Plan, result_file
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.model_results import made_from
+    from motionkit.experiments.runs import Plan
     from motionkit.experiments.variants import VARIANTS, parameters
 
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
-    minutes = _usual_minutes(plan)
+    asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
+    made_of = made_from(select(data, selection)) if asked or data.exists() else None
+    minutes, faults = _usual_minutes(plan), list[str]()
     rows = [
         {
             "name": v.name,
@@ -146,11 +193,14 @@ def list_command(
             "parameters": parameters(v),
             "paper_parameters": v.paper_parameters,
             "seeds": v.seeds,
-            "done": sum(result_file(plan, v, seed).exists() for seed in range(v.seeds)),
+            "done": sum(_counts(plan, v, seed, made_of, faults) for seed in range(v.seeds)),
             "minutes": minutes.get(v.name),
         }
         for v in VARIANTS
     ]
+    if faults:
+        others = f" (and {counted(len(faults) - 1, 'other')})" if faults[1:] else ""
+        remark(f"not counted: {faults[0]}{others}")
     if as_json:
         print_json(rows)
         return
@@ -172,14 +222,28 @@ def list_command(
     stdout_console().print(table)
 
 
-def _usual_minutes(plan: Plan) -> dict[str, float]:
-    """Minutes that runs of this folder took here."""
-    from motionkit.experiments.runs import read_results
+def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None, faults: list[str]) -> bool:
+    """Whether a run has a result that `experiment run` takes as done; why one does not count is added to faults."""
+    from motionkit.experiments.runs import is_done
 
-    found = read_results(plan.results) if plan.results.exists() else []
-    return {
-        r["name"]: r["timing"]["seconds"] / 60 for r in found if r["folder"] == plan.folder and "timing" in r
-    }
+    try:
+        return is_done(plan, each, seed, made)
+    except MotionkitError as error:
+        faults.append(str(error))
+        return False
+
+
+def _usual_minutes(plan: Plan) -> dict[str, float]:
+    """Minutes that runs of this folder took here; files that are no results are left out."""
+    from motionkit.experiments.runs import read_result
+
+    minutes = {}
+    for path in (plan.results / plan.folder).glob("*.json"):
+        with suppress(MotionkitError):
+            result = read_result(path)
+            if "timing" in result:
+                minutes[result["name"]] = result["timing"]["seconds"] / 60
+    return minutes
 
 
 @command.command("run")
@@ -222,7 +286,9 @@ def run_command(
     The first seed of everything comes first.
     """
     _needs_torch()
-    from motionkit.experiments.runs import Plan, result_file, run_all
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.model_results import made_from
+    from motionkit.experiments.runs import Plan, check_writable, is_done, run_all
     from motionkit.experiments.variants import chosen
 
     variants = [each for each in chosen(names) if each.runs_at(budget)]
@@ -231,15 +297,20 @@ def run_command(
         (variant, seed) for seed in range(seeds) for variant in variants
         if seed < (variant.seeds if variant.preset and not every_seed else seeds if variant.preset else 1)
     ]  # fmt: skip
-    left = [(v, seed) for v, seed in tasks if not result_file(plan, v, seed).exists()]
-    remark(f"{len(tasks)} runs, {len(tasks) - len(left)} of them done")
+    made_of = made_from(select(data, selection))
+    left = [(v, seed) for v, seed in tasks if not is_done(plan, v, seed, made_of)]
+    if left:
+        check_writable(plan)
+    remark(f"{counted(len(tasks), 'run')}, {len(tasks) - len(left)} of them done")
     with progress_bar() as bar:
         task = bar.add_task("running", total=100)
         try:
-            for count, path in enumerate(
-                run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share)), 1
-            ):
-                remark(f"{count} of {len(left)}: wrote {path}")
+            # Closed at once on Ctrl-C, so that runs in processes of their own have stopped before the last line.
+            with closing(
+                run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share))
+            ) as made:
+                for count, path in enumerate(made, 1):
+                    remark(f"{count} of {len(left)}: wrote {path}")
         except KeyboardInterrupt:
             remark("stopped; the same command continues")
             sys.exit(STOPPED)
@@ -261,7 +332,8 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
     """Measure the bundled model as shipped on the test sequences, for the second table.
 
     Reference poses, sampling presets, corrections and foot locks are on; it is measured with --reference none too.
-    Test sequences that are mirror images of training clips are left out, since the model has seen them.
+    Test sequences that are mirror images of training clips are left out, since the model has seen them. Results of
+    before are written over, also those of another number of --frames.
     """
     from motionkit.experiments.datasets import select
     from motionkit.experiments.shipped import run_shipped
@@ -335,8 +407,8 @@ def scenes_command(
     """Make what the paper's figures 1 and 5 to 9 show: NAMES of scenes or figure numbers, all by default.
 
     Each scene becomes a BVH file and a picture, both of the first seed. On paths the distance of the root's track is
-    printed beside the paper's, and written to a file named after the model, from which `experiment tables` takes it.
-    Feet are not held (--no-ik), as in the paper's figures.
+    printed beside the paper's. Without NAMES, when all scenes are made, distances are also written to a file named
+    after the model, from which `experiment tables` takes them. Feet are not held (--no-ik), as in the paper's figures.
     """
     from motionkit.experiments.scenes import chosen_scenes, make_scene, scene_facts
     from motionkit.files import atomic_write
@@ -376,7 +448,7 @@ def scenes_command(
             row["figure"], row["text"], mean, paper, f"{row['finished']} of {seeds}" if distances else ""
         )
     stdout_console().print(table)
-    stdout_console().print(f"wrote {len(facts)} scenes to {folder}")
+    stdout_console().print(f"wrote {counted(len(facts), 'scene')} to {folder}")
 
 
 @command.command("long")
@@ -406,14 +478,26 @@ def long_command(
     """
     _needs_torch()
     from motionkit.data.dataset import Dataset
-    from motionkit.experiments.long_rollouts import LONG_HEADER, long_rollout, long_row, long_types
+    from motionkit.experiments.long_rollouts import (
+        LONG_HEADER,
+        check_layout,
+        long_rollout,
+        long_row,
+        long_types,
+        types_known,
+    )
     from motionkit.files import atomic_write
     from motionkit.models.checkpoint import load_model
     from motionkit.motion.bvh import write_bvh
     from motionkit.view.contact_sheet import write_contact_sheet
 
     model, dataset = load_model(model_path), Dataset(data)
-    kinds, name = long_types(dataset, asked), model_path.stem
+    check_layout(dataset, model)
+    name, usual = model_path.stem, long_types(dataset, asked)
+    kinds = types_known(model, usual, bool(asked))
+    for kind in usual:
+        if kind not in kinds:
+            remark(f"{name} does not know {kind}, which is left out")
     tasks = [(kind, seed) for seed in range(seeds) for kind in kinds]
     made = []
     with progress_bar() as bar:
@@ -431,14 +515,7 @@ def long_command(
     facts = {"model": name, "steps": model.card.get("steps"), "rollouts": [each.facts for each in made]}
     with atomic_write(output / f"{name}.json", "w") as out:
         out.write(json.dumps(facts, indent=1) + "\n")
-    from rich.table import Table
-
-    table = Table()
-    for heading in LONG_HEADER:
-        table.add_column(heading, overflow="fold")
-    for each in made:
-        table.add_row(*long_row(each.facts))
-    stdout_console().print(table)
+    _print_fitting(LONG_HEADER, [long_row(each.facts) for each in made], LONG_SPARE)
     stdout_console().print(f"wrote {sheet}")
 
 
@@ -478,14 +555,7 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
     file = output / f"{model_path.stem}.json"
     with atomic_write(file, "w") as out:
         out.write(json.dumps(facts, indent=1) + "\n")
-    from rich.table import Table
-
-    table = Table()
-    for heading in BODIES_HEADER:
-        table.add_column(heading, overflow="fold", justify="right")
-    for each in shown:
-        table.add_row(*bodies_row(each))
-    stdout_console().print(table)
+    _print_fitting(BODIES_HEADER, [bodies_row(each) for each in shown], BODIES_SPARE)
     stdout_console().print(f"wrote {file}")
 
 
@@ -498,12 +568,12 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
 
     FOLDER has one folder for each group of motions: recording.bvh, and one BVH file per model, named after it. The
     page shows the models without their names and in random order beside the recording, asks for a rank in five aspects
-    and for a score from 1 to 5, and saves the answers as a JSON file.
+    and for a score from 1 to 5, and saves the answers as answers-NAME.json, NAME being the rater's.
     """
     from motionkit.experiments.study import write_study
 
     groups = write_study(folder, output, seed)
-    stdout_console().print(f"wrote {output}: {groups} groups of motions")
+    stdout_console().print(f"wrote {output}: {counted(groups, 'group')} of motions")
 
 
 @command.command("ttest")
@@ -513,22 +583,49 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
 @click.option("--model", default="TPTN", show_default=True, help="Model that is compared with all others.")
 @json_option
 def ttest_command(answers: tuple[Path, ...], model: str, as_json: bool) -> None:
-    """Print the paper's tables 4 and 5 from ANSWERS of a study: mean, standard deviation, t and one-sided p."""
-    from motionkit.experiments.ttest import compare, read_answers, scores
+    """Print the paper's tables 4 and 5 from ANSWERS of a study, one file for each rater.
 
-    found = scores(read_answers(answers))
+    A sample is the mean score of a group of motions over all raters. n is the number of samples of each model; with
+    them stand mean, standard deviation, t, degrees of freedom and one-sided p.
+    """
+    from motionkit.experiments.ttest import NothingToTest, compare, read_answers, scores, unequal_samples
+
+    read = read_answers(answers)
+    found = scores(read)
     if model not in found:
         raise MotionkitError(f"no answers about {model!r}, expected one of {', '.join(sorted(found))}")
-    rows = [compare(found[model], rival) for name, rival in sorted(found.items()) if name != model]
+    if len(found) == 1:
+        raise MotionkitError(f"no answers about models other than {model}: nothing to compare it with")
+    rows = []
+    for name, rival in sorted(found.items()):
+        try:
+            rows += [compare(found[model], rival)] if name != model else []
+        except NothingToTest as error:
+            remark(f"{name} is left out: {error}")
+    if len(read) == 1:
+        remark("one rater alone: the figures are that person's taste")
+    if differing := unequal_samples(read):
+        remark(differing)
+    if not rows:
+        raise MotionkitError(f"no model is left to compare {model} with")
     if as_json:
         facts = [
-            {"model": r.rival.name, "mean": r.rival.mean, "std": r.rival.deviation, "t": r.t, "p": r.p}
+            {
+                "model": r.rival.name,
+                "n": len(r.rival.values),
+                "mean": r.rival.mean,
+                "std": r.rival.deviation,
+                "t": r.t,
+                "freedom": r.freedom,
+                "p": r.p,
+            }
             for r in rows
         ]
         mine = found[model]
         print_json(
             {
                 "model": model,
+                "n": len(mine.values),
                 "mean": mine.mean,
                 "std": mine.deviation,
                 "raters": len(answers),
@@ -539,13 +636,22 @@ def ttest_command(answers: tuple[Path, ...], model: str, as_json: bool) -> None:
     from rich.table import Table
 
     mine = found[model]
-    table = Table(title=f"{model}: mean {mine.mean:.3f}, std {mine.deviation:.3f}; {len(answers)} raters")
-    for name in ("against", "mean", "std", "t", "p (one-sided)"):
-        table.add_column(name, justify="left" if name == "against" else "right")
+    table = Table(
+        title=f"{model}: n {len(mine.values)}, mean {mine.mean:.3f}, std {mine.deviation:.3f}; "
+        f"{counted(len(answers), 'rater')}"
+    )
+    for name in ("against", "n", "mean", "std", "t", "df", "p (one-sided)"):
+        left = name == "against"
+        table.add_column(name, justify="left" if left else "right", no_wrap=not left)
     for r in rows:
-        table.add_row(
-            r.rival.name, f"{r.rival.mean:.3f}", f"{r.rival.deviation:.3f}", f"{r.t:.3f}", f"{r.p:.3e}"
+        figures = (
+            f"{r.rival.mean:.3f}",
+            f"{r.rival.deviation:.3f}",
+            f"{r.t:.3f}",
+            f"{r.freedom}",
+            f"{r.p:.3e}",
         )
+        table.add_row(r.rival.name, f"{len(r.rival.values)}", *figures)
     stdout_console().print(table)
 
 

@@ -33,7 +33,7 @@ def worker_processes(count: int) -> Iterator[Map]:
 
         def each(function: Callable, items: list) -> Iterator:
             others = set(multiprocessing.active_children())
-            with _ctrl_c_held():
+            with ctrl_c_held():
                 waiting = deque(pool.submit(function, item) for item in items)
                 started.update(set(multiprocessing.active_children()) - others)
             return _results(waiting)
@@ -65,7 +65,7 @@ def _end_with(parent: Connection) -> None:
 
 
 @contextmanager
-def _ctrl_c_held() -> Iterator[None]:
+def ctrl_c_held() -> Iterator[None]:
     """Block Ctrl-C; processes started meanwhile never receive it, not even while they import."""
     if not hasattr(signal, "pthread_sigmask"):
         yield

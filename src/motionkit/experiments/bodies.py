@@ -16,7 +16,7 @@ from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
-from motionkit.experiments.long_rollouts import INITIAL, beginning
+from motionkit.experiments.long_rollouts import INITIAL, beginning, check_layout
 from motionkit.experiments.protocol import TestSequence, sequence_controls
 from motionkit.inference.rollout import RolloutState, default_noise, run
 from motionkit.models.model import MotionModel
@@ -88,10 +88,12 @@ def show_bodies(
         the mean of each over seeds.
 
     Raises:
+        DatasetError: if the dataset has other features than the model, or too few performers or frames.
         MotionkitError: if the network is not shown bodies.
     """
     if not model.shows_bodies:
         raise MotionkitError("the network is not shown bodies; train on a dataset made with --own-bodies")
+    check_layout(dataset, model)
     chosen = performers(dataset, kind)
     sequence = beginning(dataset, kind)
     if sequence.frames < FORGOTTEN + LEAST:

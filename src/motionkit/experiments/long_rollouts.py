@@ -16,7 +16,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
-from motionkit.errors import DatasetError, MotionkitError
+from motionkit.errors import ControlError, DatasetError, MotionkitError
 from motionkit.experiments.datasets import is_dance
 from motionkit.experiments.protocol import TestSequence, decoded
 from motionkit.features.control import Controls
@@ -68,6 +68,35 @@ def long_types(dataset: Dataset, asked: Sequence[str] = ()) -> list[str]:
     return kinds
 
 
+def types_known(model: MotionModel, kinds: Sequence[str], asked: bool) -> list[str]:
+    """Return those of the types that a model knows.
+
+    Raises:
+        ControlError: it does not know one of them that was asked for, or none.
+    """
+    if asked:
+        for kind in kinds:
+            model.type_id(kind)
+    known = [kind for kind in kinds if kind in model.types]
+    if not known:
+        raise ControlError(f"the model knows none of {', '.join(kinds)}; choose others with --type")
+    return known
+
+
+def check_layout(dataset: Dataset, model: MotionModel) -> None:
+    """Check that a dataset has the features that a model was trained on. Raises DatasetError if not."""
+    needed, found = model.config.layout, dataset.layout.version
+    if found != needed:
+        raise DatasetError(
+            f"{dataset.folder}: layout {found}, but the model needs {needed}: run preprocess with --layout {needed}"
+        )
+    if dataset.fps != model.fps:
+        raise DatasetError(
+            f"{dataset.folder}: {dataset.fps:g} frames a second, but the model needs {model.fps:g}: run preprocess "
+            f"with --fps {model.fps:g}"
+        )
+
+
 def beginning(dataset: Dataset, kind: str) -> TestSequence:
     """Return the first INITIAL frames of the longest stretch of a type in the test clips, and the frames after them."""
     best: tuple[int, TestSequence] | None = None
@@ -94,9 +123,11 @@ def long_rollout(
 
     Raises:
         MotionkitError: the model is not one of tptn-paper's kind, which predict their trajectory.
+        DatasetError: the dataset has other features than the model.
     """
     if not model.plain:
         raise MotionkitError("long roll-outs are for models that feed their own trajectory back (tptn-paper)")
+    check_layout(dataset, model)
     sequence = beginning(dataset, kind)
     frames = round(seconds * model.fps)
     state = RolloutState(model, 1, default_noise(model), seed)

@@ -1,16 +1,114 @@
-"""Reads the results that commands write for one model each: long roll-outs, bodies and scenes."""
+"""What results say and must have; reads those that commands write for one model: long roll-outs, bodies, scenes."""
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from motionkit import __version__
+from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
+from motionkit.experiments.datasets import SELECTIONS
 from motionkit.experiments.scenes import SCENES
+from motionkit.experiments.variants import GROUPS, VARIANTS
 from motionkit.files import read_json
 
 Results = list[dict[str, Any]]
+SHIPPED_GROUP = "shipped"  # of results that are no variant's
+
+# What a field holds: a class (float takes whole numbers too, no class takes true), [shape] for a list of them,
+# {name: shape} for an object with at least these fields, {...: shape} for one with any names, (shape, None) for a value
+# that may be null.
+Shape = Any
+NUMBER_OR_NULL = (float, None)
+MEANS: Shape = {...: [NUMBER_OR_NULL]}  # metric to [made, recorded]
+RESULT: Shape = {
+    "name": str,
+    "group": str,
+    "seed": int,
+    "data": str,
+    "longest": int,
+    "parameters": int,
+    "groups": {"all": MEANS},
+    "distribution": {"fid-pose": NUMBER_OR_NULL, "diversity": NUMBER_OR_NULL, "diversity-gt": NUMBER_OR_NULL},
+    "sequences": [{"sequence": str, "frames": int, "values": MEANS}],
+}
+OF_NETWORKS: Shape = {
+    "budget": {"name": str, "steps": int, "batch": int, "window": int, "rate": float},
+    "curve": [[float]],
+    "derivatives": {...: float},
+    "timing": {"seconds": float, "machine": str},
+}
+MADE: Shape = {"training": str, "test": str, "version": str}
+WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
+
+
+def made_from(dataset: Dataset) -> dict[str, str]:
+    """Return what a result says that it was made from: digests of training and test clips, and our version."""
+    tested = copy.copy(dataset)  # a digest is of training clips
+    tested.clips = tuple(replace(clip, split="train") for clip in dataset.select("test"))
+    return {
+        "training": dataset.training_digest(),
+        "test": tested.training_digest(),
+        "version": __version__,
+    }
+
+
+def check_result(result: Any) -> None:
+    """Check that the result of a run has all that tables and figures take from it.
+
+    Raises:
+        MotionkitError: a field is missing or of another type, or the names of experiment and data set are unknown.
+    """
+    _check(result, RESULT, "")
+    name, group, data = result["name"], result["group"], result["data"]
+    if data not in SELECTIONS:
+        raise MotionkitError(f"the data set {data!r:.40}, expected one of {', '.join(SELECTIONS)}")
+    if group != SHIPPED_GROUP:
+        known = {each.name: each for each in VARIANTS}
+        if name not in known:
+            raise MotionkitError(
+                f"the experiment {name!r:.40}, which `motionkit experiment list` does not have"
+            )
+        if group not in GROUPS:
+            raise MotionkitError(f"the group {group!r:.40}, expected one of {', '.join(GROUPS)}")
+        if known[name].preset:
+            _check(result, OF_NETWORKS, "")
+            if result["derivatives"]:  # of networks that predict a trajectory
+                _check(result["derivatives"], {"trajectory": float, "features": float}, "derivatives")
+    if "made" in result:
+        _check(result["made"], MADE, "made")
+    for part, values in result["groups"].items():
+        _check(values, MEANS, f"groups.{part}")
+    pairs = [*result["groups"].values(), *(row["values"] for row in result["sequences"])]
+    if any(len(pair) != 2 for values in pairs for pair in values.values()):
+        raise MotionkitError("a metric without its two values, made and recorded")
+    if any(len(point) != 2 for point in result.get("curve", [])):
+        raise MotionkitError("a point of the curve without step and loss")
+
+
+def _check(value: Any, shape: Shape, where: str) -> None:
+    """Raise MotionkitError that names the first field of another type."""
+    if isinstance(shape, tuple):
+        if value is None:
+            return
+        shape = shape[0]
+    plain = dict if isinstance(shape, dict) else list if isinstance(shape, list) else shape
+    wanted: Any = (int, float) if plain is float else plain
+    if not isinstance(value, wanted) or isinstance(value, bool):
+        raise MotionkitError(f"{where or 'the whole'} is {value!r:.40}, expected {WORDS[plain]}")
+    if isinstance(shape, dict):
+        for key, one in shape.items():
+            if key is not ... and key not in value:
+                raise MotionkitError(f"{where + '.' if where else ''}{key} is missing")
+            for name in value if key is ... else [key]:
+                _check(value[name], one, f"{where}.{name}" if where else name)
+    if isinstance(shape, list):
+        for number, each in enumerate(value):
+            _check(each, shape[0], f"{where}[{number}]")
 
 
 def read_long(folder: Path) -> Results:

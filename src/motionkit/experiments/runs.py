@@ -3,25 +3,39 @@
 from __future__ import annotations
 
 import json
+import multiprocessing
+import os
 import platform
 import re
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+import signal
+import sys
+import tempfile
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
+from functools import partial
+from multiprocessing import resource_tracker
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import torch
 
 from motionkit.data.dataset import Dataset
+from motionkit.data.workers import ctrl_c_held
 from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import select
 from motionkit.experiments.derivatives import control_derivatives
 from motionkit.experiments.floors import FLOORS
+from motionkit.experiments.model_results import check_result, made_from
 from motionkit.experiments.protocol import LONGEST, measure, model_continues, sequences_of
 from motionkit.experiments.variants import Variant, variant
-from motionkit.files import atomic_write
+from motionkit.files import atomic_write, read_json
+from motionkit.interrupts import postpone
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
@@ -85,6 +99,47 @@ def options_of(plan: Plan, each: Variant, seed: int) -> TrainOptions:
     )
 
 
+def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:
+    """Return whether the result of a run is there; results of before they had "made" count.
+
+    Args:
+        made: what a result of now would be made from, by made_from; None where that is not known.
+
+    Raises:
+        MotionkitError: the result is damaged, or was made from other data, or with another number of frames.
+    """
+    file = result_file(plan, each, seed)
+    if not file.exists():
+        return False
+    result = read_result(file)
+    if result["longest"] != plan.longest:
+        raise MotionkitError(
+            f"{file}: made with --frames {result['longest']}, not {plan.longest}; give these, choose another "
+            "--results, or delete it"
+        )
+    found = result.get("made", made)
+    other = [part for part in ("training", "test") if made and found and found[part] != made[part]]
+    if other:
+        raise MotionkitError(
+            f"{file}: made from other {' and '.join(other)} clips than those of {plan.data} ({plan.selection}); choose "
+            "another --results, or delete it"
+        )
+    return True
+
+
+def check_writable(plan: Plan) -> None:
+    """Check that results and checkpoints can be written, before hours of training. Raises MotionkitError if not."""
+    for folder in (plan.results / plan.folder, plan.checkpoints / plan.folder):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise MotionkitError(
+                f"{folder}: cannot be written ({error.strerror or error}); choose another --results"
+            ) from None
+
+
 def run_one(
     plan: Plan, each: Variant, seed: int, say: Callable[[str], None], progress: Callable[[float], None]
 ) -> Path:
@@ -92,16 +147,19 @@ def run_one(
 
     Raises:
         DatasetError: if the dataset does not fit.
+        MotionkitError: a result is there that is damaged, or of other data or other frames.
     """
     file = result_file(plan, each, seed)
-    if file.exists():
-        return file
     dataset = select(plan.data, plan.selection)
+    made = made_from(dataset)
+    if is_done(plan, each, seed, made):
+        return file
     result: dict[str, Any] = {
         "name": each.name,
         "group": each.group,
         "seed": seed,
         "data": plan.selection,
+        "made": made,
     }
     if each.preset:
         result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
@@ -120,22 +178,156 @@ def run_all(
     jobs: int,
     say: Callable[[str], None],
     progress: Callable[[float], None],
-) -> Iterator[Path]:
-    """Do runs of (variant, seed), some at a time in processes of their own, and yield each file as it is written."""
-    if jobs == 1:
-        for number, (each, seed) in enumerate(tasks):
-            say(f"{each.name}, seed {seed}")
-            yield run_one(plan, each, seed, say, lambda share, n=number: progress((n + share) / len(tasks)))  # type: ignore[misc]
+) -> Generator[Path, None, None]:
+    """Do runs of (variant, seed), some at a time in processes of their own, and yield each file as it is written.
+
+    Raises:
+        DatasetError: if the dataset does not fit.
+        MotionkitError: a process of a run was killed.
+        KeyboardInterrupt: Ctrl-C; runs in flight have written their checkpoints.
+    """
+    if jobs > 1:
+        works = [
+            (f"{each.name}, seed {seed}", partial(_quiet_run, plan, each.name, seed)) for each, seed in tasks
+        ]
+        yield from _side_by_side(works, jobs, say, progress)
         return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        futures = [pool.submit(_quiet_run, plan, each.name, seed) for each, seed in tasks]
-        for number, future in enumerate(as_completed(futures), 1):
-            yield future.result()
-            progress(number / len(tasks))
+    for number, (each, seed) in enumerate(tasks):
+        say(f"{each.name}, seed {seed}")
+        yield run_one(plan, each, seed, say, lambda share, n=number: progress((n + share) / len(tasks)))  # type: ignore[misc]
 
 
-def _quiet_run(plan: Plan, name: str, seed: int) -> Path:
-    return run_one(plan, variant(name), seed, lambda text: None, lambda share: None)
+def _quiet_run(plan: Plan, name: str, seed: int, progress: Callable[[float], None]) -> Path:
+    return run_one(plan, variant(name), seed, lambda text: None, progress)
+
+
+# ---- runs side by side ----
+
+
+@dataclass
+class _Running:
+    """A run in a process: its name, what it says, and the share that is done."""
+
+    name: str
+    process: SpawnProcess
+    heard: Connection
+    share: float = 0.0
+    result: Path | None = None
+    fault: str | None = None
+
+    def listen(self) -> bool:
+        """Take one message, and return whether there may be more."""
+        try:
+            kind, value = self.heard.recv()
+        except (EOFError, OSError):  # it ended
+            return False
+        setattr(self, kind, value)
+        return True
+
+
+def _side_by_side(
+    works: Sequence[tuple[str, partial[Path]]],
+    jobs: int,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+) -> Generator[Path, None, None]:
+    """Do named works, so many at a time, and yield each file as it is written.
+
+    Where the iterator is left early, by Ctrl-C or an error, works in flight are told to stop, and are waited for: a
+    training ends after its step and writes its checkpoint. What has not begun never does. A second Ctrl-C ends all at
+    once.
+
+    Raises:
+        MotionkitError: a work failed, or its process was killed.
+    """
+    waiting, running, done = deque(works), list[_Running](), 0
+    try:
+        while waiting or running:
+            while waiting and len(running) < jobs:
+                name, work = waiting.popleft()
+                say(name)
+                running.append(_start(name, work))
+            ready = wait([each.heard for each in running])
+            for each in [each for each in running if each.heard in ready]:
+                if each.listen():
+                    continue
+                running.remove(each)
+                file, done = _ended(each), done + 1
+                yield file
+            progress((done + sum(each.share for each in running)) / len(works))
+    finally:
+        _stop(running)
+
+
+def _start(name: str, work: partial[Path]) -> _Running:
+    ours, theirs = multiprocessing.Pipe(duplex=False)
+    process = multiprocessing.get_context("spawn").Process(target=_serve, args=(work, theirs), daemon=True)
+    if os.name == "posix":
+        resource_tracker.ensure_running()  # else the first start would begin it, and let Ctrl-C through again
+    with ctrl_c_held():  # the key reaches all processes of a terminal; the parent decides
+        process.start()
+    theirs.close()  # so that the end of the process ends what is heard
+    return _Running(name, process, ours)
+
+
+def _ended(run: _Running) -> Path:
+    """Return the file of a run whose process has ended."""
+    run.process.join()
+    run.heard.close()
+    if run.fault is not None:
+        raise MotionkitError(run.fault)
+    if run.result is None:
+        raise MotionkitError(
+            f"{run.name}: its process ended before its result (exit code {run.process.exitcode}); was it killed for "
+            "want of memory? The same command continues, and fewer --jobs need less"
+        )
+    return run.result
+
+
+def _stop(running: Sequence[_Running]) -> None:
+    """End all runs: after their step, or at once if this is interrupted as well."""
+    try:
+        for each in running:
+            each.process.terminate()
+        for each in running:
+            each.process.join()
+    finally:
+        for each in running:
+            each.process.kill()
+
+
+def _serve(work: partial[Path], told: Connection) -> None:
+    """Do a work in this process; a parent that stops, or dies, stops it."""
+    signal.signal(signal.SIGTERM, _interrupt)
+    threading.Thread(target=_stop_with_parent, daemon=True).start()
+
+    def tell(kind: str, value: object) -> None:
+        with suppress(OSError):  # nobody listens any more
+            told.send((kind, value))
+
+    try:
+        tell("result", work(lambda share: tell("share", share)))
+    except KeyboardInterrupt:
+        sys.exit(1)
+    except MotionkitError as error:
+        tell("fault", str(error))
+    except MemoryError:
+        tell("fault", "not enough memory; the same command continues, and fewer --jobs need less")
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    if not postpone(number):
+        raise KeyboardInterrupt
+
+
+def _stop_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os.kill(os.getpid(), signal.SIGTERM)
+
+
+# ---- one run ----
 
 
 def _trained(
@@ -152,8 +344,12 @@ def _trained(
     path = folder / f"{slug(each.name)}-{seed}.safetensors"
     checkpoint = path.with_suffix(".run") / "checkpoint.safetensors"
 
+    stopping = False
+
     def on_event(event: TrainEvent) -> None:
-        if event.kind == "note":
+        nonlocal stopping
+        stopping |= event.kind == "stop"
+        if event.kind == "note" and not stopping:  # how a stopped run continues is for the caller to say
             say(event.text)
         if event.kind == "log" and options.steps:
             progress(event.step / options.steps)
@@ -232,15 +428,24 @@ def read_results(folder: Path) -> list[dict[str, Any]]:
     Raises:
         MotionkitError: for a file that is none.
     """
-    out = []
-    for path in sorted(folder.rglob("*.json")):
-        try:
-            result = json.loads(path.read_text("utf-8"))
-            result["folder"] = path.parent.relative_to(folder).as_posix()
-            result["name"], result["seed"]
-        except (ValueError, KeyError, TypeError) as error:
-            raise MotionkitError(
-                f"{path}: not the result of an experiment ({error}); delete it and run it again"
-            ) from None
-        out.append(result)
-    return out
+    return [
+        read_result(path) | {"folder": path.parent.relative_to(folder).as_posix()}
+        for path in sorted(folder.rglob("*.json"))
+    ]
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Return one result with all that tables and figures take from it.
+
+    Raises:
+        MotionkitError: the file is none, a field is missing or of another type, or its names are unknown.
+    """
+    try:
+        result = read_json(path, "the result of an experiment", MotionkitError)
+        check_result(result)
+    except MotionkitError as error:
+        fault = str(error).removeprefix(f"{path}: ")
+        raise MotionkitError(
+            f"{path}: not the result of an experiment ({fault}); delete it and run it again"
+        ) from None
+    return result

@@ -17,16 +17,20 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.synthesize import on_character
 from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError
 from motionkit.evaluation.reconstruction import HeldOut, as_motion, roll_like
 from motionkit.evaluation.settings import EvaluationSettings
+from motionkit.experiments.model_results import SHIPPED_GROUP, made_from
 from motionkit.experiments.protocol import Continue, TestSequence, measure, sequences_of
+from motionkit.experiments.variants import variant
 from motionkit.features.decode import decode_motion
 from motionkit.features.encode import encode_motion
 from motionkit.files import atomic_write
 from motionkit.models.model import MotionModel
+from motionkit.models.presets import preset
 from motionkit.motion.motion import Motion
 
-GROUP = "shipped"
+GROUP = SHIPPED_GROUP
 FIRST_SEED = 1000  # of test seeds (evaluation/settings.py)
 
 
@@ -85,7 +89,17 @@ def run_shipped(
     results: Path,
     progress: Callable[[float], None],
 ) -> list[Path]:
-    """Measure models by name, and write a result for each seed, beside those of the protocol."""
+    """Measure models by name, and write a result for each seed, beside those of the protocol.
+
+    Raises:
+        DatasetError: the dataset is not one that the protocol's networks are trained on.
+    """
+    layout = preset(variant("TPTN").preset).layout
+    if dataset.layout.version != layout:
+        raise DatasetError(
+            f"{dataset.folder}: layout {dataset.layout.version}, but the networks to compare with need {layout}: run "
+            f"preprocess with --layout {layout}"
+        )
     sequences = held_out(dataset, longest)
     folder, out = results / selection / GROUP, []
     for name, model in models.items():
@@ -93,7 +107,14 @@ def run_shipped(
             measured, _ = measure(
                 dataset, shipped_continues(model, dataset, seed), sequences, lambda share: None
             )
-            result = {"name": name, "group": GROUP, "seed": seed, "data": selection, "longest": longest}
+            result = {
+                "name": name,
+                "group": GROUP,
+                "seed": seed,
+                "data": selection,
+                "longest": longest,
+                "made": made_from(dataset),
+            }
             file = folder / f"{name.replace(' ', '-')}-{seed}.json"
             with atomic_write(file, "w") as stream:
                 stream.write(json.dumps({**result, "parameters": 0, **measured}, indent=1) + "\n")

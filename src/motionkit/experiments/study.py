@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import html
 import json
 import random
@@ -32,9 +33,10 @@ def write_study(folder: Path, output: Path, seed: int = 0) -> int:
         seed: of the order of the models, which differs from group to group.
 
     Raises:
-        MotionkitError: there are no groups, one lacks its recording, or two have different models.
+        MotionkitError: there are no groups, one lacks its recording, two have different models, or two files of a
+            group have the same name.
     """
-    groups = sorted(path for path in folder.iterdir() if path.is_dir())
+    groups = sorted(path for path in folder.iterdir() if path.is_dir() and not _hidden(path, folder))
     if not groups:
         raise MotionkitError(
             f"{folder}: no groups, expected folders with {RECORDING}.bvh and a BVH file per model"
@@ -43,7 +45,7 @@ def write_study(folder: Path, output: Path, seed: int = 0) -> int:
     sections, orders = [], {}
     models: list[str] | None = None
     for group in groups:
-        files = {path.stem: path for path in files_below(group, ".bvh")}
+        files = _files(group)
         names = sorted(set(files) - {RECORDING})
         if RECORDING not in files or not names:
             raise MotionkitError(f"{group}: expected {RECORDING}.bvh and at least one model's BVH file")
@@ -54,10 +56,30 @@ def write_study(folder: Path, output: Path, seed: int = 0) -> int:
         orders[group.name] = order
         sections.append(_section(group.name, files, order))
     page = _PAGE.replace("__GROUPS__", "\n".join(sections))
-    facts = json.dumps({"format": FORMAT, "orders": orders, "aspects": list(ASPECTS)}).replace("<", "\\u003c")
+    # A rater who looks at the page's source reads no names.
+    hidden = base64.b64encode(json.dumps(orders).encode()).decode()
+    facts = json.dumps({"format": FORMAT, "orders": hidden, "aspects": list(ASPECTS)})
     with atomic_write(output, "w") as out:
         out.write(page.replace("__FACTS__", facts))
     return len(groups)
+
+
+def _files(group: Path) -> dict[str, Path]:
+    """The BVH files of a group by name, the recording's in lower case; hidden files are not seen."""
+    out: dict[str, Path] = {}
+    for path in files_below(group, ".bvh"):
+        if _hidden(path, group):
+            continue
+        name = RECORDING if path.stem.lower() == RECORDING else path.stem
+        if name in out:
+            raise MotionkitError(f"{path}: has the name of {out[name]}; each model of a group is one file")
+        out[name] = path
+    return out
+
+
+def _hidden(path: Path, folder: Path) -> bool:
+    """Whether a path below a folder is hidden or in a hidden folder, as .git is."""
+    return any(part.startswith(".") for part in path.relative_to(folder).parts)
 
 
 def _section(name: str, files: dict[str, Path], order: list[str]) -> str:
@@ -105,7 +127,8 @@ th{text-align:left;font-weight:400;padding:.15rem .8rem .15rem 0}.missing{outlin
 <p>Each group shows a recording and, in random order and without their names, what several programs made of its first
 frames. A click on a clip plays or pauses it. Rank the programs in each row, then score each from 1 to 5.</p>
 __GROUPS__
-<p><button id="save">Save answers</button> <span id="said" role="status"></span></p>
+<p><label>Your name or initials <input id="rater" maxlength="40"></label>
+<button id="save">Save answers</button> <span id="said" role="status"></span></p>
 <script>
 const facts = __FACTS__;
 document.getElementById("save").addEventListener("click", () => {
@@ -115,23 +138,26 @@ document.getElementById("save").addEventListener("click", () => {
     missing += !box.value;
   }
   const said = document.getElementById("said");
-  if (missing) { said.textContent = missing + " boxes are empty"; return; }
+  const rater = document.getElementById("rater").value.trim();
+  if (!rater) { said.textContent = "your name or initials are missing"; return; }
+  if (missing) { said.textContent = missing === 1 ? "1 box is empty" : missing + " boxes are empty"; return; }
   const answers = [];
+  const orders = JSON.parse(new TextDecoder().decode(Uint8Array.from(atob(facts.orders), c => c.charCodeAt(0))));
   for (const section of document.querySelectorAll("section")) {
     const group = section.dataset.group;
-    facts.orders[group].forEach((model, clip) => {
+    orders[group].forEach((model, clip) => {
       const ranks = facts.aspects.map((_, i) =>
         Number(section.querySelector(`[data-rank="${i}"][data-clip="${clip}"]`).value));
       const score = Number(section.querySelector(`[data-score][data-clip="${clip}"]`).value);
       answers.push({group, model, score, ranks});
     });
   }
-  const text = JSON.stringify({format: facts.format, aspects: facts.aspects, answers}, null, 1);
+  const text = JSON.stringify({format: facts.format, rater, aspects: facts.aspects, answers}, null, 1);
   const link = document.createElement("a");
   link.href = URL.createObjectURL(new Blob([text], {type: "application/json"}));
-  link.download = "answers.json";
+  link.download = `answers-${rater.replace(/[^\\p{L}\\p{N}_-]+/gu, "-")}.json`;
   link.click();
-  said.textContent = "saved answers.json";
+  said.textContent = "saved " + link.download;
 });
 </script></body></html>
 """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +15,10 @@ from motionkit.files import read_json
 
 FORMAT = "motionkit-study-1"
 SCORES = range(1, 6)
+
+
+class NothingToTest(MotionkitError):
+    """Two samples that are too small, or without any spread."""
 
 
 @dataclass(frozen=True)
@@ -46,12 +50,13 @@ class Comparison:
 
 
 def read_answers(paths: Sequence[Path]) -> list[dict[str, Any]]:
-    """Return the answers in files that `experiment study` pages saved.
+    """Return the answers in files that `experiment study` pages saved, one rater's each.
 
     Raises:
-        MotionkitError: a file is none, or a score is not one of 1 to 5.
+        MotionkitError: a file is none, or has the same answers as another; a score is not one of 1 to 5, or is given
+            twice; a rater is not a text.
     """
-    out = []
+    out: list[dict[str, Any]] = []
     for path in paths:
         answers = read_json(path, "the answers of a study", MotionkitError)
         if not isinstance(answers, dict) or answers.get("format") != FORMAT:
@@ -67,8 +72,34 @@ def read_answers(paths: Sequence[Path]) -> list[dict[str, Any]]:
                 raise MotionkitError(
                     f"{path}: an answer without its group or model: {json.dumps(entry)[:80]}"
                 )
+        _check_rater(path, answers)
+        if answers in out:
+            raise MotionkitError(
+                f"{path}: the same answers as in {paths[out.index(answers)]}; name each rater's file once"
+            )
         out.append(answers)
     return out
+
+
+def _check_rater(path: Path, answers: dict[str, Any]) -> None:
+    """Raise MotionkitError for answers that are given twice, or a rater that is not a text."""
+    if not isinstance(answers.get("rater", ""), str):  # answers of before have none
+        raise MotionkitError(f"{path}: the rater {answers['rater']!r:.40}, expected a text")
+    counts = Counter((entry["group"], entry["model"]) for entry in answers["answers"])
+    for (group, model), count in counts.items():
+        if count > 1:
+            raise MotionkitError(f"{path}: {count} answers about {model!r} in {group!r}, expected one")
+
+
+def unequal_samples(answers: Sequence[dict[str, Any]]) -> str | None:
+    """Say how many answers the groups have of each model, if these differ; None if all have as many."""
+    groups = sorted({entry["group"] for each in answers for entry in each["answers"]})
+    models = sorted({entry["model"] for each in answers for entry in each["answers"]})
+    counts = Counter((entry["model"], entry["group"]) for each in answers for entry in each["answers"])
+    if len({counts[model, group] for model in models for group in groups}) == 1:
+        return None
+    words = [f"{model} {', '.join(str(counts[model, group]) for group in groups)}" for model in models]
+    return f"answers differ in number; in the groups {', '.join(groups)}: {'; '.join(words)}"
 
 
 def scores(answers: Sequence[dict[str, Any]]) -> dict[str, Score]:
@@ -87,15 +118,15 @@ def compare(first: Score, rival: Score) -> Comparison:
     """Test whether the first model's mean is larger, by Student's t of two samples of equal variance.
 
     Raises:
-        MotionkitError: a model has fewer than two sequences, or no score differs from another.
+        NothingToTest: a model has fewer than two sequences, or no score of either differs from its others.
     """
     m, n = len(first.values), len(rival.values)
     if min(m, n) < 2:
-        raise MotionkitError(f"a t-test needs 2 sequences of each model, found {m} and {n}")
+        raise NothingToTest(f"a t-test needs 2 sequences of each model, found {m} and {n}")
     freedom = m + n - 2
     pooled = ((m - 1) * first.deviation**2 + (n - 1) * rival.deviation**2) / freedom
     if pooled == 0.0:
-        raise MotionkitError(
+        raise NothingToTest(
             f"all scores of {first.name} are the same, and all of {rival.name}: nothing to test"
         )
     t = (first.mean - rival.mean) / math.sqrt(pooled * (1.0 / m + 1.0 / n))

@@ -1,0 +1,146 @@
+"""The commands of `motionkit experiment`: what they refuse, say, and fit into a narrow terminal."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from motionkit.cli.experiment import BODIES_SPARE, LONG_SPARE, _print_fitting, counted
+from motionkit.experiments.bodies import BODIES_HEADER, MEASURES, bodies_row
+from motionkit.experiments.long_rollouts import LONG_HEADER, long_row
+
+from .conftest import Outcome
+
+Run = Callable[..., Outcome]
+
+
+def floors(motionkit: Run, data: Path, *words: object) -> Outcome:
+    """A run that takes a second."""
+    options = ("--set", "all", "--data", data, "--frames", 30, "--results", "results")
+    return motionkit("experiment", "run", "last frame", *options, *words)
+
+
+def test_a_finished_run_is_told_by_what_it_was_made_from(motionkit: Run, paper_folder: Path) -> None:
+    first = floors(motionkit, paper_folder)
+    assert first.code == 0 and first.err.startswith("1 run, 0 of them done\n")
+    again = floors(motionkit, paper_folder)
+    assert (again.code, again.err) == (0, "1 run, 1 of them done\n")
+    assert floors(motionkit, paper_folder, "--frames", 60).failed_with(
+        "last-frame-0.json", "--frames 30, not 60"
+    )
+    (file,) = Path("results").rglob("*.json")
+    file.write_text("")
+    assert floors(motionkit, paper_folder).failed_with("last-frame-0.json", "delete it")
+    listed = motionkit(
+        "experiment", "list", "--set", "all", "--data", paper_folder, "--results", "results", "--json"
+    )
+    assert listed.code == 0 and "not counted: " in listed.err
+    assert {row["name"]: row["done"] for row in json.loads(listed.out)}["last frame"] == 0
+
+
+def test_what_cannot_be_read_or_written_is_said_first(motionkit: Run, paper_folder: Path) -> None:
+    Path("results").mkdir()
+    Path("results/all").write_text("")
+    assert floors(motionkit, paper_folder).failed_with("results", "cannot be written", "--results")
+    assert motionkit("experiment", "list", "--data", "nowhere").failed_with("nowhere: not a dataset folder")
+    assert motionkit("experiment", "list").code == 0, "the default folder need not be there"
+
+
+def test_tables_and_figures_name_a_broken_result(motionkit: Run, paper_folder: Path) -> None:
+    floors(motionkit, paper_folder)
+    (file,) = Path("results").rglob("*.json")
+    result = json.loads(file.read_text())
+    del result["groups"]
+    file.write_text(json.dumps(result))
+    for command in ("tables", "figures"):
+        said = motionkit("experiment", command, "--results", "results", "-o", "out")
+        assert said.failed_with("last-frame-0.json", "groups is missing")
+
+
+def rated(path: Path, scores: dict[str, tuple[int, ...]]) -> Path:
+    """The answers of a rater: model to its scores in the groups."""
+    answers = [
+        {"group": f"g{g}", "model": model, "score": score}
+        for model, given in scores.items()
+        for g, score in enumerate(given)
+    ]
+    path.write_text(json.dumps({"format": "motionkit-study-1", "answers": answers}))
+    return path
+
+
+def test_a_t_test_says_what_its_samples_are(motionkit: Run, tmp_path: Path) -> None:
+    one = rated(tmp_path / "one.json", {"TPTN": (4, 4, 4), "MVAE": (2, 3, 1), "flat": (3, 3, 3)})
+    said = motionkit("experiment", "ttest", one)
+    assert said.code == 0 and "TPTN: n 3, mean 4.000, std 0.000; 1 rater" in said.out
+    (row,) = [line.split() for line in said.out.splitlines() if "MVAE" in line]
+    assert [word for word in row if word != "│"][:5] == [
+        "MVAE",
+        "3",
+        "2.000",
+        "1.000",
+        "3.464",
+    ] and "4" in row
+    assert "flat is left out: all scores of TPTN are the same" in said.err and "one rater alone" in said.err
+    two = rated(tmp_path / "two.json", {"TPTN": (5, 4, 4), "MVAE": (2, 3)})
+    both = motionkit("experiment", "ttest", one, two, "--json")
+    facts = json.loads(both.out)
+    assert (facts["n"], facts["raters"]) == (3, 2) and {
+        r["model"]: r["freedom"] for r in facts["against"]
+    } == {
+        "MVAE": 4,
+        "flat": 4,
+    }
+    assert (
+        "answers differ in number; in the groups g0, g1, g2: MVAE 2, 2, 1; TPTN 2, 2, 2; flat 1, 1, 1"
+        in both.err
+    )
+    assert motionkit("experiment", "ttest", one, one).failed_with("the same answers as in")
+
+
+def test_a_model_alone_has_no_t_test(motionkit: Run, tmp_path: Path) -> None:
+    alone = rated(tmp_path / "alone.json", {"TPTN": (4, 3)})
+    assert motionkit("experiment", "ttest", alone).failed_with("no answers about models other than TPTN")
+    flat = rated(tmp_path / "flat.json", {"TPTN": (4, 4), "MVAE": (2, 2)})
+    said = motionkit("experiment", "ttest", flat)
+    assert said.code == 1 and "no model is left to compare TPTN with" in said.err.splitlines()[-1]
+
+
+LONG_FACTS = {
+    "type": "dance-salsa", "seed": 0, "distance": [4.1, 5.1, 15.4, 5.6], "distance-recorded": 7.3,
+    "swing": [9.0, 11.0, 13.0, 13.0], "swing-recorded": 20.0, "speed": [103.0, 52.0, 246.0, 57.0],
+    "speed-recorded": 317.0, "holds": False,
+}  # fmt: skip
+BODY = {"performer": "127", **{side: dict.fromkeys(MEASURES, 76.5) for side in ("recorded", "made")}}
+
+
+@pytest.mark.parametrize("columns", [60, 80, 140])
+@pytest.mark.parametrize(
+    ("header", "row", "spare"),
+    [(LONG_HEADER, long_row(LONG_FACTS), LONG_SPARE), (BODIES_HEADER, bodies_row(BODY), BODIES_SPARE)],
+)
+def test_tables_break_no_word_or_figure(
+    columns: int,
+    header: tuple[str, ...],
+    row: tuple[str, ...],
+    spare: tuple[int, ...],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    _print_fitting(header, [row], spare)
+    said = capsys.readouterr()
+    shown = [i for i in range(len(header)) if columns > 60 or i not in spare[:3]]
+    words = sorted(word for i in shown for text in (header[i], row[i]) for word in text.split())
+    found = said.out.split()
+    assert all(word in found for word in words) and set(found) <= {
+        w for t in (*header, *row) for w in t.split()
+    }
+    assert max(map(len, said.out.splitlines())) <= columns
+    assert ("left out in a terminal of 60 columns" in said.err) == (columns == 60)
+
+
+def test_one_is_no_plural() -> None:
+    assert (counted(0, "run"), counted(1, "run"), counted(2, "run")) == ("0 runs", "1 run", "2 runs")
