@@ -111,7 +111,7 @@ def test_a_model_alone_has_no_t_test(motionkit: Run, tmp_path: Path) -> None:
 LONG_FACTS = {
     "type": "dance-salsa", "seed": 0, "distance": [4.1, 5.1, 15.4, 5.6], "distance-recorded": 7.3,
     "swing": [9.0, 11.0, 13.0, 13.0], "swing-recorded": 20.0, "speed": [103.0, 52.0, 246.0, 57.0],
-    "speed-recorded": 317.0, "holds": False,
+    "speed-recorded": 317.0, "speed-fastest": 450.0, "holds": False,
 }  # fmt: skip
 BODY = {"performer": "127", **{side: dict.fromkeys(MEASURES, 76.5) for side in ("recorded", "made")}}
 

@@ -29,7 +29,7 @@ INITIAL = 30  # frames
 SPANS = 4  # a roll-out is measured in so many parts
 NEAREST = 20_000  # training frames of a type to compare with, at most
 LONG_HEADER = (
-    "type", "seed", "cm from recordings", "held out", "swing (cm)", "recorded", "cm/s", "recorded", "holds",
+    "type", "seed", "cm from recordings", "held out", "swing (cm)", "recorded", "cm/s", "recorded", "at most", "holds",
 )  # fmt: skip
 CHUNK = 200  # frames that are compared at a time
 # Of the recording that was held out: a roll-out that is further from the training clips than this many times its
@@ -242,6 +242,7 @@ def long_row(facts: dict[str, Any]) -> tuple[str, ...]:
         f"{facts['swing-recorded']:.0f}",
         speeds,
         f"{facts['speed-recorded']:.0f}",
+        f"{facts['speed-fastest']:.0f}",
         "yes" if facts["holds"] else "no",
     )
 
