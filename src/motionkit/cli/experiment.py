@@ -33,7 +33,7 @@ RESULTS = Path("experiments/results")
 SCENES = Path("experiments/scenes")
 LONG = Path("experiments/long")
 BODIES = Path("experiments/bodies")
-# Columns of their tables that a narrow terminal can do without: the limit, the seed, the recordings' own figures; hips, arms.
+# Columns of their tables that a narrow terminal can do without, the first first.
 LONG_SPARE, BODIES_SPARE = (8, 1, 7, 5, 3), (6, 5, 4, 3)
 SETS = ["D_L", "all", "no-dances", "locomotion"]
 
