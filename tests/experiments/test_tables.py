@@ -334,6 +334,20 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
         read_scenes(tmp_path)
 
 
+def test_the_page_says_what_was_tested_and_whether_recordings_differ() -> None:
+    def row(name: str, frames: int) -> dict[str, Any]:
+        return {"sequence": name, "frames": frames, "values": {}}
+
+    rows = [row("cmu/02_01.bvh", 1200), row("cmu/90_05.bvh (mirrored)", 40)]
+    same = [r | {"sequences": rows} for r in RESULTS]
+    text = page(same)
+    assert "Tested on 2 sequences, 1,240 frames, 1 of them mirror images of training clips." in text
+    assert "prepared at different times" not in text
+    moved = json.loads(json.dumps(same))
+    moved[0]["groups"]["all"]["bm-euler"][1] += 0.5
+    assert "goes from 50.00 to 50.50" in page(moved)
+
+
 # ---- the paper's claims ----
 
 

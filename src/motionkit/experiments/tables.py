@@ -329,7 +329,7 @@ def _test_set(here: Results) -> str:
     frames = sum(row["frames"] for row in rows)
     said = f"Tested on {len(rows)} sequences, {frames:,} frames"
     said += f", {mirrored} of them mirror images of training clips." if mirrored else "."
-    moved = {round(each.mean, 3) for r in here if (each := figure_of([r], "bm-euler", recorded=True))}
+    moved = {round(each.mean, 2) for r in here if (each := figure_of([r], "bm-euler", recorded=True))}
     if len(moved) > 1:
         least, most = min(moved), max(moved)
         said += (
