@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.cli.experiment import BODIES_SPARE, LONG_SPARE, _print_fitting, counted
+from motionkit.cli.common import counted
+from motionkit.cli.experiment import BODIES_SPARE, LONG_SPARE, _print_fitting
 from motionkit.experiments.bodies import BODIES_HEADER, MEASURES, bodies_row
 from motionkit.experiments.long_rollouts import LONG_HEADER, long_row
 

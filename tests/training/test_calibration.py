@@ -149,17 +149,12 @@ def test_noise_of_its_own_is_for_roll_outs_without_references(
     assert read.types["walking"].preset.noise_alone is None
 
 
-def test_training_ends_with_the_noise_in_the_file(
+def test_training_ends_with_gains_and_noise_in_the_file(
     dataset_folder: Path, tmp_path: Path, tiny_options: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("motionkit.training.trainer.calibrated_noise", lambda *_: {"cartwheel": 1.21})
-    train(dataset_folder, tmp_path / "m.safetensors", tiny_options(steps=1, score_seconds=0.1), device="cpu")
-    assert load_model(tmp_path / "m.safetensors").types["cartwheel"].preset.noise_alone == 1.21
-
-
-def test_training_ends_with_the_gains_in_the_file(
-    dataset_folder: Path, tmp_path: Path, tiny_options: Callable, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", lambda *_: {"cartwheel": 1.37})
     train(dataset_folder, tmp_path / "m.safetensors", tiny_options(steps=1, score_seconds=0.1), device="cpu")
-    assert load_model(tmp_path / "m.safetensors").types["cartwheel"].preset.reference_gain == 1.37
+    read = load_model(tmp_path / "m.safetensors").types["cartwheel"].preset
+    assert read.noise_alone == 1.21
+    assert read.reference_gain == 1.37

@@ -14,6 +14,7 @@ from click.core import ParameterSource
 
 from motionkit.cli.common import (
     STOPPED,
+    counted,
     json_option,
     model_option,
     print_json,
@@ -106,11 +107,6 @@ def _results_option(function: Callable) -> Callable:
         help="Folder of results; checkpoints go beside it.",
     )
     return option(function)
-
-
-def counted(number: int, word: str) -> str:
-    """Return a number with its word: "1 run", "2 runs"."""
-    return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def _print_fitting(header: Sequence[str], rows: Sequence[Sequence[str]], spare: Sequence[int]) -> None:

@@ -13,6 +13,7 @@ import click
 
 from motionkit.cli.common import (
     STOPPED,
+    counted,
     json_option,
     print_json,
     progress_bar,
@@ -233,7 +234,7 @@ def _look(data: Path) -> None:
         raise MotionkitError(f"{data}: none of the {len(left_out)} files can be used; {left_out[0]}")
     lost = [kind for kind in found.types if kind.unlearnable]
     if len(lost) == len(found.types):
-        more = f" (and {_counted(len(lost) - 1, 'more type')})" if len(lost) > 1 else ""
+        more = f" (and {counted(len(lost) - 1, 'more type')})" if len(lost) > 1 else ""
         raise MotionkitError(f"{data}: no type can be learnt; {lost[0].name}: {lost[0].unlearnable}{more}")
     for line in left_out[:SHOWN_SKIPS]:
         remark(f"left out: {line}")
@@ -255,13 +256,9 @@ def _preprocess(data: Path, folder: Path, mirror: bool) -> Dataset:
         report = preprocess([data], folder, options, stages_on(bar))
     clips = sum(file.clips for file in report.files)  # without mirror images
     remark(
-        f"{folder}: {_counted(clips, 'clip')}, {duration(report.seconds)}, {_counted(len(report.types), 'type')}"
+        f"{folder}: {counted(clips, 'clip')}, {duration(report.seconds)}, {counted(len(report.types), 'type')}"
     )
     return Dataset(folder)
-
-
-def _counted(number: int, word: str) -> str:
-    return f"{number} {word}{'s' if number != 1 else ''}"
 
 
 def _training_options(

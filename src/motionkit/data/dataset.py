@@ -269,12 +269,20 @@ class Dataset:
         """The clips of a split, "train", "validation" or "test"."""
         return [clip for clip in self.clips if clip.split == split]
 
-    def training_digest(self) -> str:
-        """A digest of what a run sees: the types, the scalings, and the ways and types of the training clips."""
+    def check_layout(self, layout: str, needing: str) -> None:
+        """Raise DatasetError unless the features have this layout; needing says who needs it."""
+        if self.layout.version != layout:
+            raise DatasetError(
+                f"{self.folder}: layout {self.layout.version}, but {needing} {layout}: run preprocess with "
+                f"--layout {layout}"
+            )
+
+    def digest(self, split: str = "train") -> str:
+        """A digest of what a run sees: the types, the scalings, and the ways and types of the clips of a split."""
         names = ("feature_scaling", "trajectory_scaling")
         facts = [self.types, self.layout.version, {name: self.manifest[name] for name in names}]
         digest = hashlib.sha256(json.dumps(facts).encode())
-        for clip in self.select("train"):
+        for clip in self.select(split):
             rows = slice(clip.start, clip.start + clip.frames)
             digest.update(json.dumps([clip.frames, clip.body, clip.mirrored]).encode())
             for name in ("ground", "types"):

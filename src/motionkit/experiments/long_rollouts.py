@@ -85,11 +85,7 @@ def types_known(model: MotionModel, kinds: Sequence[str], asked: bool) -> list[s
 
 def check_layout(dataset: Dataset, model: MotionModel) -> None:
     """Check that a dataset has the features that a model was trained on. Raises DatasetError if not."""
-    needed, found = model.config.layout, dataset.layout.version
-    if found != needed:
-        raise DatasetError(
-            f"{dataset.folder}: layout {found}, but the model needs {needed}: run preprocess with --layout {needed}"
-        )
+    dataset.check_layout(model.config.layout, "the model needs")
     if dataset.fps != model.fps:
         raise DatasetError(
             f"{dataset.folder}: {dataset.fps:g} frames a second, but the model needs {model.fps:g}: run preprocess "

@@ -17,7 +17,6 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.synthesize import on_character
 from motionkit.data.dataset import Dataset
-from motionkit.errors import DatasetError
 from motionkit.evaluation.reconstruction import HeldOut, as_motion, roll_like
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.experiments.model_results import SHIPPED_GROUP, made_from
@@ -94,12 +93,7 @@ def run_shipped(
     Raises:
         DatasetError: the dataset is not one that the protocol's networks are trained on.
     """
-    layout = preset(variant("TPTN").preset).layout
-    if dataset.layout.version != layout:
-        raise DatasetError(
-            f"{dataset.folder}: layout {dataset.layout.version}, but the networks to compare with need {layout}: run "
-            f"preprocess with --layout {layout}"
-        )
+    dataset.check_layout(preset(variant("TPTN").preset).layout, "the networks to compare with need")
     sequences = held_out(dataset, longest)
     folder, out = results / selection / GROUP, []
     for name, model in models.items():

@@ -96,11 +96,8 @@ def calibrated_gains(
         return {}
     moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
     real = recorded_manners(dataset, moved)
-    costs: dict[str, list[float]] = {kind: [] for kind in real}
-    for gain in gains:
-        made = made_manners(with_gains(model, dict.fromkeys(real, gain)), list(real), frames, repeats)
-        for kind, manner in made.items():
-            costs[kind].append(manner.cost(real[kind]))
+    tried = [with_gains(model, dict.fromkeys(real, gain)) for gain in gains]
+    costs = _costs(tried, real, frames, repeats, JERK_WEIGHT)
     return {kind: _cheapest(gains, found) for kind, found in costs.items()}
 
 
@@ -123,12 +120,17 @@ def calibrated_noise(
     alone = model.with_reference("none")
     moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
     real = recorded_manners(dataset, moved)
-    costs: dict[str, list[float]] = {kind: [] for kind in real}
-    for noise in noises:
-        tried = _with_presets(alone, {kind: {"noise_scale": noise} for kind in real})
-        for kind, manner in made_manners(tried, list(real), frames, repeats).items():
-            costs[kind].append(manner.cost(real[kind], JERK_OF_NOISE))
+    tried = [_with_presets(alone, {kind: {"noise_scale": noise} for kind in real}) for noise in noises]
+    costs = _costs(tried, real, frames, repeats, JERK_OF_NOISE)
     return {kind: noises[int(np.argmin(found))] for kind, found in costs.items()}
+
+
+def _costs(
+    tried: Sequence[MotionModel], real: Mapping[str, Manner], frames: int, repeats: int, jerk_weight: float
+) -> dict[str, list[float]]:
+    """What roll-outs of each recorded type cost with each of the models that are tried."""
+    made = [made_manners(model, list(real), frames, repeats) for model in tried]
+    return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
 
 
 def with_gains(model: MotionModel, gains: Mapping[str, float]) -> MotionModel:

@@ -255,12 +255,8 @@ class TrainingRun:
             raise DatasetError(f"{dataset.folder}: {error}") from None
         torch.manual_seed(options.seed)
         config = preset(options.preset, **options.config)
-        if config.layout != dataset.layout.version:
-            raise DatasetError(
-                f"{dataset.folder}: layout {dataset.layout.version}, but preset {options.preset} needs "
-                f"{config.layout}: run preprocess with --layout {config.layout}"
-            )
-        self.digest = dataset.training_digest()
+        dataset.check_layout(config.layout, f"preset {options.preset} needs")
+        self.digest = dataset.digest()
         begun_from = None if options.init is None else open_model(options.init)
         self.kept: dict[str, MotionType] = {}
         self.repeated: tuple[str, ...] = ()
