@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from motionkit.cli.common import counted
-from motionkit.cli.experiment import BODIES_SPARE, LONG_SPARE, _print_fitting
+from motionkit.cli.experiment.rollouts import BODIES_SPARE, LONG_SPARE
+from motionkit.cli.fitting_table import print_fitting
 from motionkit.experiments.bodies import BODIES_HEADER, MEASURES, bodies_row
 from motionkit.experiments.long_rollouts import LONG_HEADER, long_row
 
@@ -101,6 +102,22 @@ def test_a_t_test_says_what_its_samples_are(motionkit: Run, tmp_path: Path) -> N
     assert motionkit("experiment", "ttest", one, one).failed_with("the same answers as in")
 
 
+def test_the_papers_study_stands_beside_the_answers(motionkit: Run, tmp_path: Path) -> None:
+    given = {"TPTN": (4, 4, 5), "MVAE": (2, 3, 1), "NeuralLayering": (3, 4, 4), "mine": (1, 2, 1)}
+    file = rated(tmp_path / "one.json", given)
+    facts = json.loads(motionkit("experiment", "ttest", file, "--paper", 4, "--json").out)
+    beside = {row["model"]: row.get("paper") for row in facts["against"]}
+    assert facts["paper"]["mean"] == 3.922 and beside["MVAE"]["t"] == 7.747 and beside["mine"] is None
+    said = motionkit("experiment", "ttest", file, "--paper", 5)
+    assert "in the paper: mean 3.907, std 0.407" in said.out
+    (mvae,) = [line for line in said.out.splitlines() if line.startswith("MVAE")]
+    (layers,) = [line for line in said.out.splitlines() if line.startswith("NeuralLayering")]
+    assert "1.634e-06" in mvae and len(layers.split()) < len(mvae.split()), "table 5 has no NeuralLayering"
+    others = rated(tmp_path / "two.json", {"a": (4, 4, 5), "b": (2, 3, 1)})
+    said = motionkit("experiment", "ttest", others, "--model", "a", "--paper", 4)
+    assert said.code == 0 and "the paper's table 4 has none of these models" in said.err
+
+
 def test_a_model_alone_has_no_t_test(motionkit: Run, tmp_path: Path) -> None:
     alone = rated(tmp_path / "alone.json", {"TPTN": (4, 3)})
     assert motionkit("experiment", "ttest", alone).failed_with("no answers about models other than TPTN")
@@ -135,7 +152,7 @@ def test_tables_break_no_word_or_figure(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
-    _print_fitting(header, [row], spare)
+    print_fitting(header, [row], spare)
     said = capsys.readouterr()
     shown = [i for i in range(len(header)) if i not in spare[: missing.get(columns, 0)]]
     words = sorted(word for i in shown for text in (header[i], row[i]) for word in text.split())

@@ -63,13 +63,18 @@ def test_the_test_command_is_what_ci_runs() -> None:
 def test_every_module_has_a_place_in_the_tree() -> None:
     text = (ROOT / "docs" / "architecture.md").read_text("utf-8")
     tree = text[text.index("src/motionkit/\n") :].split("```")[0]
-    listed, room = set(), ""
+    listed: set[str] = set()
+    rooms: list[str] = []  # the folders that a line stands in, each two spaces further to the right
     for line in tree.splitlines():
-        if found := re.match(r"  (\w+)/ ", line):
-            room = f"{found[1]}/"
-        elif line.startswith("  "):
-            room = room if line.startswith("    ") else ""
-            listed |= {room + name for name in re.findall(r"(?<!\S)(\w+\.(?:py|c|h))(?!\S)", line[:75])}
+        depth = (len(line) - len(line.lstrip())) // 2 - 1
+        if depth < 0:
+            continue
+        rooms = rooms[:depth]
+        if found := re.match(r" +(\w+/) ", line):
+            rooms.append(found[1])
+        else:
+            names = re.findall(r"(?<!\S)(\w+\.(?:py|c|h))(?!\S)", line[:75])
+            listed |= {"".join(rooms) + name for name in names}
     files = [path for ending in ("py", "c", "h") for path in SOURCE.rglob(f"*.{ending}")]
     names = {str(path.relative_to(SOURCE)) for path in files if path.name != "__main__.py"}
     expected = {name for name in names if not name.endswith("/__init__.py")}
@@ -83,7 +88,7 @@ def test_rooms_import_from_rooms_above_them() -> None:
     order = re.findall(r"^  (\w+)/ ", tree, re.MULTILINE)
     order.remove("assets")
     for place, room in enumerate(order):
-        for path in (SOURCE / room).glob("*.py"):
+        for path in (SOURCE / room).rglob("*.py"):
             used = set(re.findall(r"(?:from|import) motionkit\.(\w+)", path.read_text("utf-8")))
             below = used & set(order[place + 1 :])
             assert not below, f"{room}/{path.name} imports from {', '.join(below)}"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.cli.experiment import SETS
+from motionkit.cli.experiment.options import SETS
 from motionkit.data.preprocess import PreprocessOptions, preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments import runs

@@ -43,6 +43,21 @@ D_L: dict[str, Row] = {  # tables 6 to 9, on the small data set
     "L2 Loss": (55.328, 0.434, 0.991, ""),
     "w/o-F": (89.086, 0.551, 0.989, ""),
 }
+# The user study: mean and deviation of the raters' scores, t and one-sided p of TPTN against each.
+StudyRow = tuple[float, float, float | None, float | None]
+STUDIES: dict[str, dict[str, StudyRow]] = {
+    "4": {  # motions without dances, 11 groups
+        "TPTN": (3.922, 0.416, None, None),
+        "MVAE": (2.390, 0.507, 7.747, 9.539e-8),
+        "HTSS": (2.448, 0.403, 8.443, 2.508e-8),
+        "NeuralLayering": (3.545, 0.532, 1.850, 3.757e-2),
+    },
+    "5": {  # all test motions, 13 groups, two of them dances
+        "TPTN": (3.907, 0.407, None, None),
+        "MVAE": (2.709, 0.592, 6.017, 1.634e-6),
+        "HTSS": (2.549, 0.427, 8.300, 8.180e-9),
+    },
+}
 # BM of upper and lower body (section 5.5, "Feature fusion layer and consistency loss").
 BODY_MOVEMENT = {"recorded": (64.692, 43.645), "TPTN": (59.084, 38.165), "w/o-CL": (55.274, 37.234)}
 

@@ -1,0 +1,93 @@
+"""Options that the commands of `motionkit experiment` share, and what all of them need."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import click
+
+from motionkit.errors import MotionkitError
+from motionkit.training.budgets import BUDGETS
+
+SETS = ["D_L", "all", "no-dances", "locomotion"]
+RESULTS = Path("experiments/results")
+# What the commands write for one model goes into folders of these names beside that of the results.
+SCENES, LONG, BODIES = (RESULTS.parent / name for name in ("scenes", "long", "bodies"))
+
+
+def data_option(function: Callable) -> Callable:
+    return click.option(
+        "--data",
+        default="datasets/paper",
+        show_default=True,
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Dataset folder, made by preprocess --layout expmap-root-1 --own-bodies --raw.",
+    )(function)
+
+
+set_option = click.option(
+    "--set",
+    "selection",
+    default="D_L",
+    show_default=True,
+    type=click.Choice(SETS),
+    help="Data set (motionkit/experiments/datasets.py).",
+)
+
+
+def plan_options(function: Callable) -> Callable:
+    """The options that say which data set, how much training, and where results go."""
+    options: list[Callable] = [
+        data_option,
+        set_option,
+        click.option(
+            "--budget",
+            default="cpu",
+            show_default=True,
+            type=click.Choice(tuple(BUDGETS)),
+            help="Training of every network: steps, batch, window and rate for a CPU, for a GPU, or the paper's own.",
+        ),
+        click.option("--steps", type=click.IntRange(min=1), help="Training steps; the budget's by default."),
+        click.option(
+            "--frames",
+            default=240,
+            show_default=True,
+            type=click.IntRange(30, 10_000),
+            help="Largest number of frames to make of a test sequence.",
+        ),
+        results_option,
+    ]
+    for option in reversed(options):
+        function = option(function)
+    return function
+
+
+def output_option(default: str, folder: bool) -> Callable:
+    """-o: the folder, or else the page, to write."""
+    return click.option(
+        "-o",
+        "--output",
+        default=default,
+        show_default=True,
+        type=click.Path(path_type=Path, file_okay=not folder, dir_okay=folder),
+        help="Folder to write to." if folder else "Page to write.",
+    )
+
+
+def results_option(function: Callable) -> Callable:
+    option: Callable = click.option(
+        "--results",
+        default=str(RESULTS),
+        show_default=True,
+        type=click.Path(path_type=Path, file_okay=False),
+        help="Folder of results; checkpoints go beside it.",
+    )
+    return option(function)
+
+
+def needs_torch() -> None:
+    from importlib.util import find_spec
+
+    if find_spec("torch") is None:
+        raise MotionkitError("experiments need torch: pip install 'motionkit[train]'")

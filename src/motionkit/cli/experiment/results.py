@@ -1,0 +1,65 @@
+"""`motionkit experiment tables` and `figures`: what runs left behind, beside the paper's figures."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from motionkit.cli.common import stdout_console
+from motionkit.cli.experiment.options import (
+    BODIES,
+    LONG,
+    SCENES,
+    SETS,
+    needs_torch,
+    output_option,
+    results_option,
+)
+from motionkit.errors import MotionkitError
+
+
+@click.command("tables")
+@results_option
+@click.option("--set", "selection", type=click.Choice(SETS), help="Only this data set; all by default.")
+@output_option("docs/experiments.md", folder=False)
+@click.option(
+    "--latex", type=click.Path(path_type=Path, dir_okay=False), help="Also write all tables in LaTeX."
+)
+def tables_command(results: Path, selection: str | None, output: Path, latex: Path | None) -> None:
+    """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
+    needs_torch()
+    from motionkit.experiments.model_results import read_bodies, read_long, read_scenes
+    from motionkit.experiments.page import Extras, write_page
+
+    scenes, long = read_scenes(results.parent / SCENES.name), read_long(results.parent / LONG.name)
+    bodies = read_bodies(results.parent / BODIES.name)
+    found = [each for each in _read(results) if selection in (None, each["data"])]
+    if not found:
+        raise MotionkitError(f"{results}: no results of the data set {selection} yet")
+    write_page(found, output, latex, Extras(tuple(scenes), tuple(long), tuple(bodies)))
+    stdout_console().print(f"wrote {output}" + (f" and {latex}" if latex else ""))
+
+
+@click.command("figures")
+@results_option
+@output_option("experiments/figures", folder=True)
+def figures_command(results: Path, output: Path) -> None:
+    """Draw PNGs from the results: training curves, BM against AFS, and inference speed against parts."""
+    needs_torch()
+    from motionkit.experiments.figures import write_figures
+
+    for path in write_figures(_read(results), output):
+        stdout_console().print(f"wrote {path}")
+
+
+def _read(results: Path) -> list[dict]:
+    from motionkit.experiments.runs import read_results
+
+    found = read_results(results) if results.exists() else []
+    if not found:
+        raise MotionkitError(f"{results}: no results yet; make some with motionkit experiment run")
+    return found
+
+
+COMMANDS = (tables_command, figures_command)

@@ -1,0 +1,233 @@
+"""`motionkit experiment list`, `run` and `shipped`: networks are trained and measured."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+from click.core import ParameterSource
+
+from motionkit.cli.common import (
+    STOPPED,
+    counted,
+    json_option,
+    print_json,
+    progress_bar,
+    remark,
+    stdout_console,
+)
+from motionkit.cli.experiment.options import (
+    data_option,
+    needs_torch,
+    plan_options,
+    results_option,
+    set_option,
+)
+from motionkit.errors import MotionkitError
+
+if TYPE_CHECKING:
+    from motionkit.experiments.runs import Plan
+    from motionkit.experiments.variants import Variant
+
+
+@click.command("list")
+@plan_options
+@json_option
+def list_command(
+    data: Path,
+    selection: str,
+    budget: str,
+    steps: int | None,
+    frames: int,
+    results: Path,
+    as_json: bool,
+) -> None:
+    """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
+    needs_torch()
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.model_results import made_from
+    from motionkit.experiments.runs import Plan
+    from motionkit.experiments.variants import VARIANTS, parameters
+
+    plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
+    asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
+    made_of = made_from(select(data, selection)) if asked or data.exists() else None
+    minutes, faults = _usual_minutes(plan), list[str]()
+    rows = [
+        {
+            "name": v.name,
+            "group": v.group,
+            "text": v.text,
+            "parameters": parameters(v),
+            "paper_parameters": v.paper_parameters,
+            "seeds": v.seeds,
+            "done": sum(_counts(plan, v, seed, made_of, faults) for seed in range(v.seeds)),
+            "minutes": minutes.get(v.name),
+        }
+        for v in VARIANTS
+    ]
+    if faults:
+        others = f" (and {counted(len(faults) - 1, 'other')})" if faults[1:] else ""
+        remark(f"not counted: {faults[0]}{others}")
+    if as_json:
+        print_json(rows)
+        return
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(caption="M: millions of parameters, paper: the paper's; min: minutes that a run took here")
+    for name in ("name", "M", "paper", "min", "done", "what it is"):
+        right = name in ("M", "paper", "min")
+        table.add_column(name, justify="right" if right else "left", no_wrap=name != "what it is")
+    for number, (v, row) in enumerate(zip(VARIANTS, rows, strict=True)):
+        if number == 0 or v.group != VARIANTS[number - 1].group:
+            table.add_section()
+            table.add_row(Text(v.group, style="bold"))
+        count = f"{parameters(v) / 1e6:.2f}" if v.preset else ""
+        paper = f"{v.paper_parameters:g}" if v.paper_parameters else ""
+        spent = f"{minutes[v.name]:.0f}" if v.name in minutes else ""
+        table.add_row(v.name, count, paper, spent, f"{row['done']} of {v.seeds}", v.text)
+    stdout_console().print(table)
+
+
+def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None, faults: list[str]) -> bool:
+    """Whether a run has a result that `experiment run` takes as done; why one does not count is added to faults."""
+    from motionkit.experiments.runs import is_done
+
+    try:
+        return is_done(plan, each, seed, made)
+    except MotionkitError as error:
+        faults.append(str(error))
+        return False
+
+
+def _usual_minutes(plan: Plan) -> dict[str, float]:
+    """Minutes that runs of this folder took here; files that are no results are left out."""
+    from motionkit.experiments.runs import read_result
+
+    minutes = {}
+    for path in (plan.results / plan.folder).glob("*.json"):
+        with suppress(MotionkitError):
+            result = read_result(path)
+            if "timing" in result:
+                minutes[result["name"]] = result["timing"]["seconds"] / 60
+    return minutes
+
+
+@click.command("run")
+@click.argument("names", nargs=-1, required=True)
+@plan_options
+@click.option(
+    "--seeds",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 100),
+    help="Seeds of each network, up to the number that its table needs.",
+)
+@click.option("--every-seed", is_flag=True, help="Give every variant all of --seeds.")
+@click.option(
+    "--jobs",
+    default=1,
+    show_default=True,
+    type=click.IntRange(1, 64),
+    help="Runs at a time, each on one thread.",
+)
+@click.option(
+    "--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda, cuda:1 ..."
+)
+def run_command(
+    names: tuple[str, ...],
+    data: Path,
+    selection: str,
+    budget: str,
+    steps: int | None,
+    frames: int,
+    results: Path,
+    seeds: int,
+    every_seed: bool,
+    jobs: int,
+    device: str,
+) -> None:
+    """Run NAMES: experiments, groups or all. Finished runs are skipped, stopped runs continue.
+
+    Each run trains on the data set, rolls out its test sequences, and writes one JSON file to the folder of results.
+    The first seed of everything comes first.
+    """
+    needs_torch()
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.model_results import made_from
+    from motionkit.experiments.runs import Plan, check_writable, is_done, run_all
+    from motionkit.experiments.variants import chosen
+
+    variants = [each for each in chosen(names) if each.runs_at(budget)]
+    plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames, device)
+    tasks = [
+        (variant, seed) for seed in range(seeds) for variant in variants
+        if seed < (variant.seeds if variant.preset and not every_seed else seeds if variant.preset else 1)
+    ]  # fmt: skip
+    made_of = made_from(select(data, selection))
+    left = [(v, seed) for v, seed in tasks if not is_done(plan, v, seed, made_of)]
+    if left:
+        check_writable(plan)
+    remark(f"{counted(len(tasks), 'run')}, {len(tasks) - len(left)} of them done")
+    with progress_bar() as bar:
+        task = bar.add_task("running", total=100)
+        try:
+            # Closed at once on Ctrl-C, so that runs in processes of their own have stopped before the last line.
+            with closing(
+                run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share))
+            ) as made:
+                for count, path in enumerate(made, 1):
+                    remark(f"{count} of {len(left)}: wrote {path}")
+        except KeyboardInterrupt:
+            remark("stopped; the same command continues")
+            sys.exit(STOPPED)
+
+
+@click.command("shipped")
+@data_option
+@set_option
+@click.option(
+    "--frames",
+    default=240,
+    show_default=True,
+    type=click.IntRange(30, 10_000),
+    help="Frames that are made of a test sequence at most; those of the runs to compare with.",
+)
+@click.option("--seeds", default=3, show_default=True, type=click.IntRange(1, 100), help="Runs.")
+@results_option
+def shipped_command(data: Path, selection: str, frames: int, seeds: int, results: Path) -> None:
+    """Measure the bundled model as shipped on the test sequences, for the second table.
+
+    Reference poses, sampling presets, corrections and foot locks are on; it is measured with --reference none too.
+    Test sequences that are mirror images of training clips are left out, since the model has seen them. Results of
+    before are written over, also those of another number of --frames.
+    """
+    from motionkit.experiments.datasets import select
+    from motionkit.experiments.shipped import run_shipped
+    from motionkit.models.bundled import BUNDLED, open_model
+
+    dataset = select(data, selection)
+    models = {
+        name: open_model(BUNDLED, reference)
+        for name, reference in (("shipped", "auto"), ("shipped without references", "none"))
+    }
+    with progress_bar() as bar:
+        task = bar.add_task("measuring", total=100)
+        files = run_shipped(
+            models,
+            dataset,
+            selection,
+            seeds,
+            frames,
+            results,
+            lambda share: bar.update(task, completed=100 * share),
+        )
+    for file in files:
+        stdout_console().print(f"wrote {file}")
+
+
+COMMANDS = (list_command, run_command, shipped_command)
