@@ -1,4 +1,4 @@
-"""Names as users write them: one form of each letter, and no control characters on a terminal."""
+"""Words as users write and read them: one form of each letter, no control characters on a terminal, plurals."""
 
 from __future__ import annotations
 
@@ -28,3 +28,8 @@ def nfc(name: str) -> str:
     macOS takes folder names apart: its "ü" can be a "u" with a combining mark, which looks the same.
     """
     return unicodedata.normalize("NFC", name)
+
+
+def counted(number: int, word: str) -> str:
+    """Return a number with its word: "1 run", "2 runs"."""
+    return f"{number} {word}{'' if number == 1 else 's'}"

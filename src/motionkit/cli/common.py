@@ -104,8 +104,3 @@ def stages_on(bar: Progress) -> Callable[[str, int, int], None]:
         bar.update(tasks[stage], completed=done)
 
     return show
-
-
-def counted(number: int, word: str) -> str:
-    """Return a number with its word: "1 run", "2 runs"."""
-    return f"{number} {word}{'' if number == 1 else 's'}"

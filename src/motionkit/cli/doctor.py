@@ -9,6 +9,7 @@ import click
 
 from motionkit.cli.common import json_option, print_json, progress_bar, stdout_console
 from motionkit.errors import MotionkitError
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
@@ -78,7 +79,7 @@ def _print(found: Diagnosis) -> None:
         for note in clip.notes:
             notes[note] = notes.get(note, 0) + 1
     for note, count in sorted(notes.items(), key=lambda item: -item[1])[:8]:
-        out.print(f"note: {note} ({count} {'clip' if count == 1 else 'clips'})")
+        out.print(f"note: {note} ({counted(count, 'clip')})")
     for clip in found.clips:
         if clip.fault:
             out.print(

@@ -13,7 +13,6 @@ import click
 
 from motionkit.cli.common import (
     STOPPED,
-    counted,
     json_option,
     print_json,
     progress_bar,
@@ -24,6 +23,7 @@ from motionkit.cli.common import (
 )
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import files_below
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.data.dataset import Dataset

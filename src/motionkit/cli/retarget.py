@@ -18,6 +18,7 @@ from motionkit.cli.synthesis_options import (
     words_console,
     write_motion,
 )
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.motion.retarget import RetargetReport
@@ -208,14 +209,10 @@ def _tell_rig(rig: Rig, out: Any) -> None:
     count = len(joints.places)
     missing = f"; not on this rig: {', '.join(joints.missing())}" if joints.missing() else ""
     others = len(rig.skeleton) - count
-    more = f"; {_counted(others)}" if others else ""
+    more = f"; {counted(others, 'other joint')}" if others else ""
     out.print(f"{rig.name}: {count} canonical joints found by {' and '.join(ways)}{missing}{more}")
     for note in rig.notes:
         out.print(note)
-
-
-def _counted(others: int) -> str:
-    return f"{others} other {'joint' if others == 1 else 'joints'}"
 
 
 def _print_rig(rig: Rig, out: Any) -> None:
@@ -235,6 +232,6 @@ def _print_rig(rig: Rig, out: Any) -> None:
     others = [name for j, name in enumerate(rig.skeleton.names) if j not in rig.joints.places.values()]
     if others:
         more = f" and {len(others) - _SHOWN_OTHERS} more" if len(others) > _SHOWN_OTHERS else ""
-        out.print(f"{_counted(len(others))}: {', '.join(others[:_SHOWN_OTHERS])}{more}")
+        out.print(f"{counted(len(others), 'other joint')}: {', '.join(others[:_SHOWN_OTHERS])}{more}")
     for note in rig.notes:
         out.print(note)

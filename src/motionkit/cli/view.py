@@ -10,7 +10,7 @@ import click
 
 from motionkit.cli.common import default_output, json_option, print_json, progress_bar, say
 from motionkit.cli.showing import open_in_browser
-from motionkit.names import visible
+from motionkit.names import counted, visible
 
 if TYPE_CHECKING:
     from motionkit.view.figure_data import Shown
@@ -103,7 +103,7 @@ def command(
     if as_json:
         print_json({"output": str(target), "clips": facts})
     else:
-        say(f"{target}: {len(clips)} {'clip' if len(clips) == 1 else 'clips'}")
+        say(f"{target}: {counted(len(clips), 'clip')}")
 
 
 def _names(clips: Sequence[Path]) -> list[str]:

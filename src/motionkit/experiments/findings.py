@@ -5,6 +5,7 @@ from __future__ import annotations
 from motionkit.experiments.claims import BLIND, blind
 from motionkit.experiments.tables import Results, figure_of, protocol_folders
 from motionkit.experiments.variants import VARIANTS
+from motionkit.names import counted
 
 
 def findings(results: Results) -> list[str]:
@@ -48,7 +49,7 @@ def _by_budget(results: Results) -> list[str]:
                 for metric, title in (("mpjpe", "MPJPE"), ("path-mean", "path"), ("afs", "AFS"))
                 if (each := figure_of(here, metric))
             ]
-            seeds = "1 seed" if len(here) == 1 else f"{len(here)} seeds"
+            seeds = counted(len(here), "seed")
             shown = f"{budget['steps']} steps of {budget['batch']} windows ({seeds})"
             words.append(f"{shown}: {', '.join(found)}")
         if len(words) > 1:

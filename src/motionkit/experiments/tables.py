@@ -13,6 +13,7 @@ from motionkit.experiments.paper import BODY_MOVEMENT, paper_row
 from motionkit.experiments.protocol import means
 from motionkit.experiments.shipped import GROUP
 from motionkit.experiments.variants import VARIANTS, Variant
+from motionkit.names import counted
 from motionkit.training.budgets import BUDGETS
 
 Results = Sequence[dict[str, Any]]
@@ -300,7 +301,7 @@ def budget_lines(results: Results) -> list[str]:
         here = [r for r in results if r["folder"] == folder]
         trained = [r for r in here if "budget" in r]
         selection = SELECTIONS[here[0]["data"]]
-        line = f"**{_named(folder)}**: {selection.text}; {len(here)} results."
+        line = f"**{_named(folder)}**: {selection.text}; {counted(len(here), 'result')}."
         if trained:
             b = trained[0]["budget"]
             seconds = sorted(r["timing"]["seconds"] for r in trained)

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from motionkit.cli.common import (
-    counted,
     json_option,
     model_option,
     print_json,
@@ -20,6 +19,7 @@ from motionkit.cli.common import (
 from motionkit.cli.experiment.options import BODIES, LONG, SCENES, data_option, needs_torch, output_option
 from motionkit.cli.fitting_table import print_fitting
 from motionkit.files import atomic_write
+from motionkit.names import counted
 
 # Columns of the tables that a narrow terminal can do without, the first first.
 LONG_SPARE, BODIES_SPARE = (8, 1, 7, 5, 3), (6, 5, 4, 3)

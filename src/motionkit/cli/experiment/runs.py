@@ -12,7 +12,6 @@ from click.core import ParameterSource
 
 from motionkit.cli.common import (
     STOPPED,
-    counted,
     json_option,
     print_json,
     progress_bar,
@@ -27,6 +26,7 @@ from motionkit.cli.experiment.options import (
     set_option,
 )
 from motionkit.errors import MotionkitError
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.experiments.runs import Plan

@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import counted, json_option, print_json, remark, seed_option, stdout_console
+from motionkit.cli.common import json_option, print_json, remark, seed_option, stdout_console
 from motionkit.cli.experiment.options import output_option
 from motionkit.cli.fitting_table import print_fitting
 from motionkit.errors import MotionkitError
 from motionkit.experiments.paper import STUDIES, StudyRow
+from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.experiments.ttest import Comparison, Score
