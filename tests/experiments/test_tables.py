@@ -328,7 +328,8 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
             }
             for each in SCENES
         ]
-        return {"model": model, "steps": 200, "scenes": facts}
+        note = {"note": "One motion."} if model == "tptn-0" else {}
+        return {"model": model, "steps": 200, **note, "scenes": facts}
 
     for name, shift in (("tptn-0", 2.0), ("shipped", 0.0)):
         (tmp_path / f"{name}.json").write_text(json.dumps(scenes(name, shift)))
@@ -339,6 +340,7 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
     assert f"| shipped, {steps} | tptn-0, {steps} | paper |" in text
     assert "| 6 | walking a path with large curvatures | 1.500 ± 0.707 | 3.500 ± 0.707 | 0.513 |" in text
     assert "1.500 ± 0.707; 1 of 2 did not reach the end" in text
+    assert text.count("\ntptn-0: One motion.\n") == 1 and "shipped: " not in text
     assert text.count("![Figure") == 1 and "](figure-6-curves.png)" in text
     (tmp_path / "old.json").write_text('{"model": "old", "scenes": []}')
     with pytest.raises(MotionkitError, match=r"old\.json: not the results of all scenes"):

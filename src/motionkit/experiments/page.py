@@ -74,7 +74,8 @@ def scenes_section(scenes: Sequence[dict[str, Any]], folder: Path) -> list[str]:
         rows.append((scene["figure"], scene["text"], *cells, paper))
     names = [f"{each['model']}, {each['steps']} training steps in its last run (cm/frame)" for each in scenes]
     table = TextTable("Distances from paths", ("figure", "what it shows", *names, "paper"), tuple(rows))
-    parts = [SCENES, markdown(table)]
+    notes = [f"{each['model']}: {each['note']}\n" for each in scenes if each.get("note")]
+    parts = [SCENES, markdown(table), *notes]
     for scene in scenes[0]["scenes"]:
         file = picture_name(scene["figure"], scene["name"])
         if (folder / file).exists():
@@ -103,9 +104,9 @@ heading frame), how far the feet swing about their mean place under the body, an
 those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
 recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five
 seconds of its type in the training clips. `motionkit experiment long MODEL` makes them, and `motionkit train
-datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 110 --from-scratch` a model for it, of all
-types. The paper has noise on the frames and says nothing of its control signals (section 4.3). The networks of
-`experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
+datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 200 --trajectory-drift 0.15 --from-scratch` a
+model for it, of all types. The paper has noise on the frames and says nothing of its control signals (section 4.3).
+The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
 """
 
 
