@@ -128,7 +128,10 @@ def _print_ttest(
         line = [row.rival.name, f"{len(row.rival.values)}", *figures, f"{row.freedom}", f"{row.p:.3e}"]
         if paper:
             theirs = paper.get(row.rival.name, {})
-            line += ["" if value is None else f"{value:.4g}" for value in map(theirs.get, _PAPER_ORDER)]
+            line += [
+                "" if theirs.get(name) is None else f"{theirs[name]:{shape}}"
+                for name, shape in zip(_PAPER_ORDER, (".3f", ".3f", ".3f", ".3e"), strict=True)
+            ]
         lines.append(line)
     stdout_console().print(
         f"{mine.name}: n {len(mine.values)}, mean {mine.mean:.3f}, std {mine.deviation:.3f}; "
