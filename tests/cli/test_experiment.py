@@ -113,6 +113,11 @@ def test_the_papers_study_stands_beside_the_answers(motionkit: Run, tmp_path: Pa
     (mvae,) = [line for line in said.out.splitlines() if line.startswith("MVAE")]
     (layers,) = [line for line in said.out.splitlines() if line.startswith("NeuralLayering")]
     assert "1.634e-06" in mvae and len(layers.split()) < len(mvae.split()), "table 5 has no NeuralLayering"
+    facts = json.loads(motionkit("experiment", "ttest", file, "--model", "MVAE", "--paper", 4, "--json").out)
+    (tptn,) = [row["paper"] for row in facts["against"] if row["model"] == "TPTN"]
+    assert (tptn["mean"], tptn["t"]) == (3.922, None), "the paper holds TPTN alone against others"
+    said = motionkit("experiment", "ttest", file, "--model", "MVAE", "--paper", 4)
+    assert said.code == 0 and "7.747" not in said.out
     others = rated(tmp_path / "two.json", {"a": (4, 4, 5), "b": (2, 3, 1)})
     said = motionkit("experiment", "ttest", others, "--model", "a", "--paper", 4)
     assert said.code == 0 and "the paper's table 4 has none of these models" in said.err

@@ -2,8 +2,20 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 # BM in degrees per frame, AFS in cm per frame, SSIM, MPJPE in cm; "" where the table has none. On the paper's own data.
 Row = tuple[float | str, float | str, float | str, float | str]
+
+
+class StudyRow(NamedTuple):
+    """Mean and deviation of a model's scores; t and one-sided p of TPTN against it, but for TPTN itself."""
+
+    mean: float
+    std: float
+    t: float | None = None
+    p: float | None = None
+
 
 ALL_TESTS: dict[str, Row] = {  # table 1: test motions with dances
     "recorded": (82.740, 0.208, 1.0, 0.0),
@@ -43,19 +55,18 @@ D_L: dict[str, Row] = {  # tables 6 to 9, on the small data set
     "L2 Loss": (55.328, 0.434, 0.991, ""),
     "w/o-F": (89.086, 0.551, 0.989, ""),
 }
-# The user study: mean and deviation of the raters' scores, t and one-sided p of TPTN against each.
-StudyRow = tuple[float, float, float | None, float | None]
-STUDIES: dict[str, dict[str, StudyRow]] = {
-    "4": {  # motions without dances, 11 groups
-        "TPTN": (3.922, 0.416, None, None),
-        "MVAE": (2.390, 0.507, 7.747, 9.539e-8),
-        "HTSS": (2.448, 0.403, 8.443, 2.508e-8),
-        "NeuralLayering": (3.545, 0.532, 1.850, 3.757e-2),
+# The user study: tables 4 (motions without dances, 11 groups) and 5 (all test motions, 13 groups, two of them dances).
+STUDIES = {
+    "4": {
+        "TPTN": StudyRow(3.922, 0.416),
+        "MVAE": StudyRow(2.390, 0.507, 7.747, 9.539e-8),
+        "HTSS": StudyRow(2.448, 0.403, 8.443, 2.508e-8),
+        "NeuralLayering": StudyRow(3.545, 0.532, 1.850, 3.757e-2),
     },
-    "5": {  # all test motions, 13 groups, two of them dances
-        "TPTN": (3.907, 0.407, None, None),
-        "MVAE": (2.709, 0.592, 6.017, 1.634e-6),
-        "HTSS": (2.549, 0.427, 8.300, 8.180e-9),
+    "5": {
+        "TPTN": StudyRow(3.907, 0.407),
+        "MVAE": StudyRow(2.709, 0.592, 6.017, 1.634e-6),
+        "HTSS": StudyRow(2.549, 0.427, 8.300, 8.180e-9),
     },
 }
 # BM of upper and lower body (section 5.5, "Feature fusion layer and consistency loss").

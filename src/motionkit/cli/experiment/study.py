@@ -18,8 +18,6 @@ from motionkit.names import counted
 if TYPE_CHECKING:
     from motionkit.experiments.ttest import Comparison, Score
 
-_PAPER_ORDER = ("mean", "std", "t", "p")
-
 
 @click.command("study")
 @click.argument("folder", type=click.Path(exists=True, path_type=Path, file_okay=False))
@@ -68,7 +66,9 @@ def ttest_command(answers: tuple[Path, ...], model: str, paper_table: str | None
         remark(differing)
     if not rows:
         raise MotionkitError(f"no model is left to compare {model} with")
-    paper = {name: _paper_facts(row) for name, row in STUDIES.get(paper_table or "", {}).items()}
+    paper = STUDIES.get(paper_table or "", {})
+    if model != "TPTN":  # the paper has no t and p of another
+        paper = {name: StudyRow(row.mean, row.std) for name, row in paper.items()}
     if paper_table and not paper.keys() & {row.rival.name for row in rows}:
         remark(f"the paper's table {paper_table} has none of these models, but {', '.join(paper)}")
     if as_json:
@@ -98,49 +98,46 @@ def _score_facts(score: Score) -> dict[str, Any]:
     return {"model": score.name, "n": len(score.values), "mean": score.mean, "std": score.deviation}
 
 
-def _paper_facts(row: StudyRow) -> dict[str, float | None]:
-    return dict(zip(_PAPER_ORDER, row, strict=True))
-
-
 def _ttest_facts(
-    mine: Score, rows: Sequence[Comparison], raters: int, paper: dict[str, dict[str, float | None]]
+    mine: Score, rows: Sequence[Comparison], raters: int, paper: dict[str, StudyRow]
 ) -> dict[str, Any]:
     """The t-test as --json prints it; the paper's figures stand where they were asked for and there are some."""
 
     def beside(facts: dict[str, Any]) -> dict[str, Any]:
-        return {**facts, "paper": paper[facts["model"]]} if facts["model"] in paper else facts
+        return {**facts, "paper": paper[facts["model"]]._asdict()} if facts["model"] in paper else facts
 
     against = [beside({**_score_facts(r.rival), "t": r.t, "freedom": r.freedom, "p": r.p}) for r in rows]
     return {**beside(_score_facts(mine)), "raters": raters, "against": against}
 
 
-def _print_ttest(
-    mine: Score, rows: Sequence[Comparison], raters: int, paper: dict[str, dict[str, float | None]]
-) -> None:
+def _print_ttest(mine: Score, rows: Sequence[Comparison], raters: int, paper: dict[str, StudyRow]) -> None:
     header = ["against", "n", "mean", "std", "t", "df", "p (one-sided)"]
     spare = [1, 5, 3]
     if paper:
-        header += [f"paper {name}" for name in _PAPER_ORDER]
+        header += [f"paper {name}" for name in StudyRow._fields]
         spare += [8, 7, 10]
     lines = []
     for row in rows:
         figures = (f"{row.rival.mean:.3f}", f"{row.rival.deviation:.3f}", f"{row.t:.3f}")
         line = [row.rival.name, f"{len(row.rival.values)}", *figures, f"{row.freedom}", f"{row.p:.3e}"]
         if paper:
-            theirs = paper.get(row.rival.name, {})
-            line += [
-                "" if theirs.get(name) is None else f"{theirs[name]:{shape}}"
-                for name, shape in zip(_PAPER_ORDER, (".3f", ".3f", ".3f", ".3e"), strict=True)
-            ]
+            line += _paper_cells(paper.get(row.rival.name))
         lines.append(line)
     stdout_console().print(
         f"{mine.name}: n {len(mine.values)}, mean {mine.mean:.3f}, std {mine.deviation:.3f}; "
-        f"{counted(raters, 'rater')}",
+        f"{counted(raters, 'rater')}"
     )
     if mine.name in paper:
         theirs = paper[mine.name]
-        stdout_console().print(f"in the paper: mean {theirs['mean']:.3f}, std {theirs['std']:.3f}")
+        stdout_console().print(f"in the paper: mean {theirs.mean:.3f}, std {theirs.std:.3f}")
     print_fitting(header, lines, spare)
+
+
+def _paper_cells(row: StudyRow | None) -> list[str]:
+    """The cells of a row of the paper's table, empty where it has none."""
+    shapes = (".3f", ".3f", ".3f", ".3e")
+    values = row or (None,) * len(shapes)
+    return ["" if value is None else f"{value:{shape}}" for value, shape in zip(values, shapes, strict=True)]
 
 
 COMMANDS = (study_command, ttest_command)
