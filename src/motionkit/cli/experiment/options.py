@@ -17,6 +17,7 @@ SCENES, LONG, BODIES = (RESULTS.parent / name for name in ("scenes", "long", "bo
 
 
 def data_option(function: Callable) -> Callable:
+    """--data: the dataset folder of the experiments."""
     return click.option(
         "--data",
         default="datasets/paper",
@@ -76,6 +77,7 @@ def output_option(default: str, folder: bool) -> Callable:
 
 
 def results_option(function: Callable) -> Callable:
+    """--results: the folder of results."""
     option: Callable = click.option(
         "--results",
         default=str(RESULTS),
@@ -87,6 +89,7 @@ def results_option(function: Callable) -> Callable:
 
 
 def needs_torch() -> None:
+    """Raise MotionkitError where torch is not installed, before anything imports it."""
     from importlib.util import find_spec
 
     if find_spec("torch") is None:
