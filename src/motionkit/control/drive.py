@@ -12,6 +12,7 @@ from motionkit.control.first_steps import FirstSteps
 from motionkit.control.follow import PathFollower
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.speed_trim import SpeedTrim
 from motionkit.control.steering import (
     STANDS_BELOW,
     Steering,
@@ -93,6 +94,7 @@ class Driver:
         self.wish = Wish()
         self.type = kind or steered_type(model, (0.0, 0.0), None)
         self.steering = Steering(model.fps, self.options.steering)
+        self._trim = SpeedTrim(model)
         self._player, self._played = ReferencePlayer(model, choice), ""
         self._first_steps = FirstSteps(model, choice)
         self._follower: PathFollower | None = None
@@ -184,8 +186,9 @@ class Driver:
         if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
             gait = self.model.types[kind].gait
             facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
-        settled = np.array([self.steering.settled(wish.velocity)], np.float32)
-        trajectory = np.array([self.steering.trajectory(wish.velocity, facing)], np.float32)
+        velocity = self._trim(kind, wish.velocity, self.steering.measured)
+        settled = np.array([self.steering.settled(velocity)], np.float32)
+        trajectory = np.array([self.steering.trajectory(velocity, facing)], np.float32)
         if self.model.types[kind].steered:
             self._played = ""
             asked = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)

@@ -180,6 +180,11 @@ class Steering:
         if free:
             self._anchor = None
 
+    @property
+    def measured(self) -> Pair:
+        """The velocity of the body, x and z in cm/s, smoothed over some frames."""
+        return self._measured[0], self._measured[1]
+
     def trajectory(self, velocity: Pair, facing: float | None) -> list[float]:
         """The 24 trajectory numbers in the heading frame, after observe.
 

@@ -28,6 +28,8 @@ HELD_SECONDS = 0.25
 DIRECTION_LIMIT = math.radians(15.0)
 SPEED_SHARE = 0.15
 TARGET_SECONDS = 0.5
+STEADY_AFTER = 2.0  # seconds after a change of speed from which the speed is the one that is kept
+STEADY_SHARE = 0.05
 STEADY_SECONDS = 1 / 3  # over which a speed is averaged, because it varies within a step
 
 # Takes a body and returns flags (T,): whether each frame meets the command.
@@ -43,6 +45,7 @@ class Command:
         before, after: the wish before and after the command.
         answers: the condition that the motion must meet.
         looks_ahead: seconds by which the condition looks ahead.
+        speed: m/s that are to be kept after a change of speed.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Command:
     after: Wish
     answers: Answer
     looks_ahead: float = SPEED_SPAN / 2
+    speed: float | None = None
 
 
 def _stands(body: Body) -> Array:
@@ -105,7 +109,7 @@ def commands(model: MotionModel) -> list[Command]:
             wanted = math.hypot(*(after.velocity or (0.0, 0.0))) / 100.0
             name = f"{kind}, {first:.0%} → {then:.0%} of its speed"
             ahead_by = (SPEED_SPAN + STEADY_SECONDS) / 2
-            out.append(Command(name, "speed", before, after, _goes_at(wanted), ahead_by))
+            out.append(Command(name, "speed", before, after, _goes_at(wanted), ahead_by, wanted))
     return out
 
 
@@ -159,6 +163,7 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     takes = roll_live(model, characters, frames, settings.noise, settings.first_seed, progress)
     rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
+    kept: list[float] = []
     for number in range(0, len(wanted), settings.repeats):
         command = wanted[number]
         mine = takes[number : number + settings.repeats]
@@ -167,9 +172,11 @@ def response_section(trial: Trial, progress: Progress) -> Section:
         groups.setdefault(command.group, []).extend(seconds)
         mean = sum(seconds) / len(seconds) if seconds else None
         raw_mean = sum(raw) / len(raw) if raw else None
-        rows.append(
-            (command.group, command.name, mean, max(seconds, default=None), raw_mean, unanswered, already)
-        )
+        off = _speed_off(command, [take.default for take in mine])
+        kept += off
+        off_mean = sum(off) / len(off) if off else None
+        slowest = max(seconds, default=None)
+        rows.append((command.group, command.name, mean, slowest, raw_mean, unanswered, already, off_mean))
     goals = [
         Goal(
             f"mean response time to a change of {group}, s",
@@ -180,7 +187,13 @@ def response_section(trial: Trial, progress: Progress) -> Section:
         )
         for group, seconds in groups.items()
     ]
-    columns = ("change of", "command", "mean, s", "slowest, s", "raw mean, s", "no response", "met before")
+    if kept:
+        what = f"speed that is kept from {STEADY_AFTER:g} s after a change of it: off by"
+        goals.append(Goal(what, sum(kept) / len(kept), f"≤ {STEADY_SHARE:.0%}", None, STEADY_SHARE))
+    columns = (
+        *("change of", "command", "mean, s", "slowest, s", "raw mean, s", "no response", "met before"),
+        "speed off by",
+    )
     notes = [
         f"{settings.repeats} characters per command, driven as play drives them by default, from {BEFORE_SECONDS:g} s "
         f"before it; response: the first frame from which the condition holds for {HELD_SECONDS:g} s; no response "
@@ -188,10 +201,19 @@ def response_section(trial: Trial, progress: Progress) -> Section:
         "conditions: standing below 0.25 m/s, a walk 0.4 to 2 m/s forwards, a run above 1.8 m/s forwards, going back "
         "0.3 m/s backwards; direction: root within 15° of the commanded one; speed: within 15 % of the commanded one, "
         "averaged over 1/3 s",
+        f"speed off by: the mean speed from {STEADY_AFTER:g} s after the command against the commanded one",
     ]
     return Section(
         "response", "Response time", [Table("Response time per command", columns, rows)], goals, notes
     )
+
+
+def _speed_off(command: Command, bodies: list[Body]) -> list[float]:
+    """Return the share by which each body's mean speed is off the commanded one once it is kept."""
+    if command.speed is None:
+        return []
+    kept = [body.cut(round((BEFORE_SECONDS + STEADY_AFTER) * body.fps), len(body)) for body in bodies]
+    return [abs(float(body.speed.mean()) / command.speed - 1.0) for body in kept if len(body)]
 
 
 def _responses(command: Command, bodies: list[Body]) -> tuple[list[float], int, int]:

@@ -5,6 +5,7 @@ import { Follower, Path } from "./path.js";
 import { Player } from "./player.js";
 import { STANDS_BELOW, Springs, stands, steeredType } from "./springs.js";
 import { FirstSteps } from "./steps.js";
+import { SpeedTrim } from "./trim.js";
 
 const [BLEND, AFTER_EVENT, DEFAULT_SECONDS] = [12, 10, 2];
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
@@ -14,7 +15,7 @@ export class Driver {
   constructor(model, choice = 0) {
     const type = typeNumber(model, model.start.type);
     Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
-    Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice) });
+    Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice), trim: new SpeedTrim(model) });
     this.weights = free(model, type).weights;
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
   }
@@ -84,8 +85,9 @@ export class Driver {
     if (velocity === null) return this.#recorded(kind);
     let { facing } = wish;
     if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
-    const slip = this.springs.settled(velocity);
-    const trajectory = this.springs.trajectory(velocity, facing);
+    const asks = this.trim.asks(kind, velocity, this.springs.measured);
+    const slip = this.springs.settled(asks);
+    const trajectory = this.springs.trajectory(asks, facing);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
     if (this.#goesFromStanding(kind)) this.firstSteps.begin(kind);
