@@ -10,6 +10,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.first_steps import FirstSteps
 from motionkit.control.follow import PathFollower
+from motionkit.control.gait_limits import GaitLimits
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.speed_trim import SpeedTrim
@@ -94,7 +95,8 @@ class Driver:
         self.wish = Wish()
         self.type = kind or steered_type(model, (0.0, 0.0), None)
         self.steering = Steering(model.fps, self.options.steering)
-        self._trim = SpeedTrim(model)
+        self._limits = GaitLimits(model)
+        self._trim = SpeedTrim(self._limits)
         self._player, self._played = ReferencePlayer(model, choice), ""
         self._first_steps = FirstSteps(model, choice)
         self._follower: PathFollower | None = None
@@ -186,7 +188,8 @@ class Driver:
         if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
             gait = self.model.types[kind].gait
             facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
-        velocity = self._trim(kind, wish.velocity, self.steering.measured)
+        velocity, facing = self._limits.nearest(kind, wish.velocity, facing)
+        velocity = self._trim(kind, velocity, self.steering.measured)
         settled = np.array([self.steering.settled(velocity)], np.float32)
         trajectory = np.array([self.steering.trajectory(velocity, facing)], np.float32)
         if self.model.types[kind].steered:

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import math
 
+from motionkit.control.gait_limits import GaitLimits
 from motionkit.control.steering import STANDS_BELOW, Pair
-from motionkit.models.model import MotionModel
 
 TRIM_SECONDS = 1.0  # in which a lack of speed would be asked for once more
 WAIT_SECONDS = 0.5  # after a change of wish, in which the body is still on its way to it
@@ -25,10 +25,9 @@ class SpeedTrim:
     about 0.9 of another one.
     """
 
-    def __init__(self, model: MotionModel) -> None:
-        self.model = model
+    def __init__(self, limits: GaitLimits) -> None:
+        self.model, self.limits = limits.model, limits
         self.shares: dict[str, float] = {}
-        self._ranges: dict[str, Pair] = {}
         self._kind = ""
         self._wish: Pair = (0.0, 0.0)
         self._since = 0  # frames for which the wish is the same
@@ -61,7 +60,5 @@ class SpeedTrim:
 
     def _within(self, kind: str, wanted: float, asked: float) -> float:
         """The speed to ask for: not beyond those of the recordings for the sake of one within them."""
-        if kind not in self._ranges:
-            self._ranges[kind] = self.model.speed_range(kind) or (0.0, math.inf)
-        slowest, fastest = self._ranges[kind]
+        slowest, fastest = self.limits.speeds(kind)
         return max(min(asked, max(fastest, wanted)), min(slowest, wanted))

@@ -17,6 +17,7 @@ from motionkit.models.model import MotionModel
 TURN_COST = 3.0  # of a radian between wanted and usual facing, in roots of cm/s
 BACKWARDS_SHARE = 0.2
 STANDS_BELOW = 15.0  # cm/s; who is asked for less stands
+GOES_FROM = 25.0  # cm/s; who is asked for more goes, where there is a gait to choose
 SMOOTHING = 0.2  # share of a frame in the measured velocity: hips sway with every step
 SETTLED_WITHIN = 0.08  # of the wanted speed; feet hold the root of a body that is so near to it
 LEAVE_ANCHOR = 60.0  # cm; one who stands and was carried so far away stays there instead of going back
@@ -80,6 +81,9 @@ def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> st
     direction of motion as wanted. A model without steered types chooses among all that have no phase.
     """
     known = [name for name, kind in model.types.items() if kind.steered]
+    if math.hypot(*velocity) >= GOES_FROM:
+        # Between the speeds of standing and going no body glides along.
+        known = [name for name in known if not model.types[name].stands] or known
     names = known or [name for name in model.types if not model.phase_seconds(name)] or list(model.types)
     speed, direction = math.hypot(*velocity), math.atan2(*velocity)
 

@@ -3,7 +3,7 @@
 import { free, typeNumber } from "./kernel.js";
 import { Follower, Path } from "./path.js";
 import { Player } from "./player.js";
-import { STANDS_BELOW, Springs, stands, steeredType } from "./springs.js";
+import { STANDS_BELOW, Springs, nearestWish, stands, steeredType } from "./springs.js";
 import { FirstSteps } from "./steps.js";
 import { SpeedTrim } from "./trim.js";
 
@@ -85,9 +85,10 @@ export class Driver {
     if (velocity === null) return this.#recorded(kind);
     let { facing } = wish;
     if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
-    const asks = this.trim.asks(kind, velocity, this.springs.measured);
+    const [nearest, turned] = nearestWish(model.types[kind], velocity, facing);
+    const asks = this.trim.asks(kind, nearest, this.springs.measured);
     const slip = this.springs.settled(asks);
-    const trajectory = this.springs.trajectory(asks, facing);
+    const trajectory = this.springs.trajectory(asks, turned);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
     if (this.#goesFromStanding(kind)) this.firstSteps.begin(kind);

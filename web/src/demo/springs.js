@@ -2,6 +2,8 @@
 
 export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
 export const STANDS_BELOW = 15; // cm/s; who is asked for less stands
+const GOES_FROM = 25; // cm/s; who is asked for more goes, where there is a gait to choose
+const MOST_ASIDE = Math.PI / 4; // a gait that goes further aside than this of its own way hardly lifts its feet
 const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
 const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
 
@@ -37,8 +39,9 @@ export function steeredType(model, velocity, facing) {
   const all = model.types.map((type, number) => ({ ...type, number }));
   const steered = all.filter((type) => type.steered);
   const phaseless = all.filter((type) => !type.seconds);
-  const known = steered.length ? steered : phaseless.length ? phaseless : all;
   const speed = Math.hypot(...velocity);
+  const going = speed >= GOES_FROM ? steered.filter((type) => !stands(type)) : [];
+  const known = [going, steered, phaseless, all].find(({ length }) => length);
   const wanted = facing === null ? 0 : Math.atan2(...velocity) - facing;
   const cost = ({ gait }) => {
     if (!gait) return Infinity;
@@ -47,6 +50,21 @@ export function steeredType(model, velocity, facing) {
     return off + TURN_COST * (Math.abs(nearestTurn(wanted - gait.facing)) + BACKWARDS_SHARE * Math.abs(gait.facing));
   };
   return known.reduce((best, type) => (cost(type) < cost(best) ? type : best)).number;
+}
+
+/** The velocity [x, z] and facing nearest to a wish at which a steered type steps: Python's GaitLimits. */
+export function nearestWish(type, velocity, facing) {
+  const speed = Math.hypot(...velocity);
+  if (stands(type)) return [[0, 0], facing];
+  if (speed < STANDS_BELOW || !type.steered || !type.gait) return [velocity, facing];
+  const [slowest, fastest] = type.speeds ?? [0, Infinity];
+  const share = Math.min(Math.max(speed, slowest), fastest) / speed;
+  if (facing !== null) {
+    const own = Math.atan2(...velocity) - type.gait.facing;
+    const aside = nearestTurn(facing - own);
+    if (Math.abs(aside) > MOST_ASIDE) facing = own + Math.sign(aside) * MOST_ASIDE;
+  }
+  return [[share * velocity[0], share * velocity[1]], facing];
 }
 
 export class Springs {

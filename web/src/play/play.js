@@ -535,7 +535,7 @@ export class Play {
       [["Shift"], "faster"],
       [["1", "…", "0"], "the types below; some have letters too"],
       [["P"], "draw a path with the mouse"],
-      [["V"], "face ahead: go sideways and backwards"],
+      [["V"], "face ahead: go backwards and aside"],
       [["O"], "record; again to end and download"],
       [["N"], "another character"],
       [["Tab"], "steer the next of one's characters"],

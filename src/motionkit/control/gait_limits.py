@@ -1,0 +1,51 @@
+"""What a gait can be asked for: speeds and directions at which its feet do not glide."""
+
+from __future__ import annotations
+
+import math
+
+from motionkit.control.steering import STANDS_BELOW, Pair, nearest_turn
+from motionkit.models.model import MotionModel
+
+MOST_ASIDE = (
+    math.pi / 4
+)  # radians; a gait that goes further aside than this of its own way hardly lifts its feet
+
+
+class GaitLimits:
+    """The limits of a model's gaits, by their recordings."""
+
+    def __init__(self, model: MotionModel) -> None:
+        self.model = model
+        self._speeds: dict[str, Pair] = {}
+
+    def speeds(self, kind: str) -> Pair:
+        """Slowest and fastest speed of a type in cm/s; 0 and infinity where its recordings do not say."""
+        if kind not in self._speeds:
+            self._speeds[kind] = self.model.speed_range(kind) or (0.0, math.inf)
+        return self._speeds[kind]
+
+    def nearest(self, kind: str, velocity: Pair, facing: float | None) -> tuple[Pair, float | None]:
+        """Return the velocity and facing nearest to a wish at which a steered type steps.
+
+        Who stands is not moved. A gait goes no slower and no faster than recorded, and turns towards where it goes
+        as far as it has to.
+
+        Args:
+            kind: a type; others than steered ones get what is wished.
+            velocity: x and z in cm/s.
+            facing: radians, None for any.
+        """
+        known, speed = self.model.types[kind], math.hypot(*velocity)
+        if known.stands:
+            return (0.0, 0.0), facing
+        if speed < STANDS_BELOW or not known.goes or known.gait is None:
+            return velocity, facing
+        slowest, fastest = self.speeds(kind)
+        share = min(max(speed, slowest), fastest) / speed
+        if facing is not None:
+            own = math.atan2(*velocity) - known.gait.facing
+            aside = nearest_turn(facing - own)
+            if abs(aside) > MOST_ASIDE:
+                facing = own + math.copysign(MOST_ASIDE, aside)
+        return (share * velocity[0], share * velocity[1]), facing
