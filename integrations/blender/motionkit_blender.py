@@ -11,6 +11,7 @@ import shlex
 import socket
 import subprocess
 import tempfile
+import time
 from pathlib import Path
 
 import bpy
@@ -26,6 +27,10 @@ bl_info = {
     "category": "Animation",
 }
 
+CONNECT_SECONDS = 1.0
+PATIENCE = 15.0  # seconds without a frame, after which live mode ends
+RECEIVE_BYTES = 1 << 18  # room for some frames: the server leaves out what we are too slow for
+MOST_BYTES = 1 << 24  # of one line
 TO_Z_UP = Matrix.Rotation(math.pi / 2, 4, "X")  # motionkit has Y up
 
 
@@ -175,7 +180,7 @@ class MOTIONKIT_OT_follow_curve(Work):
 
 def pose(armature, skeleton, character):
     """Give an armature with motionkit's rest pose the joints of one character of a frame (docs/live.md)."""
-    turns = {}
+    turns, made = {}, {}
     for index, (name, parent) in enumerate(zip(skeleton["joints"], skeleton["parents"], strict=True)):
         turn = Quaternion(character["rotations"][index])
         turns[index] = turns[parent] @ turn if parent >= 0 else turn
@@ -183,13 +188,108 @@ def pose(armature, skeleton, character):
         if bone is not None:
             place = Matrix.Translation([value / 100.0 for value in character["positions"][index]])
             world = TO_Z_UP @ place @ turns[index].to_matrix().to_4x4() @ TO_Z_UP.inverted()
-            rest = bone.bone.matrix_local.to_3x3().to_4x4()
-            bone.matrix = world @ rest
-            bpy.context.view_layer.update()
+            wanted = world @ bone.bone.matrix_local.to_3x3().to_4x4()
+            # Not by bone.matrix, for which all of the scene would have to be updated after every bone.
+            before = Matrix.Identity(4)
+            at_rest = bone.bone.matrix_local
+            if bone.parent is not None:
+                before = made.get(bone.parent.name, bone.parent.matrix)
+                at_rest = bone.parent.bone.matrix_local.inverted() @ at_rest
+            own = (before @ at_rest).inverted() @ wanted
+            if bone.bone.use_connect:
+                own.translation = (0.0, 0.0, 0.0)  # Blender ignores it
+            bone.matrix_basis = own
+            made[name] = before @ at_rest @ own
+    bpy.context.view_layer.update()
+
+
+class LiveClient:
+    """A connection to `motionkit play --tcp` that never waits (docs/live.md); nothing here knows of Blender."""
+
+    def __init__(self, port, clock=time.monotonic):
+        """Connect; raises OSError where nothing listens."""
+        self.clock = clock
+        self.hello = None
+        self._buffer, self._unsent = b"", b""
+        self._heard = self._pinged = clock()
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=CONNECT_SECONDS)
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, RECEIVE_BYTES)
+        self._socket.setblocking(False)
+
+    def close(self):
+        """Leave the server."""
+        self._socket.close()
+
+    def newest(self):
+        """The character to show, as in the newest frame that has arrived; None where none has.
+
+        Raises:
+            OSError: the server has ended, or is no motionkit play --tcp; the message says which.
+        """
+        self._ping()
+        data, ended = self._arrived()
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        frame = None
+        for line in lines:
+            event = self._event(line)
+            if event["event"] == "error" and event.get("closing"):
+                raise ConnectionError(event["message"])
+            if event["event"] == "hello":
+                self.hello = event
+            elif self.hello is None:
+                raise ConnectionError("something other than motionkit play --tcp answers")
+            elif event["event"] == "frame":
+                frame = event
+        if ended:
+            raise ConnectionError("motionkit play has ended")
+        if frame is not None:
+            self._heard = self.clock()
+        elif self.clock() - self._heard > PATIENCE:
+            raise ConnectionError(f"no frame for {PATIENCE:g} s")
+        return None if frame is None else self._chosen(frame["characters"])
+
+    def _chosen(self, characters):
+        """The first character that somebody else steers: the one that this connection was given only stands."""
+        own = self.hello["character"]
+        return next((one for one in characters if one["id"] != own), characters[0] if characters else None)
+
+    def _arrived(self):
+        """All bytes that have arrived, and whether these were the last."""
+        data = b""
+        while len(self._buffer) + len(data) <= MOST_BYTES:
+            try:
+                part = self._socket.recv(RECEIVE_BYTES)
+            except BlockingIOError:
+                return data, False
+            if not part:
+                return data, True
+            data += part
+        raise ConnectionError("something other than motionkit play --tcp answers")
+
+    def _event(self, line):
+        try:
+            event = json.loads(line)
+        except ValueError:
+            event = None
+        if not isinstance(event, dict) or "event" not in event:
+            raise ConnectionError("something other than motionkit play --tcp answers")
+        return event
+
+    def _ping(self):
+        """Send a ping in a third of the time after which a silent client may lose its place."""
+        now = self.clock()
+        if self.hello is not None and now - self._pinged > self.hello["limits"]["idle_seconds"] / 3.0:
+            self._pinged = now
+            self._unsent += b'{"do": "ping"}\n'
+        if self._unsent:
+            try:
+                self._unsent = self._unsent[self._socket.send(self._unsent) :]
+            except BlockingIOError:
+                pass  # the rest goes next time
 
 
 class MOTIONKIT_OT_live(bpy.types.Operator):
-    """Show the first character of a running motionkit play --tcp on the selected armature; Escape stops"""
+    """Show a character of a running motionkit play --tcp on the selected armature; Escape stops"""
 
     bl_idname = "motionkit.live"
     bl_label = "Live"
@@ -200,10 +300,8 @@ class MOTIONKIT_OT_live(bpy.types.Operator):
             self.report({"ERROR"}, "select an armature that motionkit made (import a .glb)")
             return {"CANCELLED"}
         try:
-            self.socket = socket.create_connection(("127.0.0.1", context.scene.motionkit.port), timeout=5.0)
-            self.lines = self.socket.makefile("r", encoding="utf-8")
-            self.skeleton = json.loads(self.lines.readline())  # the hello event has joints and parents
-        except (OSError, ValueError) as error:
+            self.client = LiveClient(context.scene.motionkit.port)
+        except OSError as error:
             self.report({"ERROR"}, f"no motionkit play --tcp {context.scene.motionkit.port}: {error}")
             return {"CANCELLED"}
         self.timer = context.window_manager.event_timer_add(1.0 / 60.0, window=context.window)
@@ -212,14 +310,23 @@ class MOTIONKIT_OT_live(bpy.types.Operator):
 
     def modal(self, context, event):
         if event.type == "ESC":
-            context.window_manager.event_timer_remove(self.timer)
-            self.socket.close()
+            self.cancel(context)
             return {"FINISHED"}
         if event.type == "TIMER":
-            frame = json.loads(self.lines.readline() or "{}")
-            if frame.get("event") == "frame" and frame["characters"]:
-                pose(self.armature, self.skeleton, frame["characters"][0])
+            try:
+                character = self.client.newest()
+                if character is not None:
+                    pose(self.armature, self.client.hello, character)
+            except (OSError, ReferenceError) as error:  # the latter where the armature was deleted
+                self.cancel(context)
+                self.report({"ERROR"}, f"live mode has stopped: {error}")
+                return {"CANCELLED"}
         return {"PASS_THROUGH"}
+
+    def cancel(self, context):
+        """Called by Blender too, when it closes the window or opens another file."""
+        context.window_manager.event_timer_remove(self.timer)
+        self.client.close()
 
 
 class MOTIONKIT_PT_panel(bpy.types.Panel):

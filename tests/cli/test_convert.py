@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from motionkit.export.formats import WRITERS, read_motion
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from synthetic_motions import make_walk
 
 
@@ -56,3 +57,15 @@ def test_synthesize_and_follow_path_write_every_format(
     for name, words in (("c.fbx", "docs/formats.md"), ("v.html", ".bvh, .glb"), ("c", ".bvh, .glb")):
         said = motionkit("synthesize", "--types", "walking", "--model", tiny_model_file, "-o", name)
         assert said.code == 2 and words in said.err and not (tmp_path / name).exists()
+
+
+def test_faults_of_a_rig_name_its_file(motionkit, walk: Motion, tmp_path: Path) -> None:
+    crane = Skeleton(("Base", "Boom"), (-1, 0), np.array([[0, 0, 0], [0, 60, 0]], np.float32))
+    write_bvh(tmp_path / "crane.bvh", Motion(crane, walk.local_rotations[:, :2], walk.root_positions, 60.0))
+    assert motionkit("convert", "crane.bvh", "a.vrma").failed_with("crane.bvh: not a known human rig")
+    write_bvh(tmp_path / "zero.bvh", replace(walk, skeleton=walk.skeleton.scaled(0.0)))
+    assert motionkit("convert", "zero.bvh", "a.glb").failed_with("zero.bvh: all bones have length zero")
+    assert motionkit("view", "crane.bvh", "zero.bvh", "-o", "a.html").failed_with("zero.bvh: all bones")
+    (tmp_path / "crane.bvh").unlink()
+    assert motionkit("preprocess", ".").failed_with("zero.bvh: LeftUpLeg is a bone of zero length")
+    assert not list(tmp_path.glob("a.*"))

@@ -51,7 +51,6 @@ def test_a_table(follow, tmp_path: Path) -> None:
     [
         (["cirkle"], "did you mean 'circle'"),
         (["circle", "--size", "0"], "expected a size"),
-        (["circle", "--size", "nan"], "expected a size"),
         (["circle", "--speed", "99"], "expected a speed"),
         (["circle", "--types", "floating"], "unknown motion type 'floating'"),
         (["circle", "--character", "nobody"], "unknown character 'nobody'"),

@@ -119,6 +119,16 @@ def test_one_frame_is_refused(clip: Motion) -> None:
         fix_motion(clip.cut(0, 1))
 
 
+def test_clips_too_short_to_measure_are_repaired(clip: Motion, make_motion: Callable[..., Motion]) -> None:
+    offsets = np.array([[0, 0, 0], [0, 60, 0], [0, 80, 10]], np.float32)
+    crane = make_motion(3, skeleton=Skeleton(("Base", "Boom", "Hook"), (-1, 0, 1), offsets))
+    for short in (crane, clip.cut(0, 3), clip.cut(0, 2)):
+        fixed = fix_motion(short)
+        assert len(fixed.motion) == len(short)
+        (jerk,) = (row for row in fixed.table if row.name == "jerk")
+        assert jerk.before is None and jerk.after is None
+
+
 def test_the_command(motionkit, tmp_path: Path) -> None:
     source = DATA / "35_30.bvh"
     said = motionkit("fix", source, "--no-trembling", "--view", "-o", "a.bvh")

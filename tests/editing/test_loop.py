@@ -68,6 +68,21 @@ def test_a_cycle_stays_in_its_place_unless_asked_to_the_origin() -> None:
     assert moved.seam.distance < 0.01 and moved.seam.speed == pytest.approx(loop.seam.speed, abs=0.5)
 
 
+@pytest.mark.parametrize(
+    ("wish", "found"), [(0.1, 1.0), (1.05, 1.0), (1.4, 1.0), (1.6, 2.0), (2.2, 2.0), (3.2, 3.0), (30.0, 4.0)]
+)
+def test_the_cycle_nearest_to_a_wish_is_taken(wish: float, found: float) -> None:
+    loop = make_loop(make_walk(260, turn=0.05), seconds=wish)
+    assert (len(loop.motion) - 1) / 60 == pytest.approx(found, abs=0.05)
+    assert loop.difference < 3.0
+
+
+def test_a_first_search_by_strides_meets_a_wish(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("motionkit.editing.loop.COARSE", 100)
+    loop = make_loop(make_walk(300, turn=0.05), seconds=2.0)
+    assert len(loop.motion) - 1 == pytest.approx(120, abs=6)
+
+
 def test_played_twice_a_loop_moves_on_as_within(tmp_path: Path) -> None:
     """Speeds of joints over the seam, in a clip of two cycles, are no larger than elsewhere."""
     loop = make_loop(read_motion(DATA / "16_45.bvh")).motion
@@ -124,6 +139,9 @@ def test_the_command(motionkit, tmp_path: Path) -> None:
     assert np.abs(made.root_positions).max() < 0.5
     value = json.loads(motionkit("loop", "walk.bvh", "--json", "--seconds", 1).out)
     assert value["output"] == "walk-loop.bvh" and value["seam_cm"] <= value["frame_cm"]
+    assert not motionkit("loop", "walk.bvh", "--seconds", 1.05).err
+    said = motionkit("loop", "walk.bvh", "--seconds", 30)
+    assert said.code == 0 and said.err.startswith("the cycle nearest to 30 s lasts ")
     write_motion(tmp_path / "short.bvh", make_walk(10))
     assert motionkit("loop", "short.bvh").failed_with("short.bvh: the clip lasts 0.17 s")
     assert not (tmp_path / "short-loop.bvh").exists()

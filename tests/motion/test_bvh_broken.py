@@ -263,6 +263,8 @@ def test_a_glb_is_told_from_other_binary_files(tmp_path: Path) -> None:
     assert fault.endswith(
         "is a glTF file, expected a BVH file; `motionkit convert` makes one of its animation"
     )
+    (tmp_path / "walk.vrma").write_bytes((tmp_path / "walk.glb").read_bytes())
+    assert str(fault_of(tmp_path / "walk.vrma")).endswith("is a glTF file, expected a BVH file")
 
 
 def test_spaces_without_end_in_the_motion_header_take_no_time(tmp_path: Path, good_text: str) -> None:

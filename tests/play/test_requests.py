@@ -8,7 +8,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from motionkit.play.limits import Limits, RateLimit
-from motionkit.play.requests import MAX_SPEED, REQUESTS, ProtocolError, Request, parse_request
+from motionkit.play.requests import MAX_SPEED, REQUESTS, ROUND_OFF, ProtocolError, Request, parse_request
 
 
 def test_defaults_of_a_wish() -> None:
@@ -31,6 +31,14 @@ def test_every_field_is_read() -> None:
         "seq": 2**32 - 1,
     }
     assert parse_request('{"do": "wish", "velocity": null}').fields["velocity"] is None
+    assert parse_request('{"do": "wish", "velocity": [-600, 800]}').fields["velocity"] == (-600.0, 800.0)
+
+
+def test_the_highest_speed_holds_in_every_direction() -> None:
+    for degrees in range(360):
+        turn = math.radians(degrees)
+        velocity = [MAX_SPEED * math.sin(turn), MAX_SPEED * math.cos(turn)]
+        parse_request(json.dumps({"do": "wish", "velocity": velocity}))
 
 
 @pytest.mark.parametrize(
@@ -50,6 +58,7 @@ def test_every_field_is_read() -> None:
         ('{"do": "wish", "facing": true}', "facing: expected a number from -1000 to 1000, found True"),
         ('{"do": "wish", "velocity": [1]}', "velocity: expected two numbers [x, z], found [1]"),
         ('{"do": "wish", "velocity": [0, 1000.1]}', "velocity: expected a number from -1000 to 1000"),
+        ('{"do": "wish", "velocity": [800, 700]}', "velocity: expected a velocity of at most 1000 cm/s"),
         ('{"do": "wish", "velocity": "fast"}', "velocity: expected two numbers"),
         ('{"do": "wish", "type": 7}', "type: expected a name"),
         ('{"do": "wish", "type": "' + "a" * 101 + '"}', "type: expected a name of at most 100 characters"),
@@ -102,7 +111,7 @@ def test_nothing_but_a_protocol_error_comes_of_any_fields(fields: dict, do: str)
     assert set(request.fields) == set(REQUESTS[do])
     velocity = request.fields.get("velocity")
     if velocity is not None:
-        assert all(math.isfinite(v) and abs(v) <= MAX_SPEED for v in velocity)
+        assert math.hypot(*velocity) <= MAX_SPEED + ROUND_OFF
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])

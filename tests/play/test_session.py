@@ -301,7 +301,10 @@ def test_a_recording_ends_at_its_limit(tiny_model: MotionModel) -> None:
     assert session.full() == []
     play(session, 5)
     (done,) = session.full()
-    assert len(done.motion) == 30 and session.full() == []
+    assert len(done.motion) == 30 and done.format is None and session.full() == []
+    ask(session, 1, "record", on=True, format="glb")
+    play(session, 35)
+    assert [each.format for each in session.full()] == ["glb"]
 
 
 def test_only_the_newest_recordings_are_kept() -> None:

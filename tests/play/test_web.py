@@ -458,11 +458,16 @@ def test_a_recording_in_another_format(serve: Callable, web: Callable) -> None:
     client = web(server)
     assert client.hello["recording_format"] == "usda"
     mine = client.hello["character"]
-    for asked, ending, content, begin in (
-        ({}, "usda", "text/plain; charset=utf-8", b"#usda 1.0"),
-        ({"format": "vrma"}, "vrma", "model/gltf-binary", b"glTF"),
+    vrma, usda = ({"format": ending} for ending in ("vrma", "usda"))
+    gltf, text = ("model/gltf-binary", b"glTF"), ("text/plain; charset=utf-8", b"#usda 1.0")
+    for begun, asked, ending, (content, begin) in (
+        ({}, {}, "usda", text),
+        ({}, vrma, "vrma", gltf),
+        (vrma, {}, "vrma", gltf),
+        (vrma, {"format": None}, "vrma", gltf),
+        (vrma, usda, "usda", text),
     ):
-        client.ask(do="record", on=True)
+        client.ask(do="record", on=True, **begun)
         client.until("frame", lambda f: f["characters"].get(mine, {"flags": 0})["flags"] & 4)
         client.ask(do="record", on=False, **asked)
         event = client.until("recorded")

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_to_matrix
 from motionkit.view.body import BodyPose, make_body
@@ -116,3 +119,23 @@ def test_the_body_of_another_clip_is_made_once_and_of_another_rig_anew() -> None
     assert taller is not first and taller.points[:, 1].max() > first.points[:, 1].max() + 0.05
     assert make_body(motion, step=0.03)[0] is not first
     assert np.array_equal(pose.places, make_body(motion)[1].places)
+
+
+def test_legs_without_length_leave_bones_to_draw() -> None:
+    walk = make_walk(2)
+    legs = [
+        walk.skeleton.names.index(f"{side}{part}")
+        for side in ("Left", "Right")
+        for part in ("Leg", "Foot", "ToeBase")
+    ]
+    offsets = walk.skeleton.offsets.copy()
+    offsets[legs] = 0.0
+    flat = replace(walk, skeleton=replace(walk.skeleton, offsets=offsets, end_sites={}))
+    surface, _ = make_body(in_metres(flat)[0])
+    assert len(surface.points) and np.isfinite(surface.points).all()
+
+
+def test_bones_without_length_are_refused() -> None:
+    walk = make_walk(2)
+    with pytest.raises(SkeletonError, match="all bones have length zero"):
+        make_body(replace(walk, skeleton=walk.skeleton.scaled(0.0)))

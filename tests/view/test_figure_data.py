@@ -126,6 +126,26 @@ def test_z_up_is_turned_upright() -> None:
         np.testing.assert_allclose(given, expected, atol=1e-4, rtol=0)
 
 
+def snake(length: float, up: int, height: float) -> Motion:
+    """A rig of eight joints without sense in their names, along the last axis, at a height of another one."""
+    offsets = np.zeros((8, 3), np.float32)
+    offsets[1:, 2] = length / 7
+    root = np.zeros((4, 3), np.float32)
+    root[:, up] = height
+    skeleton = Skeleton(tuple(f"j{i}" for i in range(8)), tuple(range(-1, 7)), offsets)
+    return Motion(skeleton, quat_identity((4, 8)), root, 30.0)
+
+
+def test_what_is_no_human_keeps_its_size_and_its_axes() -> None:
+    for given, unit in ((snake(70.0, 1, 5.0), 0.01), (dog(), 0.01), (snake(0.7, 1, 0.05), 1.0)):
+        made, scale, note = in_metres(given)
+        assert scale == unit and "no human rig" in note and "Z up" not in note
+        expected = motion_kinematics(given)[1] * unit
+        np.testing.assert_allclose(motion_kinematics(made)[1], expected, atol=1e-5)
+    _, _, note = in_metres(snake(70.0, 1, -35.0))
+    assert note.endswith("Z up"), "it stands on the ground of Z, not far below that of Y"
+
+
 @pytest.mark.parametrize("source", ["walk", "16_05", "dog"])
 def test_bodies_are_closed_and_of_human_size(source: str) -> None:
     motion = {"walk": lambda: make_walk(60), "dog": dog}.get(

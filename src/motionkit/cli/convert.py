@@ -7,13 +7,14 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import json_option, print_json, say
-from motionkit.cli.motion_options import RootMotion, checked_ending, root_options
+from motionkit.cli.finite import FiniteRange
+from motionkit.cli.motion_options import RootMotion, checked_ending, naming, root_options
 
 
 @click.command("convert")
 @click.argument("source", type=click.Path(path_type=Path))
 @click.argument("target", type=click.Path(path_type=Path), callback=checked_ending)
-@click.option("--fps", type=click.FloatRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
+@click.option("--fps", type=FiniteRange(1, 480), help="Frame rate of TARGET; that of SOURCE by default.")
 @root_options
 @json_option
 def command(source: Path, target: Path, fps: float | None, root_motion: RootMotion, as_json: bool) -> None:
@@ -31,7 +32,8 @@ def command(source: Path, target: Path, fps: float | None, root_motion: RootMoti
     clip = read_clip(source)
     motion = root_motion.applied(clip.motion)
     motion = motion if fps is None else resample(motion, fps)
-    write_motion(target, clip.with_motion(motion))
+    with naming(source):
+        write_motion(target, clip.with_motion(motion))
     if as_json:
         facts = {"frames": len(motion), "fps": motion.fps, "joints": len(motion.skeleton)}
         print_json({"file": str(source), "output": str(target), **facts})

@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import default_output, json_option, print_json, say, stdout_console
-from motionkit.cli.motion_options import clip_output_option
+from motionkit.cli.motion_options import clip_output_option, naming
 from motionkit.cli.showing import write_and_open
 
 
@@ -59,7 +59,8 @@ def command(
         fixed = fix_motion(source.motion, Repairs(glitches, trembling, floor, sliding))
     except MotionkitError as error:
         raise MotionkitError(f"{clip}: {error}") from None
-    write_motion(target, source.with_motion(fixed.motion))
+    with naming(clip):
+        write_motion(target, source.with_motion(fixed.motion))
     page = None
     if view:
         from motionkit.view.figure_data import Shown

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 
 from motionkit.cli.common import default_output, print_json, progress_bar, remark
+from motionkit.cli.finite import FINITE
 from motionkit.cli.motion_options import RootMotion
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
@@ -37,8 +38,8 @@ if TYPE_CHECKING:
     help="Named shapes: motion types along the path, in equal parts, such as running,cartwheel,running; "
     "walking by default, or the model's walk under its own name.",
 )
-@click.option("--size", type=float, help="Named shapes: length, radius or side in metres.")
-@click.option("--speed", type=float, help="Named shapes: speed in m/s; each type's own by default.")
+@click.option("--size", type=FINITE, help="Named shapes: length, radius or side in metres.")
+@click.option("--speed", type=FINITE, help="Named shapes: speed in m/s; each type's own by default.")
 @click.option("--strict", is_flag=True, help="Refuse speeds at which a gait does not look right.")
 @synthesis_options
 def command(

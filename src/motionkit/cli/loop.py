@@ -6,8 +6,17 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import default_output, json_option, print_json, say
-from motionkit.cli.motion_options import RootMotion, clip_output_option, root_options, seam_json, seam_words
+from motionkit.cli.common import default_output, json_option, print_json, remark, say
+from motionkit.cli.finite import FiniteRange
+from motionkit.cli.motion_options import (
+    RootMotion,
+    clip_output_option,
+    length_note,
+    naming,
+    root_options,
+    seam_json,
+    seam_words,
+)
 from motionkit.cli.showing import view_option, write_and_open
 
 
@@ -16,8 +25,8 @@ from motionkit.cli.showing import view_option, write_and_open
 @clip_output_option("loop")
 @click.option(
     "--seconds",
-    type=click.FloatRange(0.1, 3600),
-    help="Length in seconds; the good cycle of the nearest length is taken. By default the shortest cycle.",
+    type=FiniteRange(0.1, 3600),
+    help="Length in seconds; the cycle of the nearest length is taken. By default the shortest good cycle.",
 )
 @click.option(
     "--at-origin",
@@ -55,13 +64,16 @@ def command(
     except MotionkitError as error:
         raise MotionkitError(f"{clip}: {error}") from None
     made = root_motion.applied(loop.motion, cyclic=True)
-    write_motion(target, source.with_motion(made))
+    with naming(clip):
+        write_motion(target, source.with_motion(made))
     page = None
     if view:
         from motionkit.view.figure_data import Shown
 
         page = write_and_open(page_file, [Shown(target.stem, made)], as_json)
     length = (len(made) - 1) / made.fps
+    if note := length_note(length, seconds):
+        remark(note)
     if as_json:
         cut = {"start": loop.start, "end": loop.end, "seconds": length, "difference_cm": loop.difference}
         print_json({"output": str(target), **cut, **seam_json(loop), **({"view": str(page)} if page else {})})

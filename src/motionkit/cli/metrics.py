@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import io
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -21,6 +20,7 @@ from motionkit.cli.common import (
     say,
     stdout_console,
 )
+from motionkit.cli.finite import FINITE, FiniteRange
 from motionkit.cli.showing import view_option, write_and_open
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings
@@ -43,19 +43,12 @@ _OF_EACH = {
 }
 
 
-def _finite(ctx: click.Context, parameter: click.Parameter, value: float | None) -> float | None:
-    if value is not None and not math.isfinite(value):
-        raise click.BadParameter(f"{value} is not a finite number")
-    return value
-
-
 def _positive(flag: str, text: str, default: float | None = None) -> Any:
     return click.option(
         flag,
-        type=click.FloatRange(min=0, min_open=True),
+        type=FiniteRange(min=0, min_open=True),
         default=default,
         show_default=default is not None,
-        callback=_finite,
         help=text,
     )
 
@@ -108,8 +101,7 @@ def _positive(flag: str, text: str, default: float | None = None) -> Any:
 )
 @click.option(
     "--floor",
-    type=float,
-    callback=_finite,
+    type=FINITE,
     help="Height of standing toes in cm; that of GROUND_TRUTH for both by default.",
 )
 @_positive("--foot-height", "Height threshold H of the feet for afs, cm.", MetricSettings.foot_height)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
 
 FORMATS = ("bvh", "glb", "vrma", "usda", "npz", "csv")  # those of export.formats, which takes long to import
+_FAR_FROM_WISH = 0.1  # share of a wished length by which a cycle may differ without a word
 ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
 
 
@@ -91,6 +93,24 @@ def seam_words(loop: Loop) -> str:
         f"seam {seam.distance:.2f} cm and {seam.speed:.0f} cm/s; between two following frames up to "
         f"{seam.frame_distance:.1f} cm and {seam.frame_speed:.0f} cm/s"
     )
+
+
+@contextmanager
+def naming(clip: Path) -> Iterator[None]:
+    """Name the file in a fault of its rig: writers know only the file to write."""
+    from motionkit.errors import SkeletonError
+
+    try:
+        yield
+    except SkeletonError as error:
+        raise SkeletonError(f"{clip}: {error}") from None
+
+
+def length_note(found: float, wish: float | None) -> str | None:
+    """What to say of a cycle that lasts much longer or shorter than wished, in seconds."""
+    if wish is None or abs(found - wish) <= _FAR_FROM_WISH * wish:
+        return None
+    return f"the cycle nearest to {wish:g} s lasts {found:.2f} s"
 
 
 def seam_json(loop: Loop) -> dict[str, float]:

@@ -16,6 +16,7 @@ from motionkit.cli.common import (
     stderr_console,
     stdout_console,
 )
+from motionkit.cli.finite import FiniteRange
 from motionkit.errors import MotionkitError
 
 if TYPE_CHECKING:
@@ -41,12 +42,8 @@ SHOWN_SKIPS = 20
     help="CSV table of segments: file,start_frame,end_frame,type[,subject,fps,split,note]. "
     "By default labels.csv in or just above the data.",
 )
-@click.option(
-    "--fps", type=click.FloatRange(1, 1000), help="Frame rate of the files, if their headers are wrong."
-)
-@click.option(
-    "--scale", type=click.FloatRange(1e-4, 1e4), help="Centimetres per file unit; detected by default."
-)
+@click.option("--fps", type=FiniteRange(1, 1000), help="Frame rate of the files, if their headers are wrong.")
+@click.option("--scale", type=FiniteRange(1e-4, 1e4), help="Centimetres per file unit; detected by default.")
 @click.option(
     "--jobs",
     default=0,

@@ -21,6 +21,7 @@ from motionkit.cli.common import (
     seed_option,
     stages_on,
 )
+from motionkit.cli.finite import FiniteRange
 from motionkit.errors import DatasetError, MotionkitError, OverwriteError
 from motionkit.files import files_below
 from motionkit.names import counted
@@ -52,7 +53,7 @@ class TrainingStopped(KeyboardInterrupt):
     type=click.Path(file_okay=False, path_type=Path),
     help="Output folder; by default DATA with -model added to its name.",
 )
-@click.option("--minutes", type=click.FloatRange(min=0.01), help="Training time in minutes; 5 by default.")
+@click.option("--minutes", type=FiniteRange(min=0.01), help="Training time in minutes; 5 by default.")
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps instead.")
 @click.option("--add", is_flag=True, help="Also keep the types of the bundled model.")
 @click.option(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.cli.common import default_output, json_option, print_json, remark, say, stdout_console
+from motionkit.cli.finite import FiniteRange
 from motionkit.cli.rig_options import clip_option, map_option, open_rig, rig_option
 from motionkit.cli.showing import view_option, write_and_open
 from motionkit.cli.synthesis_options import (
@@ -52,10 +53,10 @@ _EXPECTED = ("Hips", "Neck", "Head", "Arm", "Hand", "Leg", "Foot", "ToeBase")
 )
 @click.option(
     "--scale",
-    type=click.FloatRange(0, min_open=True),
+    type=FiniteRange(1e-4, 1e4),
     help="Centimetres per unit of SOURCE; detected by default.",
 )
-@click.option("--fps", type=click.FloatRange(1, 480), help="Frame rate to write; that of SOURCE by default.")
+@click.option("--fps", type=FiniteRange(1, 480), help="Frame rate to write; that of SOURCE by default.")
 @click.option(
     "--ik/--no-ik",
     default=True,

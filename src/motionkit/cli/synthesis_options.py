@@ -19,6 +19,7 @@ from motionkit.cli.common import (
     stderr_console,
     stdout_console,
 )
+from motionkit.cli.finite import FiniteRange
 from motionkit.cli.motion_options import ENDINGS, checked_ending, root_options
 from motionkit.cli.rig_options import NO_RIG, RigChoice, rig_options
 from motionkit.cli.showing import view_option
@@ -41,7 +42,7 @@ def noise_options(function: Callable) -> Callable:
     """The options --noise and --temperature."""
     temperature = click.option(
         "--temperature",
-        type=click.FloatRange(0, 2),
+        type=FiniteRange(0, 2),
         help="Noise strength; 0.05 by default, 1 with --noise sample.",
     )
     kind = click.option(
@@ -90,7 +91,7 @@ def synthesis_options(function: Callable) -> Callable:
         ),
         click.option(
             "--fps",
-            type=click.FloatRange(1, 480),
+            type=FiniteRange(1, 480),
             help="Frame rate of the file; the model's 60 by default.",
         ),
         root_options,

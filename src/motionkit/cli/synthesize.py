@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import default_output, print_json, progress_bar, stdout_console
-from motionkit.cli.motion_options import RootMotion, seam_json, seam_words
+from motionkit.cli.common import default_output, print_json, progress_bar, remark, stdout_console
+from motionkit.cli.finite import FiniteRange
+from motionkit.cli.motion_options import RootMotion, length_note, seam_json, seam_words
 from motionkit.cli.showing import write_and_open
 from motionkit.cli.synthesis_options import (
     STDOUT,
@@ -50,7 +51,7 @@ LOOP_TRIES = (2, 4)  # so many times as long, where nothing repeats
 @output_option("File to write; a BVH file named after the types by default")
 @click.option(
     "--seconds",
-    type=click.FloatRange(0.1, 3600),
+    type=FiniteRange(0.1, 3600),
     help="Total length in seconds; by default 4 s per type, or one performance of types such as flips.",
 )
 @click.option(
@@ -174,6 +175,9 @@ def command(
                     **({"keys": [_arrival(synthesis.motion, key) for key in keys]} if keys else {}),
                 }
             )
+    for cycle in cycles if loops else ():
+        if note := length_note((len(cycle.motion) - 1) / cycle.motion.fps, seconds):
+            remark(note)
     page = _view(base, made, result, written, as_json) if view else None
     rate = result.frames / max(result.seconds, 1e-9)
     if as_json:

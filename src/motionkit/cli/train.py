@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, stdout_console
+from motionkit.cli.finite import FiniteRange
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.files import check_outputs
@@ -59,7 +60,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--minutes",
-    type=click.FloatRange(min=0.01),
+    type=FiniteRange(min=0.01),
     help="Training time in minutes, unless --steps is given: 5 by default, from random weights 30.",
 )
 @click.option("--steps", type=click.IntRange(min=1), help="Number of training steps.")
@@ -87,7 +88,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     type=click.IntRange(16, 1200),
     help="Frames per window; the preset's by default (96; tptn-paper 300).",
 )
-@click.option("--rate", type=click.FloatRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
+@click.option("--rate", type=FiniteRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
     "--type-weights",
     metavar="TYPE=TIMES,...",
@@ -96,7 +97,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--step-weight",
-    type=click.FloatRange(0.0, 1000.0),
+    type=FiniteRange(0.0, 1000.0),
     help="Weight of the loss on foot sliding against the recording; 0 by default, 35 gives firm feet.",
 )
 @click.option(
@@ -107,13 +108,13 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--reference-dropout",
-    type=click.FloatRange(0.0, 1.0),
+    type=FiniteRange(0.0, 1.0),
     help="Share of training windows without reference poses; the preset's by default (0.5; tptn-paper 1). More of "
     "them teach the network to do without.",
 )
 @click.option(
     "--trajectory-drift",
-    type=click.FloatRange(0.0, 1.0),
+    type=FiniteRange(0.0, 1.0),
     help="Standard deviation of a factor on the trajectory of training windows that go straight; 0 by default. "
     "0.15 keeps a tptn-paper that is fed its own trajectory from going ever faster.",
 )
@@ -139,7 +140,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--score-minutes",
-    type=click.FloatRange(min=0.1),
+    type=FiniteRange(min=0.1),
     help="Minutes between evaluations by roll-outs; 10 by default, 1 with --preview.",
 )
 @click.option(

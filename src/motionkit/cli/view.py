@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import click
 
 from motionkit.cli.common import default_output, json_option, print_json, progress_bar, say
+from motionkit.cli.motion_options import naming
 from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
 
@@ -79,6 +80,7 @@ def command(
     """
     from motionkit.files import check_outputs
     from motionkit.motion.bvh import bvh_to_motion, read_bvh
+    from motionkit.view.body import check_bones
     from motionkit.view.figure_data import Shown
 
     target = output or default_output(clips[0].stem, ".html")
@@ -93,6 +95,9 @@ def command(
         Shown(visible(name), bvh_to_motion(read_bvh(clip)), path=path)
         for name, clip in zip(_names(clips), clips, strict=True)
     ]
+    for clip, one in zip(clips, shown, strict=True):
+        with naming(clip):
+            check_bones(one.motion)
     _write(target, shown, poses, every, width)
     if target.suffix.lower() == ".html" and opens and not as_json:
         open_in_browser(target.resolve().as_uri())

@@ -159,6 +159,8 @@ def _key(path: Path, number: int, entry: Any, model: MotionModel) -> Key:
     unknown = sorted(set(entry) - set(_FIELDS))
     if unknown:
         raise ControlError(f"{where}: unknown field {unknown[0]!r}, expected {', '.join(_FIELDS)}")
+    if "time" not in entry:
+        raise ControlError(f"{where}: expected its time in seconds, found none")
     if len(entry) < 2:
         raise ControlError(f"{where}: nothing to meet; give pose, position, facing or joints")
     seconds = _numbers(where, "time", [entry.get("time")], 1, EARLIEST, 3600.0)[0]

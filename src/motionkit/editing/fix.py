@@ -184,14 +184,23 @@ def turned_in_world(motion: Motion, turns: dict[int, Array]) -> Motion:
 def _table(before: Upright, after: Upright, glitches: tuple[float, float]) -> tuple[Measurement, ...]:
     rows = [Measurement("glitches", *glitches, "")]
     if before.canonical is None or after.canonical is None:
-        values = [
-            mean_jerk(motion_kinematics(each.motion)[1], each.motion.fps).value for each in (before, after)
-        ]
+        values = [_jerk(each.motion) for each in (before, after)]
         return (*rows, Measurement(MEASURED["jerk"], values[0], values[1], "m/s^3"))
-    reports = [evaluate_motion(each) for each in (before.canonical, after.canonical)]
+    try:
+        reports = [evaluate_motion(each) for each in (before.canonical, after.canonical)]
+    except MotionkitError:  # a clip of a few frames can be repaired, but not measured
+        return (*rows, *(Measurement(words, None, None, "") for words in MEASURED.values()))
     for name, words in MEASURED.items():
         pair = [next((row.motion for row in report.rows if row.id == name), None) for report in reports]
         first, last = pair
         if first is not None and last is not None:
             rows.append(Measurement(words, first.value, last.value, first.unit))
     return tuple(rows)
+
+
+def _jerk(motion: Motion) -> float | None:
+    """The jerk of a motion; None for one too short to have any."""
+    try:
+        return mean_jerk(motion_kinematics(motion)[1], motion.fps).value
+    except MotionkitError:
+        return None

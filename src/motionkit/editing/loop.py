@@ -40,7 +40,8 @@ MOST_SHARE, LEAST_LIMIT, MOST_LIMIT = 0.3, 2.5, 8.0
 # taken.
 AS_GOOD, GOOD = 1.25, 3.0
 LIVELY = 0.6  # a cycle moves at least this share of what the clip moves
-WISH_TOLERANCE = 0.15  # share of the wished length within which the most alike ends decide
+# Within this share of the wished length, and within so many seconds, the most alike ends decide.
+WISH_SHARE, WISH_SECONDS = 0.05, 0.1
 FADE_SECONDS = 0.25
 STANDING_SPEED = 25.0  # cm/s; a cycle that goes slower than this ends where it began
 
@@ -121,7 +122,12 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
             "the clip never repeats: no two frames have the same facing and enough movement between them"
         )
     limit = min(max(MOST_SHARE * usual, LEAST_LIMIT), MOST_LIMIT)
-    a, b = _chosen(np.where(pairs, apart, np.inf), every, fps, seconds, limit)
+    apart = np.where(pairs, apart, np.inf)
+    a, b = (
+        _shortest(apart, every, limit)
+        if seconds is None
+        else _nearest(apart, every, seconds * fps, fps, limit)
+    )
     start, end, difference = _refined(rows, int(every[a]), int(every[b]), stride, least)
     if difference > limit:
         raise MotionkitError(
@@ -163,21 +169,34 @@ def _allowed(upright: Upright, every: Array, least: int) -> Array:
     return (lengths >= max(least, round(SHORTEST * fps))) & (turned <= MOST_TURN) & lively
 
 
-def _chosen(apart: Array, every: Array, fps: float, seconds: float | None, limit: float) -> tuple[int, int]:
-    """Indices of the ends of the best cycle, given the differences (N, N) of all allowed pairs."""
-    lengths = (every[None, :] - every[:, None]) / fps
+def _shortest(apart: Array, every: Array, limit: float) -> tuple[int, int]:
+    """Indices of the ends of the shortest good cycle, given the differences (N, N) of all allowed pairs."""
+    lengths = every[None, :] - every[:, None]
+    good = apart <= max(AS_GOOD * float(apart.min()), min(0.5 * limit, GOOD))
+    near = good & (lengths <= 1.1 * lengths[good].min())
+    return _least(np.where(near, apart, np.inf))
+
+
+def _nearest(apart: Array, every: Array, wish: float, fps: float, limit: float) -> tuple[int, int]:
+    """Indices of the ends of the cycle whose length is nearest to a wish in frames."""
+    away = np.abs(every[None, :] - every[:, None] - wish)
+    tolerance = max(min(WISH_SHARE * wish, WISH_SECONDS * fps), 0.5 * (every[1] - every[0]))
     best = float(apart.min())
-    good = apart <= max(AS_GOOD * best, min(0.5 * limit, GOOD))
-    if seconds is None:
-        shortest = float(lengths[good].min())
-        near = good & (lengths <= 1.1 * shortest)
-        return _least(np.where(near, apart, np.inf))
-    near = np.abs(lengths - seconds) <= WISH_TOLERANCE * seconds
-    if bool((apart[near] <= limit).any()):
-        return _least(np.where(near, apart, np.inf))
-    usable = apart <= limit
-    away = np.where(usable if bool(usable.any()) else np.isfinite(apart), np.abs(lengths - seconds), np.inf)
-    return _least(np.where(away <= float(away.min()) + 0.1 * seconds, apart, np.inf))
+    # The first search may miss what comes within the limit at the full rate.
+    usable = apart <= (limit if best <= limit else AS_GOOD * best)
+    if not bool((usable & (away <= tolerance)).any()):
+        # The slope of a valley would be nearer to the wish than its bottom, and only less alike.
+        usable &= _bottoms(apart)
+    near = usable & (away <= away[usable].min() + tolerance)
+    return _least(np.where(near, apart, np.inf))
+
+
+def _bottoms(values: Array) -> Array:
+    """Which values (N, M) none of the four beside them is below."""
+    wide = np.pad(values, 1, constant_values=np.inf)
+    beside = wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]
+    lowest: Array = np.minimum.reduce(beside)
+    return values <= lowest
 
 
 def _least(values: Array) -> tuple[int, int]:
@@ -186,11 +205,12 @@ def _least(values: Array) -> tuple[int, int]:
 
 
 def _refined(rows: Array, start: int, end: int, stride: int, least: int) -> tuple[int, int, float]:
-    """The best ends within a stride of those of the first search."""
+    """The best ends within a stride of those of the first search, whose length changes by at most a stride."""
     starts = np.arange(max(0, start - stride), min(len(rows), start + stride + 1))
     ends = np.arange(max(0, end - stride), min(len(rows), end + stride + 1))
     apart = distances_between(rows[starts], rows[ends])
-    apart[ends[None, :] - starts[:, None] < least] = np.inf
+    lengths = ends[None, :] - starts[:, None]
+    apart[(lengths < least) | (np.abs(lengths - (end - start)) > stride)] = np.inf
     a, b = _least(apart)
     return int(starts[a]), int(ends[b]), float(apart[a, b])
 

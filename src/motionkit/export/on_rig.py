@@ -23,6 +23,7 @@ from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_
 from motionkit.motion.to_rig import rig_bvh, to_rig
 
 GLTF_ENDINGS = (".glb", ".vrm")
+NO_RIGS = (".vrma", ".gltf", ".fbx", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read
 
 
 def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
@@ -35,7 +36,10 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
     Raises:
         MotionkitError: the file or the map cannot be used, or the rig is not a human one.
     """
-    if Path(path).suffix.lower() not in GLTF_ENDINGS:
+    ending = Path(path).suffix.lower()
+    if ending in NO_RIGS:
+        raise SkeletonError(f"{path}: expected a rig, a .bvh, .glb or .vrm file, found {ending}")
+    if ending not in GLTF_ENDINGS:
         return read_bvh_rig(path, map_path)
     found = read_gltf_rig(path)
     joints = None if map_path is None else read_rig_map(map_path, found.bvh.skeleton)

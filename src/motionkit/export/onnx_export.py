@@ -78,7 +78,10 @@ CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
         (1, 1),
         "factor on the type's root-slip correction: 1, or 0 on a path, where the trajectory matters more",
     ),
-    "noise": ((1, FEATURE_COUNT), "standard normal numbers times the temperature; zeros give the mean"),
+    "noise": (
+        (1, FEATURE_COUNT),
+        "standard normal numbers times the temperature and the type's noise_scale; zeros give the mean",
+    ),
 }
 OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
     "positions": ((1, JOINT_COUNT, 3), "global joint positions in cm"),

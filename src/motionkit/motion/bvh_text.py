@@ -84,9 +84,11 @@ def _decode(path: str | Path, data: bytes) -> str:
     if data[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise BvhError(path, "is UTF-16 text, expected ASCII, UTF-8 or Latin-1; save it as UTF-8", 1)
     if data.startswith(b"glTF"):
-        raise BvhError(
-            path, "is a glTF file, expected a BVH file; `motionkit convert` makes one of its animation"
+        # convert reads what is called .glb, and no avatars or VRM animations.
+        how = (
+            "; `motionkit convert` makes one of its animation" if Path(path).suffix.lower() == ".glb" else ""
         )
+        raise BvhError(path, f"is a glTF file, expected a BVH file{how}")
     if b"\x00" in data:
         raise BvhError(path, "has zero bytes, expected text; this is a binary or UTF-16 file", 1)
     try:

@@ -86,6 +86,7 @@ _ODD_SHARE = 0.15
 _SHORT_SHARE = 0.05
 # A joint whose place varies by less than this share of the mean bone is at the end of a rigid bone.
 _RIGID_SHARE = 0.01
+_LIES_WITHIN = (0.05, 0.25)  # below and above height zero, of a body's length
 _SAMPLES = 32  # poses that show the shape of a rig without names
 
 
@@ -163,7 +164,8 @@ def _some_poses(motion: Motion) -> Motion:
 def is_z_up(positions: Array, names: Sequence[str]) -> bool:
     """Whether Z is the up axis of global positions (T, J, 3): head and feet are apart along Z rather than Y.
 
-    For rigs without such joint names, the axis along which the body is larger decides, Y if in doubt.
+    For rigs without such joint names, the axis along which the body is larger decides, Y if in doubt: a long body
+    whose lowest joint in the whole clip is about at height zero of Y, such as a snake or an arm on a table, lies there.
     """
     high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
     low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
@@ -171,7 +173,10 @@ def is_z_up(positions: Array, names: Sequence[str]) -> bool:
         up = np.abs((positions[:, high].mean(axis=1) - positions[:, low].mean(axis=1)).mean(axis=0))
         return bool(up[2] > up[1])
     spread = (positions.max(axis=1) - positions.min(axis=1)).mean(axis=0)
-    return bool(spread[2] > 1.5 * spread[1])
+    if spread[2] <= 1.5 * spread[1]:
+        return False
+    lowest = float(positions[..., 1].min()) / float(spread.max())
+    return not -_LIES_WITHIN[0] <= lowest <= _LIES_WITHIN[1]
 
 
 def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:

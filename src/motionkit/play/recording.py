@@ -26,8 +26,9 @@ _GROWTH = 600  # initial capacity of a recording, frames
 class Recorder:
     """Records the frames of one character."""
 
-    def __init__(self, skeleton: Skeleton, fps: float, most_frames: int) -> None:
-        self.skeleton, self.fps, self.most_frames = skeleton, fps, most_frames
+    def __init__(self, skeleton: Skeleton, fps: float, most_frames: int, format: str | None = None) -> None:
+        """format is the one that was asked for as the recording began, or None."""
+        self.skeleton, self.fps, self.most_frames, self.format = skeleton, fps, most_frames, format
         self.frames = 0
         self._values = np.zeros((min(_GROWTH, most_frames), JOINT_COUNT * 4 + 3), np.float32)
 

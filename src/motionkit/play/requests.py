@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -16,6 +17,7 @@ from motionkit.play.limits import Limits
 from motionkit.play.recording import FORMATS
 
 MAX_SPEED = 1000.0  # cm/s
+ROUND_OFF = 0.01  # cm/s above it, as of a client that turns a velocity of the highest speed
 MAX_PLACE = 1e6  # cm from the origin
 MAX_COUNT = 2**32 - 1
 MAX_NAME = 100  # characters of a type or body name
@@ -90,6 +92,13 @@ def _pair(limit: float) -> Check:
     return check
 
 
+def _velocity(value: Any) -> tuple[float, float]:
+    x, z = _pair(MAX_SPEED)(value)
+    if math.hypot(x, z) > MAX_SPEED + ROUND_OFF:
+        raise ValueError(f"a velocity of at most {MAX_SPEED:g} cm/s")
+    return x, z
+
+
 def _points(value: Any) -> list[tuple[float, float]]:
     most = Limits().path_points
     if not isinstance(value, list) or not 2 <= len(value) <= most:
@@ -120,7 +129,7 @@ _SEQ: dict[str, tuple[Check, Any]] = {"seq": (_count, 0)}
 REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
     "wish": {
         **_CHARACTER,
-        "velocity": (_or_null(_pair(MAX_SPEED)), (0.0, 0.0)),
+        "velocity": (_or_null(_velocity), (0.0, 0.0)),
         "facing": (_or_null(_number(-1e3, 1e3)), None),
         "type": (_or_null(_name), None),
         **_SEQ,

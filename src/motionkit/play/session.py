@@ -283,17 +283,18 @@ class Session:
                 raise ControlError(f"character {character.id} is already being recorded")
             skeleton = self.model.character(character.body)
             most = int(self.limits.record_seconds * self.model.fps)
-            character.recorder = Recorder(skeleton, self.model.fps, most)
+            character.recorder = Recorder(skeleton, self.model.fps, most, format)
             return None
         if character.recorder is None or not character.recorder.frames:
             character.recorder = None
             raise ControlError(f"nothing was recorded of character {character.id}")
-        return replace(self._end_recording(character), format=format)
+        recorded = self._end_recording(character)
+        return replace(recorded, format=format or recorded.format)
 
     def _end_recording(self, character: Character) -> Recorded:
         assert character.recorder is not None
-        motion, character.recorder = character.recorder.motion(), None
-        return Recorded(character.id, character.owner, motion)
+        recorder, character.recorder = character.recorder, None
+        return Recorded(character.id, character.owner, recorder.motion(), recorder.format)
 
     # ---- events ----
 

@@ -127,7 +127,11 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
             upright.
         figure: the motion's `motion_figure`, computed if None.
         step: about the length of the mesh's edges, m.
+
+    Raises:
+        SkeletonError: all bones of a human rig have length zero.
     """
+    check_bones(motion)
     bones = (figure or motion_figure(motion)).bones
     drawn = frozenset(joint for _, joint in bones if joint < len(motion.skeleton))
     try:
@@ -138,16 +142,32 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
     if _stoop(poses[0], rig) > 0.5:  # the rest pose is not a standing human
         poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
     pose = min(poses, key=lambda p: _stoop(p, rig))
-    return _human_body(motion.skeleton.names, rig, pose, step)
+    human = _Human(motion.skeleton.names, rig, pose)
+    if human.size == 0.0:  # all sizes are those of its legs
+        return _bony(motion, _rest(motion, drawn))
+    return _human_body(human, step)
 
 
-def _human_body(names: tuple[str, ...], rig: RigMap, pose: BodyPose, step: float) -> tuple[Surface, BodyPose]:
+def check_bones(motion: Motion) -> None:
+    """Raise SkeletonError if all bones of a human rig have length zero; other such rigs are drawn as a ball."""
+    between = motion.skeleton.offsets if motion.local_positions is None else motion.local_positions
+    if between[..., 1:, :].any():
+        return
+    try:
+        map_rig(motion.skeleton)
+    except SkeletonError:
+        return
+    raise SkeletonError("all bones have length zero")
+
+
+def _human_body(human: _Human, step: float) -> tuple[Surface, BodyPose]:
     """The body of a human rig, made or taken from those kept; its arrays are not to be written to."""
+    pose = human.pose
     ends = tuple((joint, end.tobytes()) for joint, end in sorted(pose.ends.items()))
     numbers = (pose.rotations.tobytes(), pose.places.tobytes(), ends)
-    key = (names, pose.parents, pose.bones, tuple(sorted(rig.places.items())), numbers, step)
+    key = (human.names, pose.parents, pose.bones, tuple(sorted(human.rig.items())), numbers, step)
     if key not in _kept:
-        made = _Human(names, rig, pose).surface(step)
+        made = human.surface(step)
         for array in (*vars(made[0]).values(), made[1].rotations, made[1].places):
             array.flags.writeable = False
         while len(_kept) >= MOST_KEPT:
@@ -226,7 +246,6 @@ class _Human:
         spine = [self.rig[n] for n in ("Hips", "LowerBack", "Spine", "Spine1") if n in self.rig]
         self.spine = list(dict.fromkeys(spine))
         self.chest = self.spine[-1]
-        self._spread()
 
     def at(self, name: str) -> Array:
         return self.pose.places[self.rig[name]]
@@ -277,6 +296,7 @@ class _Human:
         self.pose.turn(ankle, _between(bone / length, target))
 
     def surface(self, step: float) -> tuple[Surface, BodyPose]:
+        self._spread()
         self._torso()
         self._neck_and_head()
         for side in SIDES:

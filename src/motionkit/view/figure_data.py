@@ -25,13 +25,14 @@ from motionkit.motion.mirror import is_z_up, joint_sides
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import map_rig
 from motionkit.motion.rotations import matrix_to_quat, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
-from motionkit.motion.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.motion.units import KNOWN_UNITS, LONGEST_LEG, SHORTEST_LEG, guess_scale
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import SHADES
 
 CM = 0.01
+METRES_UP_TO = 3.0  # size in file units up to which a rig that is no human one is in metres
 QUATERNION_STEPS = 32767  # resolution of rotations: a few thousandths of a degree
 POINT_STEPS = 10_000  # resolution of body points: a tenth of a millimetre
 # Y up from Z up: -90 degrees about X.
@@ -152,8 +153,15 @@ def _cm_per_unit(motion: Motion) -> tuple[float, str]:
     if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
         return 1.0, "centimetres"
     if leg <= 0.0:
-        leg = motion_figure(motion).stature * LEG_TO_STATURE
+        return _unit_of_other(motion_figure(motion).stature)
     return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
+
+
+def _unit_of_other(size: float) -> tuple[float, str]:
+    """The unit of a rig that is no human one, of which only a size is known: metres where it is small, else cm."""
+    if size <= METRES_UP_TO:
+        return KNOWN_UNITS["metres"], "no human rig; taken as metres"
+    return 1.0, "no human rig; taken as centimetres"
 
 
 def _leg(skeleton: Skeleton) -> float:

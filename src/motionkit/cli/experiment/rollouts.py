@@ -17,6 +17,7 @@ from motionkit.cli.common import (
     stdout_console,
 )
 from motionkit.cli.experiment.options import BODIES, LONG, SCENES, data_option, needs_torch, output_option
+from motionkit.cli.finite import FiniteRange
 from motionkit.cli.fitting_table import print_fitting
 from motionkit.files import atomic_write
 from motionkit.names import counted
@@ -98,7 +99,7 @@ def scenes_command(
     help="Motion type, may be repeated. By default walking, running and a dance.",
 )
 @click.option(
-    "--seconds", default=20.0, show_default=True, type=click.FloatRange(1, 600), help="Length of a roll-out."
+    "--seconds", default=20.0, show_default=True, type=FiniteRange(1, 600), help="Length of a roll-out."
 )
 @click.option(
     "--seeds", default=1, show_default=True, type=click.IntRange(1, 100), help="Roll-outs of each type."
