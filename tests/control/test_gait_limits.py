@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from motionkit.control.drive import Driver, Wish
-from motionkit.control.gait_limits import MOST_ASIDE, GaitLimits
+from motionkit.control.gait_limits import MOST_ASIDE, MOST_ASIDE_RUNNING, GaitLimits
 from motionkit.control.steering import GOES_FROM, steered_type
 from motionkit.inference.character import CharacterStream
 from motionkit.metrics.ground import foot_positions
@@ -29,13 +29,14 @@ def test_speeds_are_those_of_the_recordings() -> None:
 @pytest.mark.parametrize("facing", [-3.0, -1.5, -0.5, 0.0, 0.7, 1.6, 3.0])
 def test_a_gait_goes_aside_up_to_a_limit(facing: float) -> None:
     limits = GaitLimits(load_bundled_model())
-    for kind, own in (("walking", 0.0), ("b-walking", math.pi)):
+    walks = (("walking", 0.0, MOST_ASIDE), ("b-walking", math.pi, MOST_ASIDE))
+    for kind, own, most in (*walks, ("running", 0.0, MOST_ASIDE_RUNNING)):
         _, turned = limits.nearest(kind, (0.0, 100.0), facing)
         assert turned is not None
         away = math.remainder(turned - own, 2 * math.pi)
         wanted = math.remainder(facing - own, 2 * math.pi)
-        assert abs(away) <= MOST_ASIDE + 0.01
-        assert away == pytest.approx(math.copysign(min(abs(wanted), MOST_ASIDE), wanted), abs=0.01)
+        assert abs(away) <= most + 0.01
+        assert away == pytest.approx(math.copysign(min(abs(wanted), most), wanted), abs=0.01)
 
 
 def test_nobody_glides_between_standing_and_going() -> None:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from motionkit.control.steering import STANDS_BELOW, Pair, nearest_turn
+from motionkit.control.steering import RUN_SPEED, STANDS_BELOW, Pair, nearest_turn
 from motionkit.models.model import MotionModel
 
-MOST_ASIDE = (
-    math.pi / 4
-)  # radians; a gait that goes further aside than this of its own way hardly lifts its feet
+# Radians; a gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
+MOST_ASIDE, MOST_ASIDE_RUNNING = math.pi / 4, math.pi / 6
 
 
 class GaitLimits:
@@ -46,6 +45,7 @@ class GaitLimits:
         if facing is not None:
             own = math.atan2(*velocity) - known.gait.facing
             aside = nearest_turn(facing - own)
-            if abs(aside) > MOST_ASIDE:
-                facing = own + math.copysign(MOST_ASIDE, aside)
+            most = MOST_ASIDE_RUNNING if known.gait.speed > RUN_SPEED else MOST_ASIDE
+            if abs(aside) > most:
+                facing = own + math.copysign(most, aside)
         return (share * velocity[0], share * velocity[1]), facing

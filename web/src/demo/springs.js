@@ -3,7 +3,8 @@
 export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
 export const STANDS_BELOW = 15; // cm/s; who is asked for less stands
 const GOES_FROM = 25; // cm/s; who is asked for more goes, where there is a gait to choose
-const MOST_ASIDE = Math.PI / 4; // a gait that goes further aside than this of its own way hardly lifts its feet
+// A gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
+const [MOST_ASIDE, MOST_ASIDE_RUNNING, RUN_SPEED] = [Math.PI / 4, Math.PI / 6, 200];
 const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
 const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
 
@@ -62,7 +63,8 @@ export function nearestWish(type, velocity, facing) {
   if (facing !== null) {
     const own = Math.atan2(...velocity) - type.gait.facing;
     const aside = nearestTurn(facing - own);
-    if (Math.abs(aside) > MOST_ASIDE) facing = own + Math.sign(aside) * MOST_ASIDE;
+    const most = type.gait.speed > RUN_SPEED ? MOST_ASIDE_RUNNING : MOST_ASIDE;
+    if (Math.abs(aside) > most) facing = own + Math.sign(aside) * most;
   }
   return [[share * velocity[0], share * velocity[1]], facing];
 }
