@@ -14,7 +14,6 @@ from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import (
-    is_z_up,
     joint_sides,
     left_right_twins,
     mirror_bvh,
@@ -219,13 +218,6 @@ def test_the_plane_follows_the_rig(axis: int) -> None:
     plan = mirror_plan(motion)
     assert plan.world == tuple(-1.0 if a == axis else 1.0 for a in range(3))
     assert_mirror_image(motion, mirror_motion(motion))
-
-
-def test_z_up_is_seen_by_heads_and_feet() -> None:
-    positions = np.zeros((2, 2, 3), np.float32)
-    positions[:, 1, 2] = 170.0
-    assert is_z_up(positions, ("LeftFoot", "Head"))
-    assert not is_z_up(np.roll(positions, -1, axis=-1), ("LeftFoot", "Head"))
 
 
 def test_a_rig_with_axes_along_its_bones() -> None:

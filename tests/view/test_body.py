@@ -20,7 +20,7 @@ from synthetic_motions import make_cartwheel, make_walk
 @pytest.fixture(scope="module")
 def body() -> tuple[Surface, BodyPose]:
     """The body of the canonical skeleton."""
-    return make_body(in_metres(make_walk(2))[0])
+    return make_body(in_metres(make_walk(2)).motion)
 
 
 def pieces(surface: Surface) -> int:
@@ -58,7 +58,7 @@ def test_weights_pass_smoothly_from_joint_to_joint(body: tuple[Surface, BodyPose
 
 def test_a_coarse_body_has_the_same_shape(body: tuple[Surface, BodyPose]) -> None:
     fine = body[0].points
-    coarse = make_body(in_metres(make_walk(2))[0], step=0.02)[0].points
+    coarse = make_body(in_metres(make_walk(2)).motion, step=0.02)[0].points
     assert len(coarse) < 0.6 * len(fine)
     np.testing.assert_allclose(np.ptp(coarse, axis=0), np.ptp(fine, axis=0), atol=0.02)
 
@@ -82,7 +82,7 @@ def test_the_pose_it_is_made_in_gives_it_back(body: tuple[Surface, BodyPose]) ->
 
 def test_a_cartwheel_keeps_the_skin_near_its_bones(body: tuple[Surface, BodyPose]) -> None:
     surface, pose = body
-    motion = in_metres(make_cartwheel(40))[0]
+    motion = in_metres(make_cartwheel(40)).motion
     rotations, places = motion_kinematics(motion)
     matrices = quat_to_matrix(rotations).astype(np.float64)
     for turned, at in zip(matrices[::8], places[::8].astype(np.float64), strict=True):
@@ -112,9 +112,9 @@ def test_where_two_balls_touch_the_surface_stays_whole() -> None:
 
 
 def test_the_body_of_another_clip_is_made_once_and_of_another_rig_anew() -> None:
-    motion = in_metres(make_walk(2))[0]
+    motion = in_metres(make_walk(2)).motion
     first, pose = make_body(motion)
-    assert make_body(in_metres(make_walk(5))[0])[0] is first and not first.points.flags.writeable
+    assert make_body(in_metres(make_walk(5)).motion)[0] is first and not first.points.flags.writeable
     taller = make_body(motion.scaled(1.1))[0]
     assert taller is not first and taller.points[:, 1].max() > first.points[:, 1].max() + 0.05
     assert make_body(motion, step=0.03)[0] is not first
@@ -131,7 +131,7 @@ def test_legs_without_length_leave_bones_to_draw() -> None:
     offsets = walk.skeleton.offsets.copy()
     offsets[legs] = 0.0
     flat = replace(walk, skeleton=replace(walk.skeleton, offsets=offsets, end_sites={}))
-    surface, _ = make_body(in_metres(flat)[0])
+    surface, _ = make_body(in_metres(flat).motion)
     assert len(surface.points) and np.isfinite(surface.points).all()
 
 

@@ -106,7 +106,8 @@ def test_units_are_guessed(factor: float) -> None:
     motion = make_walk(30)
     names = [f"x:{name}" for name in motion.skeleton.names]  # not our own file, whose unit is known
     motion = replace(motion, skeleton=replace(motion.skeleton, names=tuple(names))).scaled(factor)
-    metres, scale, _ = in_metres(motion)
+    made = in_metres(motion)
+    metres, scale = made.motion, made.scale
     assert scale == pytest.approx(0.01 / factor, rel=1e-3)
     _, points = body_of(metres)
     assert 1.55 < np.ptp(points[0, :, 1]) < 1.9
@@ -121,7 +122,7 @@ def test_z_up_is_turned_upright() -> None:
         motion, local_rotations=rotations, root_positions=quat_rotate(quarter, motion.root_positions)
     )
     for given, expected in zip(
-        *(motion_kinematics(in_metres(m)[0])[1] for m in (tilted, motion)), strict=True
+        *(motion_kinematics(in_metres(m).motion)[1] for m in (tilted, motion)), strict=True
     ):
         np.testing.assert_allclose(given, expected, atol=1e-4, rtol=0)
 
@@ -138,12 +139,13 @@ def snake(length: float, up: int, height: float) -> Motion:
 
 def test_what_is_no_human_keeps_its_size_and_its_axes() -> None:
     for given, unit in ((snake(70.0, 1, 5.0), 0.01), (dog(), 0.01), (snake(0.7, 1, 0.05), 1.0)):
-        made, scale, note = in_metres(given)
-        assert scale == unit and "no human rig" in note and "Z up" not in note
+        made = in_metres(given)
+        assert made.scale == unit and "no human rig" in made.note and "Z up" not in made.note
         expected = motion_kinematics(given)[1] * unit
-        np.testing.assert_allclose(motion_kinematics(made)[1], expected, atol=1e-5)
-    _, _, note = in_metres(snake(70.0, 1, -35.0))
-    assert note.endswith("Z up"), "it stands on the ground of Z, not far below that of Y"
+        np.testing.assert_allclose(motion_kinematics(made.motion)[1], expected, atol=1e-5)
+    assert in_metres(snake(70.0, 1, -35.0)).note.endswith("Z up"), (
+        "it stands on the ground of Z, not far below that of Y"
+    )
 
 
 @pytest.mark.parametrize("source", ["walk", "16_05", "dog"])
@@ -151,7 +153,7 @@ def test_bodies_are_closed_and_of_human_size(source: str) -> None:
     motion = {"walk": lambda: make_walk(60), "dog": dog}.get(
         source, lambda: bvh_to_motion(read_bvh(DATA / f"{source}.bvh")).cut(0, 60)
     )()
-    metres, _, _ = in_metres(motion)
+    metres = in_metres(motion).motion
     surface, points = body_of(metres)
     edges = np.concatenate([surface.triangles[:, [n, (n + 1) % 3]] for n in range(3)])
     ways = {tuple(edge) for edge in edges.tolist()}
@@ -162,7 +164,7 @@ def test_bodies_are_closed_and_of_human_size(source: str) -> None:
 
 
 def test_a_standing_body_touches_the_floor_and_has_all_its_parts() -> None:
-    metres, _, _ = in_metres(make_walk(60))
+    metres = in_metres(make_walk(60)).motion
     surface, points = body_of(metres)
     assert (surface.tints.max(axis=0) > 0.99).all()
     lowest = points[..., 1].min(axis=1)
@@ -173,7 +175,7 @@ def test_a_standing_body_touches_the_floor_and_has_all_its_parts() -> None:
 
 def test_a_rest_pose_without_sense_gives_the_same_body() -> None:
     """All bones along one axis at rest: the body is made in a frame that shows it."""
-    motion, _, _ = in_metres(make_walk(40))
+    motion = in_metres(make_walk(40)).motion
     turns, places = motion_kinematics(motion)
     lengths = np.linalg.norm(motion.skeleton.offsets, axis=-1)
     straight = np.stack([np.zeros(23, np.float32), lengths, np.zeros(23, np.float32)], axis=-1)

@@ -74,7 +74,7 @@ def test_joints_are_where_kinematics_puts_them(page: Page, two_motions: list[Sho
     for seconds, frames in ((0.0, (0, 0)), (1.0, (60, 120)), (1.5, (90, 180))):
         page.evaluate(f"motionkit.seek({seconds}, true)")
         for track, (shown, frame) in enumerate(zip(two_motions, frames, strict=True)):
-            motion, _, _ = in_metres(shown.motion)
+            motion = in_metres(shown.motion).motion
             expected = motion_kinematics(motion)[1][frame]
             assert page.evaluate(f"motionkit.tracks[{track}].frame") == frame
             np.testing.assert_allclose(joints_in_page(page, track), expected, atol=2e-3)

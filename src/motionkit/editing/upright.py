@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,11 +17,11 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.up_axis import turned_world, up_turn
 from motionkit.view.figure_data import in_metres
 
 CM_PER_METRE = 100.0
-# Z up from Y up: 90 degrees about X.
-_TO_Z_UP = np.array([math.sqrt(0.5), math.sqrt(0.5), 0.0, 0.0], np.float32)
+_Y_UP = np.array([0.0, 1.0, 0.0], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,34 +31,28 @@ class Upright:
     Attributes:
         motion: the motion on its own joints.
         scale: cm per unit of the motion it was made of.
-        z_up: whether that motion had Z up.
+        up: (3,) the axis that pointed up in that motion.
         rig: the skeleton of that motion; None where there is no way back to it.
     """
 
     motion: Motion
     scale: float = 1.0
-    z_up: bool = False
+    up: Array = field(default_factory=lambda: _Y_UP)
     rig: Skeleton | None = None
 
     @staticmethod
     def of(motion: Motion) -> Upright:
         """Bring a motion of any rig and unit into cm with Y up."""
-        metres, scale, note = in_metres(motion)
-        return Upright(
-            metres.scaled(CM_PER_METRE), scale * CM_PER_METRE, note.endswith("Z up"), motion.skeleton
-        )
+        metres = in_metres(motion)
+        scaled = metres.motion.scaled(CM_PER_METRE)
+        return Upright(scaled, metres.scale * CM_PER_METRE, metres.up, motion.skeleton)
 
     def back(self, motion: Motion) -> Motion:
         """A motion in cm with Y up, in the unit and with the up axis of the motion this was made of."""
         out = motion.scaled(1.0 / self.scale)
         if self.rig is not None and motion.skeleton.names == self.rig.names:
             out = replace(out, skeleton=self.rig)  # as it was, to the last digit
-        if not self.z_up:
-            return out
-        rotations = out.local_rotations.copy()
-        turn = np.broadcast_to(_TO_Z_UP.astype(rotations.dtype), rotations[:, 0].shape)
-        rotations[:, 0] = quat_multiply(turn, rotations[:, 0])
-        return replace(out, local_rotations=rotations, root_positions=quat_rotate(turn, out.root_positions))
+        return out if self.up[1] >= 1.0 else turned_world(out, quat_inverse(up_turn(self.up)))
 
     @cached_property
     def canonical(self) -> Motion | None:

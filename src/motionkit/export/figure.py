@@ -46,7 +46,7 @@ def joint_translations(motion: Motion) -> Array:
 
 def make_figure(motion: Motion) -> Figure:
     """The figure of a motion of any rig and unit."""
-    motion, _, _ = in_metres(motion)
+    motion = in_metres(motion).motion
     surface, pose = make_body(motion)
     rest = motion.skeleton.offsets.astype(np.float64)
     rest[0] = 0.0

@@ -25,7 +25,7 @@ CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)
 
 def write_npz(path: str | Path, clip: Clip) -> None:
     """Write a motion of any rig as numpy arrays, atomically; docs/formats.md lists them."""
-    motion = in_metres(clip.motion)[0].scaled(100.0)
+    motion = in_metres(clip.motion).motion.scaled(100.0)
     rotations, positions = motion_kinematics(motion)
     arrays: dict[str, Any] = {
         "fps": np.float64(motion.fps),
@@ -48,7 +48,7 @@ def write_npz(path: str | Path, clip: Clip) -> None:
 
 def write_csv(path: str | Path, clip: Clip) -> None:
     """Write a motion of any rig as a table with a row for each frame, atomically; docs/formats.md has the columns."""
-    motion = in_metres(clip.motion)[0].scaled(100.0)
+    motion = in_metres(clip.motion).motion.scaled(100.0)
     rotations, positions = motion_kinematics(motion)
     touching = contacts(clip.motion)
     names = ["frame", "seconds", "type", *(f"{name}_contact" for name in CONTACT_NAMES)]
@@ -67,7 +67,7 @@ def write_csv(path: str | Path, clip: Clip) -> None:
 def contacts(motion: Motion) -> Array:
     """Contacts (T, 4), 0 or 1, of left foot, left toe, right foot, right toe; (0, 4) for rigs that are not human."""
     try:
-        canonical = canonical_motion(in_metres(motion)[0].scaled(100.0))
+        canonical = canonical_motion(in_metres(motion).motion.scaled(100.0))
     except SkeletonError:
         return np.zeros((0, len(CONTACT_NAMES)), np.uint8)
     _, positions = motion_kinematics(canonical)

@@ -55,7 +55,7 @@ _DOWN = np.array([0.0, -1.0, 0.0], np.float32)
 
 def write_vrma(path: str | Path, clip: Clip) -> None:
     """Write a motion of a human rig as a .vrma file, atomically; raises SkeletonError for other rigs."""
-    motion = humanoid_motion(canonical_motion(in_metres(clip.motion)[0].scaled(1.0 / CM), own_body=True))
+    motion = humanoid_motion(canonical_motion(in_metres(clip.motion).motion.scaled(1.0 / CM), own_body=True))
     document = GltfDocument()
     rest = motion.skeleton.offsets.copy()
     rest[0, 1] = hips_height(motion.skeleton)

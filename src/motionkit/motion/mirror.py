@@ -27,6 +27,7 @@ from motionkit.motion.rig_shape import twins_by_shape
 from motionkit.motion.rotations import mean_rotation, quat_angle, quat_multiply
 from motionkit.motion.sides import LEFT_WORDS, LONG_WORDS, other_side
 from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.up_axis import up_axis
 
 # How rigs mark a side, from the clearest to the vaguest. A mark counts only if the name with the other side exists
 # too, so that names such as "lowerback" or "rib" have no side.
@@ -86,7 +87,6 @@ _ODD_SHARE = 0.15
 _SHORT_SHARE = 0.05
 # A joint whose place varies by less than this share of the mean bone is at the end of a rigid bone.
 _RIGID_SHARE = 0.01
-_LIES_WITHIN = (0.05, 0.25)  # below and above height zero, of a body's length
 _SAMPLES = 32  # poses that show the shape of a rig without names
 
 
@@ -115,12 +115,11 @@ def mirror_plan(motion: Motion) -> MirrorPlan:
     twins = _checked_twins(motion)
     places, rigid = _mean_places(motion)
     axis = _common_axis(twins, places, rigid)
+    up = int(np.abs(up_axis(motion_kinematics(motion)[1], skeleton)).argmax())
+    world = _REFLECTIONS[2 if up == 0 else 0]  # level, whatever the rig
     if axis is not None:
         signs = _REFLECTIONS[axis]
-        up = 2 if is_z_up(motion_kinematics(motion)[1], skeleton.names) else 1
-        world = _REFLECTIONS[0] if axis == up else signs
-        return MirrorPlan(twins, world, (signs,) * len(skeleton))
-    world = _REFLECTIONS[0]
+        return MirrorPlan(twins, world if axis == up else signs, (signs,) * len(skeleton))
     return MirrorPlan(twins, world, _own_reflections(motion, twins, places, rigid, world))
 
 
@@ -159,24 +158,6 @@ def _some_poses(motion: Motion) -> Motion:
         root_positions=motion.root_positions[some],
         local_positions=places,
     )
-
-
-def is_z_up(positions: Array, names: Sequence[str]) -> bool:
-    """Whether Z is the up axis of global positions (T, J, 3): head and feet are apart along Z rather than Y.
-
-    For rigs without such joint names, the axis along which the body is larger decides, Y if in doubt: a long body
-    whose lowest joint in the whole clip is about at height zero of Y, such as a snake or an arm on a table, lies there.
-    """
-    high = [i for i, name in enumerate(names) if re.search(r"head|neck", name, re.IGNORECASE)]
-    low = [i for i, name in enumerate(names) if re.search(r"foot|toe|ankle", name, re.IGNORECASE)]
-    if high and low:
-        up = np.abs((positions[:, high].mean(axis=1) - positions[:, low].mean(axis=1)).mean(axis=0))
-        return bool(up[2] > up[1])
-    spread = (positions.max(axis=1) - positions.min(axis=1)).mean(axis=0)
-    if spread[2] <= 1.5 * spread[1]:
-        return False
-    lowest = float(positions[..., 1].min()) / float(spread.max())
-    return not -_LIES_WITHIN[0] <= lowest <= _LIES_WITHIN[1]
 
 
 def _mean_places(motion: Motion) -> tuple[Array, tuple[bool, ...]]:

@@ -24,13 +24,15 @@ from motionkit.motion.rest_pose import (
     tiny_length,
 )
 from motionkit.motion.rig_names import RigMap, map_rig
-from motionkit.motion.rotations import quat_angle, quat_between, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
+from motionkit.motion.up_axis import REST_VOTES, up_name, up_turn, voted_up
 
 _BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
 # Mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged.
 _OPPOSED = -0.5
 _STRAIGHT = 0.8  # share of the legs' length by which feet are below the hips of a standing body
+OWN_VOTES = 2.0  # for the axis of the rest pose of motionkit's own files (up_axis.py)
 _SAMPLES = 32  # recorded poses that show the shape of a rig
 
 
@@ -104,11 +106,6 @@ def study_rig(
     else:
         differences = posed_differences(source, rotations, positions)
     return RigPose(source, rotations, positions, up, frame, standing, differences)
-
-
-def up_turn(up: Array) -> Array:
-    """The rotation (4,) that turns an up axis (3,) to +Y."""
-    return quat_between(up, np.array([0.0, 1.0, 0.0], np.float32))
 
 
 def _turned_up(up: Array, rotations: Array, positions: Array) -> tuple[Array, Array]:
@@ -240,17 +237,10 @@ def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
     places = source.rig.places
     arms = (positions[:, places["LeftArm"]] + positions[:, places["RightArm"]]) / 2
     hips = (positions[:, places["LeftUpLeg"]] + positions[:, places["RightUpLeg"]]) / 2
-    mean = normalized(arms - hips).mean(0)
-    votes = np.abs(mean) + np.array([0.0, 0.3, 0.0], np.float32)
-    sign = np.where(mean < 0, -1.0, 1.0)
-    if frame is not None:  # the body may be on the floor or upside down for a whole clip
-        rest = quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
-        axis = int(np.abs(rest).argmax())
-        # motionkit's own files are upright in their rest pose, however short they are cut and whatever they show.
-        votes[axis] += 2.0 if source.skeleton.same_hierarchy(canonical_skeleton()) else 0.4
-        sign[axis] = 1.0 if rest[axis] > 0 else -1.0
-    best = int(votes.argmax())
-    return np.eye(3, dtype=np.float32)[best] * sign[best].astype(np.float32)
+    rest = None if frame is None else quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
+    # motionkit's own files are upright in their rest pose, however short they are cut and whatever they show.
+    own = source.skeleton.same_hierarchy(canonical_skeleton())
+    return voted_up(arms - hips, rest, OWN_VOTES if own else REST_VOTES)
 
 
 def pose_notes(pose: RigPose) -> tuple[str, ...]:
@@ -258,8 +248,7 @@ def pose_notes(pose: RigPose) -> tuple[str, ...]:
     up, frame, differences = pose.up, pose.frame, pose.differences
     notes = []
     if float(up[1]) < 0.5:
-        axis = int(np.abs(up).argmax())
-        notes.append(f"up axis {'+' if float(up[axis]) > 0 else '-'}{'XYZ'[axis]} turned to +Y")
+        notes.append(f"up axis {up_name(up)} turned to +Y")
     if not pose.standing:
         notes.append("the rest pose is not a standing human; rest rotations were taken from the motion")
         return tuple(notes)

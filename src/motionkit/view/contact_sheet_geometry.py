@@ -10,11 +10,12 @@ from numpy.typing import NDArray
 
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import is_z_up, joint_sides
+from motionkit.motion.mirror import joint_sides
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import map_rig
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import LEG_TO_STATURE, Skeleton
+from motionkit.motion.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
 
@@ -88,8 +89,7 @@ def motion_figure(motion: Motion) -> Figure:
         for j in ends
     ]
     points = np.stack([*np.moveaxis(positions, 1, 0), *tips], axis=1).astype(np.float64)
-    if is_z_up(positions, skeleton.names):
-        points = np.stack([points[..., 0], points[..., 2], -points[..., 1]], axis=-1)
+    points = quat_rotate(up_turn(up_axis(positions, skeleton)), points)
     count = len(skeleton)
     bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     bones += [(joint, count + n) for n, joint in enumerate(ends)]

@@ -7,10 +7,9 @@ row to row, which compress well.
 from __future__ import annotations
 
 import base64
-import math
 import zlib
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -21,12 +20,13 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.metrics.loading import PLAUSIBLE_LEG
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import is_z_up, joint_sides
+from motionkit.motion.mirror import joint_sides
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig_names import map_rig
-from motionkit.motion.rotations import matrix_to_quat, quat_multiply, quat_rotate
+from motionkit.motion.rotations import matrix_to_quat
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.motion.units import KNOWN_UNITS, LONGEST_LEG, SHORTEST_LEG, guess_scale
+from motionkit.motion.up_axis import turned_world, up_axis, up_name, up_turn
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import SHADES
@@ -35,8 +35,6 @@ CM = 0.01
 METRES_UP_TO = 3.0  # size in file units up to which a rig that is no human one is in metres
 QUATERNION_STEPS = 32767  # resolution of rotations: a few thousandths of a degree
 POINT_STEPS = 10_000  # resolution of body points: a tenth of a millimetre
-# Y up from Z up: -90 degrees about X.
-_UPRIGHT = np.array([math.sqrt(0.5), -math.sqrt(0.5), 0.0, 0.0], np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,15 +69,16 @@ def pack(values: NDArray, kind: str) -> dict[str, Any]:
 
 def figure_data(shown: Shown) -> dict[str, Any]:
     """The data of a motion for the page: rig, body, frames, contacts, types and path."""
-    motion, scale, note = in_metres(shown.motion)
+    metres = in_metres(shown.motion)
+    motion = metres.motion
     figure = motion_figure(motion)
     path = None if shown.path is None else pack(shown.path.astype(np.float64) * CM, "f4")
     return {
         "name": shown.name,
         "fps": motion.fps,
         "frames": len(motion),
-        "scale": scale,
-        "unit": note,
+        "scale": metres.scale,
+        "unit": metres.note,
         "floor": 0.0 if figure.floor_is_zero else figure.floor,
         **rig_data(motion, figure),
         "rotations": pack((motion.local_rotations.astype(np.float64) * QUATERNION_STEPS).round(), "i2"),
@@ -134,18 +133,31 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
     }
 
 
-def in_metres(motion: Motion) -> tuple[Motion, float, str]:
-    """The motion in metres with Y up, the metres per file unit, and how that was determined."""
+@dataclass(frozen=True, eq=False)
+class InMetres:
+    """A motion in metres with Y up.
+
+    Attributes:
+        motion: the motion.
+        scale: metres per unit of the motion it was made of.
+        up: (3,) the axis of that motion which points up.
+        note: how unit and axis were determined.
+    """
+
+    motion: Motion
+    scale: float
+    up: Array
+    note: str
+
+
+def in_metres(motion: Motion) -> InMetres:
+    """Bring a motion of any rig, unit and up axis into metres with Y up."""
     cm, note = _cm_per_unit(motion)
+    up = up_axis(motion_kinematics(motion)[1], motion.skeleton)
     scaled = motion.scaled(cm * CM)
-    _, positions = motion_kinematics(motion)
-    if is_z_up(positions, motion.skeleton.names):
-        rotations = scaled.local_rotations.copy()
-        turn = _UPRIGHT.astype(rotations.dtype)
-        rotations[:, 0] = quat_multiply(np.broadcast_to(turn, (len(motion), 4)), rotations[:, 0])
-        roots = quat_rotate(np.broadcast_to(turn, (len(motion), 4)), scaled.root_positions)
-        scaled, note = replace(scaled, local_rotations=rotations, root_positions=roots), f"{note}; Z up"
-    return scaled, cm * CM, note
+    if up[1] < 1.0:
+        scaled, note = turned_world(scaled, up_turn(up)), f"{note}; {up_name(up)} up"
+    return InMetres(scaled, cm * CM, up, note)
 
 
 def _cm_per_unit(motion: Motion) -> tuple[float, str]:

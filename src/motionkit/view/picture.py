@@ -43,7 +43,7 @@ class Actor:
 
     @cached_property
     def _parts(self) -> tuple[Any, ...]:
-        motion, _, _ = in_metres(self.shown.motion)
+        motion = in_metres(self.shown.motion).motion
         figure = motion_figure(motion)
         surface, pose = make_body(motion, figure, COARSE_STEP)
         turns, places = motion_kinematics(motion)

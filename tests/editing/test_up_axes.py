@@ -1,0 +1,73 @@
+"""A clip with another axis up is edited as the same clip with Y up."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from motionkit.editing.fix import fix_motion
+from motionkit.editing.root_motion import in_place
+from motionkit.editing.upright import Upright
+from motionkit.export.formats import read_motion
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.mirror import mirror_motion
+from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_inverse
+from motionkit.motion.up_axis import turned_world, up_axis, up_name, up_turn
+from motionkit.view.figure_data import in_metres
+
+WALK = Path(__file__).resolve().parents[2] / "examples" / "data" / "06_06.bvh"
+AXES = {"X": (1, 0, 0), "-X": (-1, 0, 0), "Z": (0, 0, 1), "-Z": (0, 0, -1)}
+
+
+@pytest.fixture(scope="module")
+def walk() -> Motion:
+    return read_motion(WALK).cut(20, 200)
+
+
+@pytest.fixture(params=AXES)
+def up(request: pytest.FixtureRequest) -> np.ndarray:
+    return np.array(AXES[request.param], np.float32)
+
+
+def tilted(motion: Motion, up: np.ndarray) -> Motion:
+    return turned_world(motion, quat_inverse(up_turn(up)))
+
+
+def positions(motion: Motion) -> np.ndarray:
+    return motion_kinematics(motion)[1]
+
+
+def test_the_axis_is_seen(walk: Motion, up: np.ndarray) -> None:
+    made = tilted(walk, up)
+    assert up_axis(positions(made), made.skeleton).tolist() == up.tolist()
+    assert in_metres(made).note.endswith(f"; {up_name(up)} up")
+    assert np.abs(positions(in_metres(made).motion) - positions(in_metres(walk).motion)).max() < 1e-4
+    assert np.abs(positions(Upright.of(made).back(Upright.of(made).motion)) - positions(made)).max() < 1e-3
+
+
+def test_a_body_upside_down_for_a_whole_clip_keeps_its_axis(walk: Motion) -> None:
+    handstand = turned_world(walk, np.array([0.0, 1.0, 0.0, 0.0], np.float32))
+    assert positions(handstand)[..., 1] == pytest.approx(-positions(walk)[..., 1], abs=1e-3)
+    assert up_axis(positions(handstand), handstand.skeleton).tolist() == [0.0, 1.0, 0.0]
+
+
+def test_repairs_are_the_same(walk: Motion, up: np.ndarray) -> None:
+    wanted, made = fix_motion(walk), fix_motion(tilted(walk, up))
+    moved = np.abs(positions(wanted.motion) - positions(walk)).max()
+    assert moved > 0.1, "nothing was repaired"
+    assert np.abs(positions(made.motion) - positions(tilted(wanted.motion, up))).max() < 0.02 * moved
+
+
+def test_in_place_is_the_same(walk: Motion, up: np.ndarray) -> None:
+    wanted, made = in_place(walk), in_place(tilted(walk, up))
+    assert np.abs(positions(made) - positions(tilted(wanted, up))).max() < 1e-3
+
+
+def test_a_mirrored_clip_stays_upright(walk: Motion, up: np.ndarray) -> None:
+    made = mirror_motion(tilted(walk, up))
+    assert up_axis(positions(made), made.skeleton).tolist() == up.tolist()
+    wanted = positions(mirror_motion(walk))[..., 1]
+    assert np.abs(positions(made) @ up - wanted).max() < 1e-3
