@@ -7,6 +7,7 @@ Install: Edit, Preferences, Add-ons, Install from Disk. The panel is in the side
 
 import json
 import math
+import os
 import shlex
 import socket
 import subprocess
@@ -34,9 +35,16 @@ MOST_BYTES = 1 << 24  # of one line
 TO_Z_UP = Matrix.Rotation(math.pi / 2, 4, "X")  # motionkit has Y up
 
 
+def command_words(command):
+    """The words of a command, which may stand in quotes; on Windows, paths have backslashes."""
+    if os.name != "nt":
+        return shlex.split(command)
+    return [word.strip('"') for word in shlex.split(command, posix=False)]
+
+
 def run(settings, *words):
     """Run a motionkit command; raises RuntimeError with its message if it fails."""
-    command = [*shlex.split(settings.command), *map(str, words)]
+    command = [*command_words(settings.command), *map(str, words)]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=600)
     except (OSError, subprocess.TimeoutExpired) as error:
@@ -74,10 +82,15 @@ def export_rig(context, target, path):
     scene = context.scene
     shown = target.data.pose_position
     target.data.pose_position = "REST"
-    bpy.ops.export_anim.bvh(
-        filepath=str(path), global_scale=100.0, frame_start=scene.frame_start, frame_end=scene.frame_start + 1
-    )
-    target.data.pose_position = shown
+    try:
+        bpy.ops.export_anim.bvh(
+            filepath=str(path),
+            global_scale=100.0,
+            frame_start=scene.frame_start,
+            frame_end=scene.frame_start + 1,
+        )
+    finally:
+        target.data.pose_position = shown
 
 
 def put_on(context, source, target):
@@ -110,8 +123,9 @@ def put_on(context, source, target):
 
 def curve_points(context, curve):
     """The points of a curve in the world as motionkit's x, z in metres."""
-    mesh = curve.evaluated_get(context.evaluated_depsgraph_get()).to_mesh()
-    points = [curve.matrix_world @ vertex.co for vertex in mesh.vertices]
+    evaluated = curve.evaluated_get(context.evaluated_depsgraph_get())
+    points = [curve.matrix_world @ vertex.co for vertex in evaluated.to_mesh().vertices]
+    evaluated.to_mesh_clear()
     return [[point.x, -point.y] for point in points]
 
 

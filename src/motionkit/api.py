@@ -265,6 +265,8 @@ def write_view(
     """
     from motionkit.view.figure_data import Shown
 
+    if names and len(names) != len(motions):
+        raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
     names = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
     shown = [Shown(name, motion) for name, motion in zip(names, motions, strict=True)]
     kind = Path(path).suffix.lower()

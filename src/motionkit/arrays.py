@@ -38,11 +38,6 @@ def lower_median(values: Array, axis: int = 0) -> Array:
     return np.take(np.partition(values, middle, axis=axis), middle, axis=axis)
 
 
-def as_float32(values: Any) -> Floats:
-    """Values as a float32 array."""
-    return np.asarray(values, dtype=np.float32)
-
-
 def cross(a: Array, b: Array) -> Array:
     """Cross products (..., 3); faster than np.cross, whose checks cost more than the product."""
     out = np.empty(np.broadcast_shapes(a.shape, b.shape), np.result_type(a, b))

@@ -35,6 +35,14 @@ def test_a_file_that_is_there_is_not_overwritten_by_default(synthesize, tmp_path
     assert sorted(p.name for p in tmp_path.iterdir()) == ["idle-2.bvh", "idle.bvh"]
 
 
+def test_several_files_do_not_replace_earlier_ones(synthesize, tmp_path: Path) -> None:
+    for seed in (0, 7):
+        assert synthesize("--types", "idle:0.2", "--count", 2, "--seed", seed, "--view").code == 0
+    names = ["idle-1.bvh", "idle-2-1.bvh", "idle-2-2.bvh", "idle-2.bvh", "idle-2.html", "idle.html"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == names
+    assert (tmp_path / "idle-1.bvh").read_bytes() != (tmp_path / "idle-2-1.bvh").read_bytes()
+
+
 def test_the_same_seed_writes_the_same_bytes(synthesize, tmp_path: Path) -> None:
     for name, seed in (("a", 5), ("b", 5), ("c", 6)):
         assert synthesize("--types", "idle:0.3", "--seed", seed, "-o", f"{name}.bvh").code == 0

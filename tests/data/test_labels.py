@@ -232,6 +232,25 @@ def test_a_pipe_that_is_named_is_not_passed_over(tmp_path: Path) -> None:
     assert [s.path.name for s in find_sources([tmp_path / "walk.bvh"])[0]] == ["walk.bvh"]
 
 
+def test_a_file_is_taken_once_however_often_it_is_given(tmp_path: Path) -> None:
+    for name in ("walk/a.bvh", "run/b.bvh"):
+        (tmp_path / name).parent.mkdir()
+        (tmp_path / name).touch()
+    sources, _ = find_sources([tmp_path, tmp_path / "walk", tmp_path / "walk" / "a.bvh"])
+    assert {source.name: source.segments[0].type for source in sources} == {
+        "walk/a.bvh": "walk",
+        "run/b.bvh": "run",
+    }
+
+
+def test_a_file_under_two_names_in_a_table_is_refused(tmp_path: Path, table) -> None:
+    (tmp_path / "walk").mkdir()
+    (tmp_path / "walk" / "a.bvh").touch()
+    file = table("walk/a.bvh,0,50,walk,,,,\n./walk/a.bvh,20,80,run,,,,\n")
+    with pytest.raises(DatasetError, match=r"walk/a.bvh and ./walk/a.bvh are the same file"):
+        find_sources([tmp_path], file)
+
+
 def test_no_bvh_files(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"no \.bvh files found"):
         find_sources([tmp_path])

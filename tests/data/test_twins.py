@@ -9,11 +9,15 @@ import pytest
 
 from motionkit.data.dataset import Dataset
 from motionkit.data.preprocess import PreprocessOptions, preprocess
-from motionkit.data.twins import mirrored_types, type_poses
+from motionkit.data.twins import EVERY, mirrored_types, type_poses
 from motionkit.errors import DatasetError
+from motionkit.features.encode import encode_motion
+from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.mirror import mirror_motion
 from motionkit.motion.motion import Motion
+from motionkit.motion.rotations import quat_identity
+from motionkit.motion.skeleton import JOINT_COUNT
 from synthetic_motions import make_jump, make_walk
 
 
@@ -48,6 +52,15 @@ def test_the_frames_of_each_stretch_count() -> None:
     motion = make_walk(100)
     found = type_poses(motion, [(0, 40, "a"), (40, 90, "b"), (90, 100, "a")])
     assert (len(found["a"]), len(found["b"])) == (5 + 1, 7)
+
+
+def test_poses_are_those_of_the_whole_motion() -> None:
+    motion = make_walk(200)
+    whole = encode_motion(motion, quat_identity((JOINT_COUNT,)), DEFAULT_LAYOUT).features
+    found = type_poses(motion, [(0, 200, "a")])["a"]
+    wanted = whole[::EVERY, feature_layout(DEFAULT_LAYOUT).blocks["joint_positions"]]
+    apart = np.linalg.norm((found - wanted)[:, 1:].reshape(len(found), -1, 3), axis=-1)
+    assert apart.mean() < 0.1, "cm"
 
 
 @pytest.fixture(scope="module")

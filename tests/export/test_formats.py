@@ -293,6 +293,27 @@ def changed(path: Path, change: Callable[[dict], object], data: bytes = b"") -> 
     return target
 
 
+def test_stepped_keys_hold_from_their_own_frame_on(walk: Motion, tmp_path: Path) -> None:
+    write_motion(tmp_path / "a.glb", replace(walk, fps=30.0))
+
+    def step(value: dict) -> None:
+        for sampler in value["animations"][0]["samplers"]:
+            sampler["interpolation"] = "STEP"
+
+    stepped, linear = (read_motion(path) for path in (changed(tmp_path / "a.glb", step), tmp_path / "a.glb"))
+    assert np.abs(stepped.root_positions - linear.root_positions).max() < 1e-2
+    assert float(quat_angle(stepped.local_rotations, linear.local_rotations).max()) < 1e-3
+
+
+@pytest.mark.parametrize("whole", [24, 30, 60, 120])
+def test_the_rates_of_ntsc_video_are_kept(cmu: Motion, tmp_path: Path, whole: int) -> None:
+    rate = whole * 1000 / 1001
+    write_motion(tmp_path / "a.bvh", replace(cmu, fps=rate))
+    for source, target in (("a.bvh", "b.glb"), ("b.glb", "c.bvh")):
+        write_motion(tmp_path / target, read_motion(tmp_path / source))
+        assert read_motion(tmp_path / target).fps == pytest.approx(rate, rel=1e-9)
+
+
 def animate(value: dict, path: str) -> None:
     value["animations"][0]["channels"][3]["target"]["path"] = path
 

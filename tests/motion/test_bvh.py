@@ -177,12 +177,31 @@ def test_single_joint_and_single_frame(tmp_path: Path) -> None:
         ("0.0166667", 60),
         ("0.01", 100),
         ("4e-2", 25),
+        ("0.033367", 30 * 1000 / 1001),
+        ("0.041708", 24 * 1000 / 1001),
+        ("0.0166833", 60 * 1000 / 1001),
+        ("0.0333", 30),
+        ("0.0334", 30),
+        ("0.0417", 24),
+        ("0.0167", 60),
+        ("0.04004", 25),
     ],
 )
-def test_rate_is_rounded_to_a_whole_one(tmp_path: Path, good_text: str, frame_time: str, fps: float) -> None:
+def test_rate_is_that_of_video_or_a_whole_one(
+    tmp_path: Path, good_text: str, frame_time: str, fps: float
+) -> None:
     path = tmp_path / "clip.bvh"
     path.write_text(good_text.replace("0.008333333", frame_time))
     assert read_bvh(path).fps == fps
+
+
+@pytest.mark.parametrize("fps", [0.5, 20_000.0])
+def test_a_rate_that_cannot_be_read_is_not_written(
+    tmp_path: Path, make_motion: Callable[..., Motion], fps: float
+) -> None:
+    with pytest.raises(BvhError, match=r"seconds per frame, expected 0\.0001 to 1"):
+        write_bvh(tmp_path / "clip.bvh", replace(make_motion(frames=5), fps=fps))
+    assert not list(tmp_path.iterdir())
 
 
 def test_file_round_trip_is_exact(tmp_path: Path, broken_folder: Path) -> None:

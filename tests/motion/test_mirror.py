@@ -331,6 +331,18 @@ def test_folder_goes_on_past_broken_files(tmp_path: Path) -> None:
         list(mirror_folder(tmp_path / "out" / "nothing", tmp_path / "x"))
 
 
+def test_every_end_site_is_kept(tmp_path: Path) -> None:
+    ends = "\tEnd Site\n\t{\n\t\tOFFSET 0 0 9\n\t}\n"
+    bvh = motion_to_bvh(random_motion(world_aligned_rig()))
+    write_bvh(tmp_path / "a.bvh", bvh)
+    text = (tmp_path / "a.bvh").read_text("ascii")
+    head, tail = text.split("\tJOINT", 1)  # of the root, which has children as well
+    (tmp_path / "a.bvh").write_text(f"{head}{ends}{ends}\tJOINT{tail}", "ascii")
+    mirror_file(tmp_path / "a.bvh", tmp_path / "b.bvh")
+    before, after = ((tmp_path / name).read_text("ascii").split("MOTION")[0] for name in ("a.bvh", "b.bvh"))
+    assert after == before and after.count("End Site") == text.count("End Site") + 2
+
+
 def test_files_twice_within_a_ten_thousandth(tmp_path: Path) -> None:
     bvh = random_bvh(world_aligned_rig(), [ROOT_CHANNELS] + [rotations("YXZ")] * 9)
     write_bvh(tmp_path / "a.bvh", bvh)

@@ -207,16 +207,6 @@ def test_quat_continuous_keeps_rotations_and_closes_gaps() -> None:
     assert same_rotation(smooth, quats).max() == 0
 
 
-def test_unwrap_expmap_follows_a_turn_through_pi() -> None:
-    angles = np.linspace(0.2, 2 * math.pi - 0.5, 200, dtype=np.float64)
-    axis = random_axes(1, np.float64)
-    wrapped = rot.quat_to_expmap(rot.expmap_to_quat(angles[:, None] * axis))
-    assert np.linalg.norm(wrapped[1:] - wrapped[:-1], axis=-1).max() > 6.0
-    unwrapped = rot.unwrap_expmap(wrapped)
-    assert np.linalg.norm(unwrapped[1:] - unwrapped[:-1], axis=-1).max() < 0.05
-    assert same_rotation(rot.expmap_to_quat(unwrapped), rot.expmap_to_quat(wrapped)).max() < 1e-9
-
-
 def test_yaw_and_ground_turns_agree() -> None:
     yaw = np.linspace(-4, 4, 30, dtype=np.float64)
     xz = random_axes(30, np.float64)[:, :2]

@@ -119,6 +119,18 @@ def test_a_kept_character_waits_for_the_next_client(session: Session) -> None:
     assert session.join(3) is kept
 
 
+def test_a_kept_character_is_for_the_next_client_as_it_was_at_first(session: Session) -> None:
+    kept = session.keep()
+    session.join(1)
+    other = next(body for body in session.model.characters if body != kept.body)
+    first = kept.body, kept.noise
+    ask(session, 1, "noise", temperature=2.0)
+    ask(session, 1, "body", body=other)
+    assert (kept.body, kept.noise) != first
+    session.leave(1)
+    assert (kept.body, kept.noise) == first
+
+
 def test_frames_carry_what_was_asked(session: Session, tiny_model: MotionModel) -> None:
     character = session.join(1)
     assert character is not None

@@ -235,6 +235,23 @@ def test_a_character_may_go_at_the_very_end_of_its_path(tiny_model: MotionModel)
     live._send(frame)
 
 
+def test_who_was_let_go_can_ask_for_nothing_more(tiny_model: MotionModel) -> None:
+    """Its connection may stay open for a while; a character made then would belong to nobody."""
+
+    async def asks() -> None:
+        live = Live(Session(tiny_model, limits=Limits(clients=1, characters=3, idle_seconds=0.0)))
+        first = await live.join(False)
+        second = await live.join(False)
+        assert first is not None and second is not None and first.let_go
+        await live.take(first, json.dumps({"do": "add"}))
+        assert [one.owner for one in live.session.characters.values()] == [second.number]
+        live.leave(first)
+        live.leave(second)
+        assert not live.session.characters
+
+    asyncio.run(asks())
+
+
 def test_a_client_that_leaves_while_something_is_sent_is_let_go() -> None:
     """Before Python 3.12, wait_for swallows a cancellation that arrives when the send completes."""
 

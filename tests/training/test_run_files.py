@@ -47,6 +47,19 @@ def test_types_whose_names_are_no_file_names(dataset_folder: Path, tmp_path: Pat
     assert {p.name for p in (tmp_path / "run").iterdir()} == {"m.safetensors", "m.run"}
 
 
+@pytest.mark.usefixtures("briefly_calibrated")
+def test_a_new_run_has_nothing_of_an_earlier_one(dataset_folder: Path, tmp_path: Path, tiny_options) -> None:
+    path, run = tmp_path / "m.safetensors", tmp_path / "m.run"
+    train(dataset_folder, path, tiny_options(steps=2, score_seconds=0.1), device="cpu")
+    (run / "samples" / "a-type-of-other-data-predicted.bvh").touch()
+    (run / "preview").mkdir()
+    (run / "preview" / "idle-step-2.bvh").touch()
+    notes = (run / "log.jsonl").read_text("utf-8").splitlines()
+    train(dataset_folder, path, tiny_options(steps=2, score_seconds=0.1), device="cpu")
+    assert len((run / "log.jsonl").read_text("utf-8").splitlines()) == len(notes)
+    assert not list(run.glob("samples/a-type*")) and not list(run.glob("preview/*"))
+
+
 def test_a_name_that_models_cannot_hold_is_an_error_before_training(
     dataset_folder: Path, tmp_path: Path, tiny_options
 ) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -37,12 +37,18 @@ def seed_option(default: int = 0) -> Callable:
     )
 
 
-def default_output(name: str, ending: str = ".bvh") -> Path:
-    """A name in the current folder that no file has yet."""
+def default_output(
+    name: str, ending: str = ".bvh", files: Callable[[Path], Sequence[Path]] = lambda path: [path]
+) -> Path:
+    """A name in the current folder that no file has yet.
+
+    Args:
+        files: what will be written under a name; by default, one file of that name.
+    """
     name = safe_name(name, 120)
     path = Path(f"{name}{ending}")
     number = 2
-    while path.exists():
+    while any(file.exists() for file in files(path)):
         path, number = Path(f"{name}-{number}{ending}"), number + 1
     return path
 

@@ -76,7 +76,7 @@ def checked_ending(context: click.Context, parameter: click.Parameter, value: Pa
 
 
 def clip_output_option(word: str) -> Callable[[Callable], Callable]:
-    """The -o of a command that writes a changed clip, beside it as CLIP-word.bvh by default."""
+    """The -o of a command that writes a changed clip, as CLIP-word.bvh in the current folder by default."""
     return click.option(
         "-o",
         "--output",

@@ -131,10 +131,17 @@ def command(
         raise click.UsageError("--loop takes one motion type, such as --types walking --loop")
     for part in (part for plan in plans for part in plan):
         model.type_id(part.type)
-    base = output or default_output("-".join(part.type for plan in plans for part in plan)[:80])
-    files = [base] if count == 1 else [_numbered(base, number, count) for number in range(1, count + 1)]
-    page_file = [base.with_suffix(".html")] if view else []
-    check_outputs([] if base == STDOUT else files + page_file, (model_path, init, keys_file, *choice.files))
+
+    def clip_files(base: Path) -> list[Path]:
+        return [base] if count == 1 else [_numbered(base, number, count) for number in range(1, count + 1)]
+
+    def all_files(base: Path) -> list[Path]:
+        return clip_files(base) + ([base.with_suffix(".html")] if view else [])
+
+    name = "-".join(part.type for plan in plans for part in plan)[:80]
+    base = output or default_output(name, files=all_files)
+    files = clip_files(base)
+    check_outputs([] if base == STDOUT else all_files(base), (model_path, init, keys_file, *choice.files))
     keys = read_keys(keys_file, model) if keys_file is not None else ()
     check_length(keys, min(sum(part.seconds for part in plan) for plan in plans))
     drawn = make_noise(noise, temperature, model)

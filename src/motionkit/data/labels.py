@@ -48,7 +48,7 @@ class SourceFile:
 
 
 def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[list[SourceFile], Path | None]:
-    """All BVH files below the folders with their segments, and the label table used, if any.
+    """All BVH files below the folders with their segments, each file once, and the label table used, if any.
 
     Without `labels`, a labels.csv in one of the folders or its parent is used. Without a table, the type of a file is
     the name of its folder, or, for files directly in a given folder, the file's name without its number.
@@ -62,21 +62,35 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
             found.append((folder, folder.parent))
             continue
         found.extend((path, folder) for path in files_below(folder, ".bvh"))
+    once: dict[str, tuple[Path, Path]] = {}
+    for path, folder in found:  # a folder may be given along with one inside it
+        once.setdefault(_key(path), (path, folder))
+    found = list(once.values())
     if not found:
         raise DatasetError(f"{', '.join(str(f) for f in folders)}: no .bvh files found")
     table = labels if labels is not None else _nearby_labels(folders)
     if table is None:
         return [_by_name(path, folder) for path, folder in found], None
     rows = read_labels(table)
-    by_path = {_key(table.parent / name): segments for name, segments in rows.items()}
+    by_path = _by_path(table, rows)
     by_name = _unique_basenames(rows)
     sources = []
     for path, folder in found:
         segments = by_path.get(_key(path)) or by_name.get(nfc(path.name).lower())
-        name = str(path.relative_to(folder.parent)) if path.is_relative_to(folder.parent) else path.name
+        name = path.relative_to(folder.parent).as_posix() if path.is_relative_to(folder.parent) else path.name
         reason = "" if segments else f"not in {table.name}"
         sources.append(SourceFile(path, name, tuple(segments or ()), reason))
     return sources, table
+
+
+def _by_path(table: Path, rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
+    """Segments by the files they belong to; raises DatasetError if the table has a file under two names."""
+    names: dict[str, str] = {}
+    for name in rows:
+        other = names.setdefault(_key(table.parent / name), name)
+        if other != name:
+            raise DatasetError(f"{table}: {other} and {name} are the same file, expected one name for it")
+    return {key: rows[name] for key, name in names.items()}
 
 
 def _key(path: Path) -> str:
@@ -108,7 +122,7 @@ def _by_name(path: Path, folder: Path) -> SourceFile:
     fault = type_fault(kind)
     if fault:
         raise DatasetError(f"{path}: the folder or file name gives the motion type {fault}; rename it")
-    return SourceFile(path, str(inside), (Segment(0, -1, kind),))
+    return SourceFile(path, inside.as_posix(), (Segment(0, -1, kind),))
 
 
 def type_from_file_name(stem: str) -> str:

@@ -34,7 +34,10 @@ def type_poses(motion: Motion, spans: Sequence[tuple[int, int, str]]) -> dict[st
         spans: first and last frame (exclusive) and type of its stretches.
     """
     few = replace(
-        motion, local_rotations=motion.local_rotations[::EVERY], root_positions=motion.root_positions[::EVERY]
+        motion,
+        local_rotations=motion.local_rotations[::EVERY],
+        root_positions=motion.root_positions[::EVERY],
+        fps=motion.fps / EVERY,
     )
     poses = encode_motion(few, quat_identity((JOINT_COUNT,)), DEFAULT_LAYOUT).features[:, _POSE]
     out: dict[str, list[Array]] = {}

@@ -22,7 +22,7 @@ _AT = JOINT_NAMES.index
 LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE = (
     _AT(n) for n in ("LeftFoot", "LeftToeBase", "RightFoot", "RightToeBase")
 )
-HEAD, CHEST, HIPS = _AT("Head"), _AT("Spine1"), 0
+HEAD, HIPS = _AT("Head"), 0
 ARMS = tuple((_AT(f"{s}Arm"), _AT(f"{s}ForeArm"), _AT(f"{s}Hand")) for s in ("Left", "Right"))
 HANDS = tuple(hand for _, _, hand in ARMS)
 

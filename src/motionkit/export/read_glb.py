@@ -14,6 +14,7 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.errors import MotionkitError
 from motionkit.export.gltf import GltfFile
+from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     matrix_to_quat,
@@ -29,6 +30,9 @@ from motionkit.motion.skeleton import Skeleton
 CM = 100.0
 FPS = 60.0  # of a file that does not say its own and whose keys are not evenly spaced
 FASTEST, MOST_FRAMES = 480.0, 500_000
+KEY_WITHIN = (
+    1e-3  # share of the time between two keys by which a frame may be before a key and counts as at it
+)
 MOST_JOINTS = 1000
 # Extensions that concern meshes and their looks only.
 _HARMLESS = ("KHR_materials", "KHR_texture", "KHR_lights", "KHR_draco_mesh", "KHR_mesh_quantization", "VRMC_")
@@ -192,8 +196,7 @@ def _times(file: GltfFile, joints: list[int]) -> tuple[Array, float]:
     steps = np.diff(longest)
     fps = FPS
     if len(steps) and float(np.ptp(steps)) < 0.02 * float(np.median(steps)):
-        fps = 1.0 / float(steps.mean())
-        fps = float(round(fps)) if abs(fps - round(fps)) < 0.01 * fps else fps
+        fps = nominal_rate(1.0 / float(steps.mean()))
     if not 1e-3 < fps <= FASTEST:
         raise file.fault(f"its keys are {fps:.4g} a second, expected up to {FASTEST:g}")
     count = round((end - start) * fps) + 1
@@ -212,7 +215,7 @@ def _sampled(keys: Array, values: Array, times: Array, how: str, turns: bool) ->
         return np.broadcast_to(values[0], (len(times), values.shape[1])).copy()
     share = np.clip((times - keys[before]) / (keys[after] - keys[before]), 0.0, 1.0)
     if how == "STEP":
-        share = np.floor(share)
+        share = np.floor(share + KEY_WITHIN)  # keys are float32
     if turns:
         return quat_slerp(quat_normalize(values[before]), quat_normalize(values[after]), share)
     return lerp(values[before], values[after], share[:, None])

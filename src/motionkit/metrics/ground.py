@@ -20,7 +20,6 @@ LOWEST_QUANTILE = 0.05  # of all heights, where no foot stands
 STANDING_TOE = (
     3.5  # cm of standing toe joints above the ground under the soles: median over the CMU recordings
 )
-SINK_MARGIN = 0.5  # cm below the floor, within measurement noise
 
 
 def foot_positions(global_positions: Array) -> Array:

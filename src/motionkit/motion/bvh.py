@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from motionkit.arrays import Array
 from motionkit.errors import BvhError
 from motionkit.files import atomic_write
-from motionkit.motion.bvh_text import MAX_NUMBER, implausible_value, read_bvh_text
+from motionkit.motion.bvh_text import (
+    LONGEST_FRAME,
+    MAX_NUMBER,
+    SHORTEST_FRAME,
+    implausible_value,
+    read_bvh_text,
+)
+from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import euler_to_quat, quat_continuous, quat_to_euler
 from motionkit.motion.skeleton import Skeleton
@@ -47,10 +54,8 @@ class BvhFile:
 
     @property
     def fps(self) -> float:
-        """The declared frame rate, rounded to an integer if it is within 1 % of one."""
-        rate = 1.0 / self.frame_time
-        whole = round(rate)
-        return float(whole) if whole and abs(rate - whole) < 0.01 * whole else rate
+        """The declared frame rate, without the rounding of the frame time (nominal_rate)."""
+        return nominal_rate(1.0 / self.frame_time)
 
     def columns(self) -> list[range]:
         """The columns of each joint in values."""
@@ -206,8 +211,11 @@ def _check_numbers(path: str | Path, bvh: BvhFile) -> None:
         numbers = [*bvh.skeleton.offsets[joint].tolist(), *bvh.skeleton.end_sites.get(joint, ())]
         if not all(abs(number) <= MAX_NUMBER for number in numbers):
             raise BvhError(path, f"not written: the offset of {name} is not a number up to {MAX_NUMBER:,.0f}")
-    if not 0.0 < bvh.frame_time < float("inf"):
-        raise BvhError(path, f"not written: {bvh.frame_time} seconds per frame")
+    if not SHORTEST_FRAME <= bvh.frame_time <= LONGEST_FRAME:
+        raise BvhError(
+            path,
+            f"not written: {bvh.frame_time:g} seconds per frame, expected {SHORTEST_FRAME:g} to {LONGEST_FRAME:g}",
+        )
 
 
 def _depth_first(bvh: BvhFile) -> BvhFile:

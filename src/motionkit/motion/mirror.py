@@ -21,6 +21,7 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError, OverwriteError, SkeletonError
 from motionkit.files import check_outputs, files_below
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
+from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rig_shape import twins_by_shape
@@ -371,13 +372,15 @@ def _half_turn_shift(angles: NDArray[np.float64], sign: float) -> float:
 
 
 def mirror_file(source: str | Path, target: str | Path) -> None:
-    """Write the mirror image of a BVH file; raises MotionkitError, naming the file, if that is impossible."""
+    """Write the mirror image of a BVH file under its hierarchy; raises MotionkitError, naming it, if that cannot be."""
     check_outputs([target], [source])
     bvh = read_bvh(source)
     try:
         mirrored = mirror_bvh(bvh)
     except SkeletonError as error:
         raise SkeletonError(f"{source}: {error}") from None
+    if mirrored.skeleton is bvh.skeleton:
+        mirrored = replace(mirrored, hierarchy=read_hierarchy(source))
     write_bvh(target, mirrored)
 
 

@@ -112,25 +112,6 @@ def quat_to_expmap(quat: Array) -> Array:
     return scale * xyz
 
 
-def unwrap_expmap(expmap: Array) -> Array:
-    """Exponential maps (T, ..., 3) of the same rotations, each frame on the branch nearest to the previous frame.
-
-    A rotation by an angle a is also one by a - 2 pi k. Following the nearest branch keeps a sequence through pi
-    continuous, except near a full turn.
-    """
-    out = expmap.copy()
-    for t in range(1, expmap.shape[0]):
-        current, previous = expmap[t], out[t - 1]
-        angle = np.linalg.norm(current, axis=-1, keepdims=True)
-        axis = current / np.maximum(angle, 1e-8)
-        along = (previous * axis).sum(-1, keepdims=True)
-        turns = np.round((along - angle) / (2 * math.pi))
-        # Another branch is possible only near pi; near zero the axis itself is noise.
-        turns = np.where(angle < 0.5, np.zeros_like(turns), np.clip(turns, -1, 1))
-        out[t] = axis * (angle + 2 * math.pi * turns)
-    return out
-
-
 def quat_between(source: Array, target: Array) -> Array:
     """The smallest rotation (..., 4) that rotates directions source (..., 3) to target (..., 3)."""
     source, target = normalized(source), normalized(target)

@@ -100,11 +100,13 @@ class Live:
             self._changed = True
 
     async def take(self, client: Client, message: str | bytes) -> None:
-        """Handle a message of a client.
+        """Handle a message of a client; those of one that was let go are ignored.
 
         Raises:
             ProtocolError: the message is invalid; the caller must close the client.
         """
+        if client.number not in self.clients:
+            return  # it was let go, and its connection is not closed yet
         client.charge(len(message), self.clock())
         if isinstance(message, bytes):
             raise ProtocolError("expected text, found a binary message")
@@ -115,7 +117,8 @@ class Live:
             client.tell({"event": "pong", "stamp": stamp, "time": self.session.time})
         elif request.do in COSTS:
             async with self._turn():
-                self._obey(client, request)
+                if client.number in self.clients:
+                    self._obey(client, request)
         else:
             self._obey(client, request)
 

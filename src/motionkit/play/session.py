@@ -208,13 +208,16 @@ class Session:
         return character
 
     def leave(self, client: int) -> None:
-        """Remove a client's characters; a kept one is reset and waits for the next client."""
+        """Remove a client's characters; a kept one stays where it is, as it was at first, for the next client."""
         for character in [c for c in self.characters.values() if c.owner == client]:
             self._free(character)
 
     def _free(self, character: Character) -> None:
         if character.id == self.kept:
             character.owner, character.recorder, character.seq = None, None, 0
+            character.set_noise(Noise())
+            if character.body != self.body:
+                character.set_body(self.body)
             character.driver.set_wish(Wish())
         else:
             del self.characters[character.id]

@@ -8,7 +8,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -360,6 +360,8 @@ class TrainingRun:
                 raise MotionkitError(
                     f"{folder}: cannot be written ({error.strerror or error}); choose another --run-folder or -o"
                 ) from None
+        if self.step == 0 and self.rank == 0:
+            self._clear()
         self._note(f"{parameter_count(self.module.network) / 1e6:.2f} M parameters on {self.device}")
         if self.repeated:
             self._note(f"recordings of {', '.join(self.repeated)} repeated: they are few and short")
@@ -610,6 +612,16 @@ class TrainingRun:
             self._log(json.dumps(line))
         if self.on_event:
             self.on_event(event)
+
+    def _clear(self) -> None:
+        """Remove what an earlier run has left in the folder: it would be taken for this one's."""
+        stale = [self.folder / "checkpoint.safetensors"]
+        stale += [file for name in ("samples", "preview") for file in self.folder.glob(f"{name}/*.bvh")]
+        with suppress(OSError):  # writing says what is wrong
+            if (self.folder / "log.jsonl").exists():
+                (self.folder / "log.jsonl").open("w").close()
+            for file in stale:
+                file.unlink(missing_ok=True)
 
     def _log(self, line: str) -> None:
         """Add a line to log.jsonl. After an error, such as a full disk, the run continues without the log."""

@@ -29,7 +29,7 @@ export class World {
     check(asked); // links may say anything
     if (asked.do === "add") this.#add();
     else if (asked.do === "wish") one.driver.set(asked);
-    else if (asked.do === "perform") one.driver.perform(asked.type, this.frame);
+    else if (asked.do === "perform") one.driver.perform(asked.type, this.frame, asked.seconds);
     else if (asked.do === "path") one.driver.follow(this.#parts(asked, one.body.ground));
     else if (asked.do === "stroll") one.driver.follow(this.#parts({ points: figureEight(250, 12) }, one.body.ground));
     else if (asked.do === "noise") one.body.temperature = one.temperature = asked.temperature;
@@ -100,10 +100,11 @@ export class World {
 
 const finite = (value, count) => Array.isArray(value) && value.length === count && value.every(Number.isFinite);
 
-function check({ do: what, velocity, facing, type, points, speed, stops, temperature }) {
+function check({ do: what, velocity, facing, type, points, seconds, speed, stops, temperature }) {
   if (what === "wish" && !(velocity === null || finite(velocity, 2))) throw new Error("expected a velocity [x, z] or null");
   if (what === "wish" && !(facing === null || Number.isFinite(facing))) throw new Error("expected a facing or null");
   if (what === "perform" && typeof type !== "string") throw new Error("expected a motion type");
+  if (what === "perform" && !(seconds === undefined || (seconds >= 0.1 && seconds <= 60))) throw new Error("expected 0.1 to 60 seconds");
   if (what === "noise" && !(temperature >= 0 && temperature <= 2)) throw new Error("expected a temperature from 0 to 2");
   if (what !== "path") return;
   if (!Array.isArray(points) || points.length < 2 || !points.every((point) => finite(point, 2))) throw new Error("expected points [x, z]");
