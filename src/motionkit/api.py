@@ -160,8 +160,8 @@ def synthesize(
     texts = [types] if isinstance(types, str) else list(types)
     plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
     met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
-    options = SynthesisOptions(max(count, len(plans)), seed, noise, character, init, ik, fps, keys=met)
-    return run(model, plans, options)
+    options = SynthesisOptions(count, seed, noise, character, init, ik, fps, keys=met)
+    return run(model, plans, replace(options, count=max(count, len(plans))))
 
 
 def follow_path(
@@ -196,10 +196,11 @@ def follow_path(
         The motion, its distance from the path in cm, and whether it reached the end.
 
     Raises:
-        ControlError: for an unknown type, shape or character, a path that cannot be read, or, if strict, its speed.
+        ControlError: for an unknown type, shape or character, a path that cannot be read, or, if strict, its speed;
+            for types, size or speed beside a path that has its own.
     """
     from motionkit.control import follow
-    from motionkit.control.path import Path2D, read_path, shape_path
+    from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
     from motionkit.control.speeds import check_speeds
     from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
@@ -207,7 +208,9 @@ def follow_path(
     model = model or load_model()
     if isinstance(path, Path2D):
         target = path
+        check_shape_options(types, size, speed)
     elif Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file():
+        check_shape_options(types, size, speed)
         target = read_path(path)
     else:
         kinds = [walking_type(model)] if types is None else [nfc(word.strip()) for word in types.split(",")]

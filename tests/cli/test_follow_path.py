@@ -6,6 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from motionkit.api import follow_path
+from motionkit.errors import ControlError
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.checkpoint import save_model
 from motionkit.motion.bvh import read_bvh
@@ -60,6 +62,15 @@ def test_a_table(follow, tmp_path: Path) -> None:
 def test_faults_leave_no_file(follow, tmp_path: Path, words: list[str], complaint: str) -> None:
     assert follow(*words).failed_with(complaint)
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("words", [("--types", "running"), ("--speed", 2), ("--size", 2)])
+def test_what_a_path_file_has_of_its_own_is_refused_beside_it(follow, tmp_path: Path, words: tuple) -> None:
+    (tmp_path / "way.csv").write_text("x,z,type,speed\n0,0,walking,2\n0,0.4,walking,2\n")
+    said = follow("way.csv", *words)
+    assert said.code == 2 and "a path file holds its own" in said.err
+    with pytest.raises(ControlError, match="a path file holds its own"):
+        follow_path(tmp_path / "way.csv", **{words[0][2:]: words[1]})
 
 
 def test_a_broken_table_names_the_line(follow, tmp_path: Path) -> None:

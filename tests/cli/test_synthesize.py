@@ -8,6 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import motionkit as mk
+from motionkit.errors import ControlError
 from motionkit.models.checkpoint import save_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -41,6 +43,16 @@ def test_several_files_do_not_replace_earlier_ones(synthesize, tmp_path: Path) -
     names = ["idle-1.bvh", "idle-2-1.bvh", "idle-2-2.bvh", "idle-2.bvh", "idle-2.html", "idle.html"]
     assert sorted(p.name for p in tmp_path.iterdir()) == names
     assert (tmp_path / "idle-1.bvh").read_bytes() != (tmp_path / "idle-2-1.bvh").read_bytes()
+
+
+@pytest.mark.parametrize("seed", [-1, 2**32, 1.5])
+def test_what_is_no_seed_is_refused(synthesize, tmp_path: Path, tiny_model: MotionModel, seed: float) -> None:
+    said = synthesize("--types", "idle:0.2", "--seed", seed)
+    assert said.code == 2 and "--seed" in said.err and not list(tmp_path.iterdir())
+    with pytest.raises(ControlError, match="expected a whole number from 0"):
+        mk.synthesize("idle:0.2", model=tiny_model, seed=seed)  # type: ignore[arg-type]
+    with pytest.raises(ControlError, match="expected a whole number from 0"):
+        mk.CharacterStream(tiny_model, seed=seed)  # type: ignore[arg-type]
 
 
 def test_the_same_seed_writes_the_same_bytes(synthesize, tmp_path: Path) -> None:

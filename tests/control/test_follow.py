@@ -107,6 +107,33 @@ def test_a_stop_is_held_and_braked_for(tiny_model: MotionModel) -> None:
     assert len(speeds) / 60 == pytest.approx(follower.expected_seconds, rel=0.15)
 
 
+def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
+    path = make_path([
+        PathPart(np.array([[0.0, 0.0], [0.0, 200.0]]), "walking", 130.0, stop=1.0),
+        PathPart(np.array([[0.0, 400.0]]), "cartwheel", 130.0),
+    ])  # fmt: skip
+    follower = PathFollower(tiny_model, path)
+    _, asked = walk_obediently(follower, path, 600)
+    shown = [bool(np.abs(controls.reference).any()) for controls in asked]
+    of_it = [float(controls.type_weights[0, tiny_model.type_id("cartwheel")]) for controls in asked]
+    assert follower.finished and follower.player.kind == "cartwheel" and follower.entered == 1
+    assert not any(shown[:60]) and all(is_shown for is_shown, w in zip(shown, of_it, strict=True) if w == 1.0)
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [[[0, 0], [0, 200], [0, 0]], [[0, 0], [0, 200], [0, 0], [0, 200]], [[0, 0], [90, 90], [0, 0.5]]],
+)
+def test_a_way_back_on_the_way_there_is_gone(tiny_model: MotionModel, corners: list) -> None:
+    path = make_path([PathPart(np.array(corners, np.float64), "walking", 120.0)])
+    follower = PathFollower(tiny_model, path)
+    track, _ = walk_obediently(follower, path, int(1.6 * 60 * follower.expected_seconds))
+    assert follower.finished
+    assert len(track) / 60 == pytest.approx(follower.expected_seconds, rel=0.15)
+    furthest = np.linalg.norm(track[:, :2], axis=1).max()
+    assert furthest > np.linalg.norm(corners[1]) - 15.0, "it turned too early"
+
+
 def test_the_speed_changes_no_faster_than_bodies_brake(tiny_model: MotionModel) -> None:
     line = [np.array([[0.0, 0.0], [0.0, 800.0]]), np.array([[0.0, 1400.0]]), np.array([[0.0, 2000.0]])]
     path = make_path([PathPart(p, "cartwheel", v) for p, v in zip(line, (360.0, 100.0, 300.0), strict=True)])

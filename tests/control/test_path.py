@@ -205,6 +205,7 @@ def one_part(**changes: object) -> str:
         (one_part(type="walk\ning"), "part 1: expected a motion type, found"),
         (one_part(points=[[0, 0], [0, True]]), "part 1: expected points"),
         (one_part(speed="fast"), "part 1: expected a number for speed"),
+        (one_part(stopp=2), "part 1: unknown field 'stopp', expected type, points, speed, stop"),
         (one_part(stop="long"), "part 1: expected a number for stop"),
         (one_part(stop=-1), "part 1: expected a stop between 0 and 600"),
         (one_part(speed=-1), "part 1: expected a speed between"),

@@ -100,7 +100,7 @@ def test_unknown_types_and_characters(tiny_model: MotionModel) -> None:
         synthesize(tiny_model, parse_types("walkin"))
     with pytest.raises(ControlError, match="unknown character 'giant'"):
         synthesize(tiny_model, PARTS, SynthesisOptions(character="giant"))
-    with pytest.raises(ControlError, match="count of at least 1"):
+    with pytest.raises(ControlError, match="at least 1 motion"):
         synthesize(tiny_model, PARTS, SynthesisOptions(count=0))
 
 

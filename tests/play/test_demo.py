@@ -145,6 +145,10 @@ TYPES_ON_A_PATH = [
     {"points": [[0, 900]], "type": "running", "speed": 250},
 ]
 # Frame, and what is asked for from then on.
+THERE_AND_BACK = [
+    {"points": [[0.0, 0.0], [0.0, 300.0], [0.0, 0.0]], "type": "walking", "stop": 1.0},
+    {"points": [[0.0, -300.0]], "type": "cartwheel"},
+]
 ASKED: dict[str, list[tuple[int, str, Any]]] = {
     "wishes": [
         (0, "path", PATH),
@@ -166,6 +170,7 @@ ASKED: dict[str, list[tuple[int, str, Any]]] = {
         (20, "path", TYPES_ON_A_PATH),
         (520, "wish", {"velocity": [60, -40], "facing": None, "type": "dance-indian"}),
     ],
+    "there and back": [(20, "path", THERE_AND_BACK)],
 }
 IN_THE_PAGE = """([noise, asked, frames, choice]) => {
   const { world } = motionkit.link, { body, driver } = world.characters.values().next().value;
@@ -214,7 +219,8 @@ def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int)
 
 
 @pytest.mark.parametrize(
-    ("asked", "choice", "seed"), [("wishes", 0, 8), ("starts", 3, 4), ("types on a path", 5, 1)]
+    ("asked", "choice", "seed"),
+    [("wishes", 0, 8), ("starts", 3, 4), ("types on a path", 5, 1), ("there and back", 2, 3)],
 )
 def test_the_page_makes_the_motion_of_numpy(page: Page, asked: str, choice: int, seed: int) -> None:
     noise = np.random.default_rng(seed).standard_normal((FRAMES + 1, 276), np.float32)

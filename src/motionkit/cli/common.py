@@ -13,6 +13,7 @@ import click
 
 from motionkit.files import safe_name
 from motionkit.names import visible
+from motionkit.seeds import LARGEST_SEED
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -33,7 +34,11 @@ model_option = click.option(
 def seed_option(default: int = 0) -> Callable:
     """The --seed option of every command that draws random numbers."""
     return click.option(
-        "--seed", default=default, show_default=True, help="Random seed; the same seed gives the same result."
+        "--seed",
+        type=click.IntRange(0, LARGEST_SEED),
+        default=default,
+        show_default=True,
+        help="Random seed; the same seed gives the same result.",
     )
 
 

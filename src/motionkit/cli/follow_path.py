@@ -83,8 +83,8 @@ def command(
     kinds = [nfc(word.strip()) for word in (types or "").split(",") if word.strip()]
     if types is not None and not kinds:
         raise click.UsageError("--types is empty; give motion types such as running,cartwheel")
-    if is_file and (size is not None or speed is not None):
-        raise click.UsageError("--size and --speed are for named shapes; a path file holds its own")
+    if is_file and (kinds or size is not None or speed is not None):
+        raise click.UsageError("--types, --size and --speed are for named shapes; a path file holds its own")
     check_stdout(output, {"--view": view, "--json": as_json})
     model = None
     if not is_file and not kinds:

@@ -35,6 +35,9 @@ BLEND_SAMPLES = 16
 ACCELERATION = 220.0
 CREEP = 10.0  # cm/s, the slowest way to a stop
 ARRIVED = 8.0  # cm before a stop at which it has been reached
+# Where a path turns back on itself: cosine between the ways there and back, how much further (cm) the body has to go
+# along the first to a place beyond the turn, and how far that may be beside it.
+BACK, NO_FURTHER, BESIDE = -0.9, 1.0, 15.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +87,9 @@ class PathFollower:
         self.stood: int | None = None  # frames since the stop was reached
         self.facings = np.array([0.0 if gait is None else gait.facing for gait in gaits], np.float32)
         self.entered = -1  # the part the character is on
-        self.arc = 0.0
+        self.arc = self.least = (
+            0.0  # on the path, and the least to be sought from: what lies before is behind
+        )
         self.arcs: list[float] = []
 
     @property
@@ -103,7 +108,7 @@ class PathFollower:
         stood = self.stood
         standing = self._standing()
         goes_on = stood is not None and self.stood is None
-        ahead = self._arcs_ahead(TRAJECTORY_OFFSETS)
+        ahead = self._arcs_ahead(TRAJECTORY_OFFSETS, self.arc)
         points, tangents = self.path.at(ahead)
         heading = ground[0, 2]
         positions = rotate_ground(-heading, points - ground[0, :2])
@@ -112,8 +117,9 @@ class PathFollower:
         trajectory = np.concatenate([positions.reshape(-1), directions.reshape(-1)])
         part = int(self.path.part_at(self.arc))
         kind = self.path.parts[part].type
-        if self.model.types[kind].steered or standing:
+        if self.model.types[kind].steered:
             self.entered = part
+        if self.model.types[kind].steered or standing:
             asked = Controls.of_types(self._type_weights(standing=standing)[None])
             if goes_on and self.model.types[kind].goes:
                 self.first_steps.begin(kind)
@@ -149,7 +155,19 @@ class PathFollower:
         return min(self.stood, left, half) / half
 
     def _project(self, point: Array) -> float:
-        first = max(0, int((self.arc - SEARCH_BACK) / SPACING))
+        arc = self._nearest(point)
+        # Where a path turns back on itself, the way there is as near as the way back: who has no further to go to a
+        # place beyond the turn is on the way back, and stays there.
+        beyond = self._arcs_ahead(TRAJECTORY_OFFSETS[:1], arc)
+        (there,), (way_back,) = self.path.at(beyond)
+        way = self.path.tangents[self.path.nearest(arc)]
+        if float(way_back @ way) < BACK and float((there - point) @ way) < NO_FURTHER:
+            if float(np.linalg.norm(there - point)) < BESIDE:
+                self.least = arc = float(beyond[0])
+        return arc
+
+    def _nearest(self, point: Array) -> float:
+        first = max(0, int(max(self.arc - SEARCH_BACK, self.least) / SPACING))
         last = min(len(self.path.points), int((self.arc + SEARCH_AHEAD) / SPACING) + 2)
         near = self.path.points[first:last]
         nearest = first + int(np.linalg.norm(near - point, axis=-1).argmin())
@@ -158,14 +176,14 @@ class PathFollower:
         arc = nearest * SPACING
         return arc + max(0.0, beyond) if nearest == len(self.path.points) - 1 else arc
 
-    def _arcs_ahead(self, frames: Sequence[int]) -> Array:
-        """Arc lengths frames (sorted, from 1) ahead at the wanted speeds, part by part."""
-        out, arc, frame = [], self.arc, 0
+    def _arcs_ahead(self, frames: Sequence[int], start: float) -> Array:
+        """Arc lengths frames (sorted, from 1) ahead of an arc at the wanted speeds, part by part."""
+        out, arc, frame = [], start, 0
         end = self.stops[0][0] if self.stops else math.inf
         for wanted in frames:
             while frame < wanted:
                 step = min(5, wanted - frame)
-                arc = min(arc + self._speed_at(arc) * step / self.fps, max(end, self.arc))
+                arc = min(arc + self._speed_at(arc) * step / self.fps, max(end, start))
                 frame += step
             out.append(arc)
         return np.array(out, np.float32)

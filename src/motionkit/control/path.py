@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -236,6 +237,12 @@ def _check_number(value: float, what: str, low: float, high: float) -> None:
         raise ControlError(f"expected a {what} between {low:g} and {high:g}, found {value:g}")
 
 
+def check_shape_options(types: Any, size: float | None, speed: float | None) -> None:
+    """Raise ControlError if one of them is given: they are for named shapes, and any other path has its own."""
+    if types or size is not None or speed is not None:
+        raise ControlError("types, size and speed are for named shapes; a path file holds its own")
+
+
 # ---- files ----
 
 
@@ -258,6 +265,9 @@ def read_path(file: str | Path) -> Path2D:
         raise ControlError(f"{file}: {error}") from None
 
 
+_FIELDS = ("type", "points", "speed", "stop")
+
+
 def _json_parts(file: Path, text: str) -> list[PathPart]:
     value = parse_json(text, file, ControlError)
     entries = value.get("parts") if isinstance(value, dict) else value
@@ -268,6 +278,9 @@ def _json_parts(file: Path, text: str) -> list[PathPart]:
         where = f"{file}: part {number}"
         if not isinstance(entry, dict) or not isinstance(entry.get("type"), str):
             raise ControlError(f"{where}: expected an object with type and points")
+        unknown = sorted(set(entry) - set(_FIELDS))
+        if unknown:
+            raise ControlError(f"{where}: unknown field {unknown[0][:40]!r}, expected {', '.join(_FIELDS)}")
         points = entry.get("points")
         if not isinstance(points, list) or not all(_is_point(p) for p in points) or not points:
             raise ControlError(

@@ -22,6 +22,7 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
+from motionkit.seeds import check_seed
 
 # Frames of all characters together, or of the files written: four gigabytes of memory.
 MAX_FRAMES = 500_000
@@ -49,6 +50,8 @@ class SynthesisOptions:
     """How to synthesize: the defaults are those of the command; None is the model's own noise, and its rate.
 
     raw also keeps the motion without foot locks; keys are poses to meet.
+
+    Raises ControlError for a count below 1 and a seed that is none.
     """
 
     count: int = 1
@@ -60,6 +63,11 @@ class SynthesisOptions:
     fps: float | None = None
     raw: bool = False
     keys: tuple[Key, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise ControlError(f"expected at least 1 motion, found {self.count}")
+        check_seed(self.seed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -39,6 +39,7 @@ from motionkit.models.motion_type import StartPose
 from motionkit.motion.bvh_text import MAX_NUMBER
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+from motionkit.seeds import check_seed
 
 NOISE_KINDS = ("mean", "sample", "correlated")
 
@@ -125,10 +126,15 @@ class RolloutState:
         Args:
             seed: of the first character's random numbers, the others count on from it; or one for each.
             compiled: False keeps to numpy around the network even where there is a compiled kernel.
+
+        Raises:
+            ControlError: for a seed that is none.
         """
         self.model, self.batch, self.compiled = model, batch, compiled
         self._noise = noise
         # One generator for each, so that a character's motion does not depend on those beside it.
+        for each in seed if isinstance(seed, Sequence) else (seed,):
+            check_seed(each)
         seeds = seed if isinstance(seed, Sequence) else range(seed, seed + batch)
         self.random = [np.random.default_rng(each) for _, each in zip(range(batch), seeds, strict=True)]
         self.network = stepper(model.network, batch, self.random)

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from typing import Any
 
 from motionkit.errors import MotionkitError
+from motionkit.seeds import check_seed
 from motionkit.training.losses import WEIGHTS, LossOptions
 from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
@@ -88,6 +89,7 @@ class TrainOptions:
     def __post_init__(self) -> None:
         if self.steps is None and self.minutes is None:
             raise MotionkitError("training needs --steps or --minutes to know when to end")
+        check_seed(self.seed)
 
     def to_dict(self) -> dict[str, Any]:
         """Return plain values, for logs and model cards."""

@@ -7,6 +7,7 @@ import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
+const [BACK, NO_FURTHER, BESIDE] = [-0.9, 1, 15];
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
 /** Points resampled evenly, with their directions and the parts they belong to. */
@@ -88,7 +89,7 @@ export class Follower {
   constructor(model, path, choice = 0) {
     const numbers = path.parts.map(({ type }) => typeNumber(model, type));
     const stand = model.types.reduce((least, type, n) => (stands(type) && !(model.types[least]?.gait.speed <= type.gait.speed) ? n : least), -1);
-    Object.assign(this, { model, path, stand, arc: 0, stops: path.stops, stood: null, entered: -1, player: new Player(model, choice, 0), firstSteps: new FirstSteps(model, choice) });
+    Object.assign(this, { model, path, stand, arc: 0, least: 0, stops: path.stops, stood: null, entered: -1, player: new Player(model, choice, 0), firstSteps: new FirstSteps(model, choice) });
     this.types = path.part.map((part) => numbers[part]);
     this.facings = path.part.map((part) => model.types[numbers[part]].gait?.facing ?? 0);
     this.speeds = this.#profile(numbers);
@@ -97,12 +98,12 @@ export class Follower {
   /** Controls for a body at [x, z, heading]. */
   controls([x, z, heading]) {
     const { model, path } = this;
-    this.arc = this.#nearest(x, z);
+    this.arc = this.#project(x, z);
     const { stood } = this;
     const standing = this.#standing();
     const goesOn = stood !== null && this.stood === null;
     const trajectory = new Float32Array(24);
-    this.#ahead().forEach((arc, n) => {
+    this.#ahead(this.arc).forEach((arc, n) => {
       const [point, tangent] = path.at(arc);
       trajectory.set(turned(-heading, point[0] - x, point[1] - z), 2 * n);
       trajectory.set(turned(-heading - this.facings[path.nearest(arc)], ...tangent), 12 + 2 * n);
@@ -111,8 +112,8 @@ export class Follower {
     const [part, type] = [path.part[at], this.types[at]];
     const weights = this.#weights(standing);
     // On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
+    if (model.types[type].steered) this.entered = part;
     if (model.types[type].steered || standing) {
-      this.entered = part;
       if (goesOn && !stands(model.types[type])) this.firstSteps.begin(type);
       const asked = { ...free(model, type), weights, trajectory, slip: 0 };
       return !standing && this.firstSteps.takes(type) ? this.firstSteps.reference(asked, trajectory) : asked;
@@ -142,12 +143,12 @@ export class Follower {
     return 0;
   }
 
-  // Arc lengths at the frames of a trajectory, at the speeds of the path.
-  #ahead() {
+  // Arc lengths from one on at the frames of a trajectory, at the speeds of the path.
+  #ahead(start) {
     const end = this.stops.length ? this.stops[0][0] : Infinity;
-    let [arc, frame] = [this.arc, 0];
+    let [arc, frame] = [start, 0];
     return TRAJECTORY.map((wanted) => {
-      for (; frame < wanted; frame += STEP) arc = Math.min(arc + (this.speeds[this.path.nearest(arc)] * STEP) / this.model.fps, Math.max(end, this.arc));
+      for (; frame < wanted; frame += STEP) arc = Math.min(arc + (this.speeds[this.path.nearest(arc)] * STEP) / this.model.fps, Math.max(end, start));
       return Math.fround(arc);
     });
   }
@@ -183,10 +184,24 @@ export class Follower {
     return Float32Array.from(squares, Math.sqrt);
   }
 
+  // Where a path turns back on itself, the way there is as near as the way back: who has no further to go to a place
+  // beyond the turn is on the way back, and stays there.
+  #project(x, z) {
+    const { path } = this;
+    const arc = this.#nearest(x, z);
+    const [beyond] = this.#ahead(arc);
+    const [there, wayBack] = path.at(beyond);
+    const way = path.tangents[path.nearest(arc)];
+    const [toX, toZ] = [there[0] - x, there[1] - z];
+    const turns = wayBack[0] * way[0] + wayBack[1] * way[1] < BACK;
+    if (!turns || toX * way[0] + toZ * way[1] >= NO_FURTHER || Math.hypot(toX, toZ) >= BESIDE) return arc;
+    return (this.least = beyond);
+  }
+
   // The arc of the nearest point, sought near the last, so that a path that crosses itself is not cut short.
   #nearest(x, z) {
     const { points, tangents } = this.path;
-    const first = Math.max(0, Math.trunc((this.arc - SEARCH_BACK) / SPACING));
+    const first = Math.max(0, Math.trunc(Math.max(this.arc - SEARCH_BACK, this.least) / SPACING));
     const end = Math.min(points.length, Math.trunc((this.arc + SEARCH_AHEAD) / SPACING) + 2);
     let best = first;
     let least = Infinity;
