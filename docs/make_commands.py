@@ -18,8 +18,9 @@ HEADER = """# Commands
 
 All commands and options, as `--help` shows them. This page is written by `python docs/make_commands.py`.
 
-Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM. Results go to
-stdout, progress and errors to stderr; `--json` prints the result as one JSON document.
+Exit codes: 0 done, 1 the data or the work failed, 2 wrong usage, 130 stopped by Ctrl-C or SIGTERM (0 for `play`,
+which ends in no other way). Results go to stdout, progress and errors to stderr; `--json` prints the result as one JSON
+document.
 """
 
 

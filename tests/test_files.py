@@ -14,6 +14,7 @@ from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import (
     MAX_JSON_DEPTH,
     atomic_write,
+    check_outputs,
     check_regular,
     parse_json,
     read_bytes,
@@ -153,6 +154,22 @@ def test_different_names_stay_different(names: list[str]) -> None:
 
 
 # ---- writing ----
+
+
+def test_a_file_that_is_replaced_keeps_its_permissions(tmp_path: Path) -> None:
+    path = tmp_path / "mine.bvh"
+    path.touch()
+    path.chmod(0o600)
+    with atomic_write(path) as file:
+        file.write("x")
+    assert path.stat().st_mode & 0o777 == 0o600
+    path.chmod(0o444)
+    if os.access(path, os.W_OK):
+        pytest.skip("this user may write to protected files")
+    with pytest.raises(MotionkitError, match="is write-protected"), atomic_write(path):
+        pass
+    with pytest.raises(MotionkitError, match="is write-protected"):
+        check_outputs([path], [])
 
 
 def test_lines_end_alike_on_all_systems(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

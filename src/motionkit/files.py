@@ -47,9 +47,7 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
             yield file
             file.flush()
             os.fsync(file.fileno())
-        umask = os.umask(0)
-        os.umask(umask)
-        os.chmod(temporary, 0o666 & ~umask)
+        os.chmod(temporary, _mode(target))
         os.replace(temporary, target)
     except OSError as error:
         raise MotionkitError(f"{path}: cannot be written ({error.strerror or error})") from None
@@ -58,9 +56,20 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
             os.unlink(temporary)
 
 
+def _mode(path: Path) -> int:
+    """The permissions of a file that is replaced, or those of a new one."""
+    if path.is_file():
+        return stat.S_IMODE(path.stat().st_mode)
+    umask = os.umask(0)
+    os.umask(umask)
+    return 0o666 & ~umask
+
+
 def _check_place(path: Path) -> None:
     if path.is_dir():
         raise MotionkitError(f"{path}: is a folder, expected a file to write")
+    if path.is_file() and not os.access(path, os.W_OK):  # a rename would not ask
+        raise MotionkitError(f"{path}: is write-protected; choose another output")
     if path.exists() and not path.is_file():  # a rename would replace a device by a file
         raise MotionkitError(f"{path}: is not a regular file, expected a file to write")
     above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))

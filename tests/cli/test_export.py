@@ -45,6 +45,7 @@ def test_bad_input(motionkit: Callable, tiny_model_file: Path) -> None:
     words = ("export", "--model", tiny_model_file, "--onnx")
     assert motionkit(*words, "/dev/null/x.onnx").failed_with("/dev/null/x.onnx: cannot be written")
     assert motionkit(*words, "x.onnx", "--character", "giant").failed_with("unknown character 'giant'")
+    assert motionkit(*words, "x.txt").code == 2 and not list(Path().glob("x.*"))
     assert motionkit("export").code == motionkit(*words, "x.onnx", "--weights", "int4").code == 2
 
 

@@ -17,6 +17,7 @@ def test_keys_of_a_file(motionkit, tmp_path: Path) -> None:
         "a key at 1 s"
     )
     assert motionkit("synthesize", "--types", "walking", "--keys", "keys.json", "--loop").code == 2
+    assert motionkit("synthesize", "--types", "walking", "--keys", "keys.json", "--in-place").code == 2
     (tmp_path / "bad.json").write_text("{")
     assert motionkit("synthesize", "--types", "walking", "--keys", "bad.json").failed_with(
         "bad.json: not JSON"

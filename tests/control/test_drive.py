@@ -64,6 +64,17 @@ def test_it_obeys_a_velocity_and_stops(tiny_model: MotionModel) -> None:
     assert float(np.abs(later - halt).max()) < 2.0
 
 
+@pytest.mark.parametrize(
+    "wish", [Wish((0.0, math.nan)), Wish((math.inf, 0.0)), Wish((0.0, 5000.0)), Wish(None, facing=math.nan)]
+)
+def test_an_unlikely_wish_is_refused_and_changes_nothing(tiny_model: MotionModel, wish: Wish) -> None:
+    driver = Driver(tiny_model, "walking")
+    before = driver.wish
+    with pytest.raises(ControlError, match="expected"):
+        driver.set_wish(wish)
+    assert driver.wish == before
+
+
 def test_a_facing_other_than_the_way(tiny_model: MotionModel) -> None:
     driver = Driver(tiny_model)
     driver.set_wish(Wish((0.0, 100.0), facing=0.6, type="walking"))

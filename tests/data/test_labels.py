@@ -8,6 +8,7 @@ import pytest
 
 from motionkit.data.labels import (
     Segment,
+    beyond_end,
     find_sources,
     mirrored_type,
     read_labels,
@@ -230,6 +231,13 @@ def test_a_file_can_be_given_for_a_folder(tmp_path: Path) -> None:
 def test_a_pipe_that_is_named_is_not_passed_over(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "walk.bvh")
     assert [s.path.name for s in find_sources([tmp_path / "walk.bvh"])[0]] == ["walk.bvh"]
+
+
+def test_labels_beyond_the_end_of_a_clip_are_told() -> None:
+    labels = [Segment(0, 50, "walk"), Segment(60, 9999, "run")]
+    assert beyond_end(labels, 195) == "labelled up to frame 9,999, but the clip has 195"
+    assert not beyond_end(labels, 9999) and not beyond_end([Segment(0, -1, "walk")], 9)
+    assert not beyond_end(labels, 9998), "its last frame may be counted in"
 
 
 def test_a_file_is_taken_once_however_often_it_is_given(tmp_path: Path) -> None:

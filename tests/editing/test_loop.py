@@ -30,6 +30,17 @@ def turned(motion: Motion, yaw: float) -> Motion:
     return replace(motion, local_rotations=rotations, root_positions=quat_rotate(turn, motion.root_positions))
 
 
+def joined(first: Motion, second: Motion) -> Motion:
+    """One motion after the other, which begins where the first ends."""
+    move = first.root_positions[-1] - second.root_positions[0]
+    move[1] = 0.0
+    return replace(
+        first,
+        local_rotations=np.concatenate([first.local_rotations, second.local_rotations]),
+        root_positions=np.concatenate([first.root_positions, second.root_positions + move]),
+    )
+
+
 def test_a_walk_loops_after_one_cycle() -> None:
     walk = make_walk(300, turn=0.1)
     loop = make_loop(walk)
@@ -103,6 +114,39 @@ def test_a_dance_in_place_ends_where_it_began() -> None:
     loop = make_loop(replace(walk, root_positions=roots.astype(np.float32)))
     way = loop.motion.root_positions[-1] - loop.motion.root_positions[0]
     assert np.abs(way).max() < 1e-3
+
+
+def test_the_usual_pace_of_a_clip_decides() -> None:
+    slow, fast = make_walk(400, speed=100.0, turn=0.0), make_walk(160, speed=200.0, turn=0.0, cadence=1.5)
+    both = joined(fast, slow)
+    loop = make_loop(both)
+    way = loop.motion.root_positions[-1, [0, 2]] - loop.motion.root_positions[0, [0, 2]]
+    speed = float(np.linalg.norm(way)) / ((len(loop.motion) - 1) / 60)
+    assert speed == pytest.approx(100.0, rel=0.1) and loop.start >= len(fast) - 1
+    assert make_loop(fast).end - make_loop(fast).start < loop.end - loop.start, (
+        "the fast cycle is the shorter one"
+    )
+
+
+def test_a_body_that_stands_sways_for_seconds() -> None:
+    stance = make_walk(1, speed=0.0)
+    idle = replace(
+        make_walk(900, speed=0.0, turn=0.0, swing=0.02, cadence=0.4),
+        root_positions=np.repeat(stance.root_positions, 900, axis=0),
+    )
+    loop = make_loop(idle)
+    assert 2.0 <= (loop.end - loop.start) / 60 < 3.0, "half a second is as good, but still"
+
+
+def test_a_clip_that_does_not_move_is_refused() -> None:
+    still = make_walk(1)
+    still = replace(
+        still,
+        local_rotations=np.repeat(still.local_rotations, 200, axis=0),
+        root_positions=np.repeat(still.root_positions, 200, axis=0),
+    )
+    with pytest.raises(MotionkitError, match="does not move"):
+        make_loop(still)
 
 
 def test_what_never_repeats_is_refused() -> None:

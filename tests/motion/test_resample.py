@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from motionkit.errors import MotionkitError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_angle
@@ -31,6 +33,12 @@ def test_whole_ratio_picks_the_frames_themselves(make_motion: Callable[..., Moti
     assert len(out) == 61
     assert quat_angle(out.local_rotations, motion.local_rotations[::2]).max() < 1e-3
     assert np.abs(out.root_positions - motion.root_positions[::2]).max() < 1e-4
+
+
+@pytest.mark.parametrize("fps", [0.0, -30.0, math.nan, math.inf])
+def test_what_is_no_rate_is_refused(make_motion: Callable[..., Motion], fps: float) -> None:
+    with pytest.raises(MotionkitError, match="expected a frame rate above 0"):
+        resample(make_motion(frames=10), fps)
 
 
 def test_there_and_back(make_motion: Callable[..., Motion]) -> None:

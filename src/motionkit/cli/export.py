@@ -43,6 +43,8 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
 
     beside = metadata_path(path)  # before the model is read
     check_outputs([path, beside], [model_path])
+    if path.suffix.lower() != ".onnx":
+        raise click.UsageError(f"--onnx {path}: expected a name that ends in .onnx")
     check = export_onnx(open_model(model_path), path, character, weights)
     if as_json:
         result: dict = {"file": str(path), "metadata": str(beside)}

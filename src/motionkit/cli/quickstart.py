@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import shlex
 import sys
 from importlib.util import find_spec
@@ -93,7 +94,8 @@ def command(
     """
     target = output or data.resolve().with_name(f"{data.resolve().name}-model")
     if target.resolve().is_relative_to(data.resolve()):
-        raise click.UsageError(f"{target}: is inside {data}; give a folder beside it with -o")
+        where = "the folder of the clips" if target.resolve() == data.resolve() else f"inside {data}"
+        raise click.UsageError(f"{target}: is {where}; give a folder beside it with -o")
     if force and resume:
         raise click.UsageError("--resume cannot be combined with --force")
     given: dict[str, object] = {"-o": output, "--minutes": minutes, "--steps": steps, "--seed": seed or None}
@@ -109,6 +111,13 @@ def command(
         )
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
+    if device != "auto":  # before the clips are read; torch takes seconds to import
+        from motionkit.training.trainer import resolve_device
+
+        resolve_device(device)
+    above = next(folder for folder in (target, *target.absolute().parents) if os.path.lexists(folder))
+    if not (above.is_dir() and os.access(above, os.W_OK | os.X_OK)):
+        raise MotionkitError(f"{target}: cannot be written ({above} is no folder to write to)")
     going_on = "--force" if force else "--resume"
     try:
         dataset = _made_dataset(target) if resume else None

@@ -37,7 +37,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
 
 LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
-LOOP_TRIES = (2, 4)  # so many times as long, where nothing repeats
+LOOP_TRIES = (2, 4, 8)  # so many times as long, where nothing repeats
 
 
 @click.command("synthesize")
@@ -122,6 +122,8 @@ def command(
 
     if loops and keys_file is not None:
         raise click.UsageError("--loop and --keys cannot be combined")
+    if keys_file is not None and root_motion.in_place:
+        raise click.UsageError("--keys says where to be on the ground, which --in-place leaves out")
     count = max(count, len(types))
     check_stdout(output, {"--view": view, "--json": as_json, f"--count {count}": count > 1})
     model = open_model(model_path, reference)
@@ -179,7 +181,7 @@ def command(
                     "types": [list(part) for part in parts],
                     "metrics": motion_metrics(measured),
                     **(seam_json(cycles[len(made)]) if loops else {}),
-                    **({"keys": [_arrival(synthesis.motion, key) for key in keys]} if keys else {}),
+                    **({"keys": [_arrival(measured, key) for key in keys]} if keys else {}),
                 }
             )
     for cycle in cycles if loops else ():
@@ -226,12 +228,18 @@ def _looped(
         try:
             cycles = [make_loop(one.motion, seconds, from_origin=True) for one in result.motions]
             break
-        except MotionkitError:
+        except MotionkitError as error:
             if times is None:
-                raise
+                raise MotionkitError(
+                    f"{str(error).replace('the clip', 'the motion', 1)}; try another --seed, or --seconds"
+                ) from None
             result = longer(times)
     motions = tuple(
-        replace(one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.motion.seconds),))
+        replace(
+            one,
+            motion=cycle.motion,
+            types=(TypePart(one.types[0].type, (len(cycle.motion) - 1) / cycle.motion.fps),),
+        )
         for one, cycle in zip(result.motions, cycles, strict=True)
     )
     return replace(result, motions=motions), cycles

@@ -245,9 +245,10 @@ def command(
         print_json(summary)
         return
     word = "trained" if result.finished else "stopped"
+    # Without losses no step was made: the run had gone as far before.
+    loss = f"loss {result.losses['total']:.2f}" if "total" in result.losses else "no step was left to make"
     stdout_console().print(
-        f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; loss {result.losses.get('total', 0):.2f}; "
-        f"wrote {result.model}",
+        f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; {loss}; wrote {result.model}",
     )
     if not result.finished:
         sys.exit(STOPPED)

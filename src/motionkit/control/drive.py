@@ -20,6 +20,7 @@ from motionkit.control.steering import (
     SteeringOptions,
     steered_type,
 )
+from motionkit.errors import ControlError
 from motionkit.features.control import Controls
 from motionkit.models.model import MotionModel
 from motionkit.names import nfc
@@ -28,6 +29,9 @@ DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its ow
 PATH = ""  # stands for a type where a path names the types
 _TRAJECTORY = ("trajectory", "trajectory_mask")
 AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
+
+
+FASTEST_WISH = 1000.0  # cm/s
 
 
 @dataclass(frozen=True)
@@ -106,7 +110,12 @@ class Driver:
         self._from, self._target, self._blended = self._weights, self.type, self.options.blend_frames
 
     def set_wish(self, wish: Wish) -> None:
-        """Follow another wish from the next frame on; raises ControlError for an unknown type."""
+        """Follow another wish from the next frame on; raises ControlError for an unknown type or an unlikely number."""
+        numbers = (*(wish.velocity or ()), *(() if wish.facing is None else (wish.facing,)))
+        if not all(math.isfinite(number) for number in numbers):
+            raise ControlError(f"expected finite numbers for velocity and facing, found {numbers}")
+        if wish.velocity is not None and math.hypot(*wish.velocity) > FASTEST_WISH * (1.0 + 1e-6):
+            raise ControlError(f"expected a velocity of at most {FASTEST_WISH:g} cm/s, found {wish.velocity}")
         if wish.type is not None:
             kind = nfc(wish.type)
             self.model.type_id(kind)

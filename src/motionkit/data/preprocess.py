@@ -26,7 +26,7 @@ from motionkit.data.cleaning import clean
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
 from motionkit.data.folder import MANIFEST, MOTIONS, ArrayWriter, may_replace, put_in_place, staging_folder
 from motionkit.data.glitches import cut_at_leaps, find_leaps
-from motionkit.data.labels import Segment, SourceFile, find_sources, mirrored_type
+from motionkit.data.labels import Segment, SourceFile, beyond_end, find_sources, mirrored_type
 from motionkit.data.level import floor_tilts, footfalls, levelled, performer
 from motionkit.data.phases import PhaseRule, phase_rules, phase_track
 from motionkit.data.smoothing import smooth, smooth_rotations
@@ -88,11 +88,12 @@ class FileReport:
     cleaning: dict[str, Any] = field(default_factory=dict)
     leaps: int = 0
     sha256: str = ""
+    labels: str = ""  # what is wrong with them
 
 
 @dataclass
 class PreprocessReport:
-    """The result of preprocess(); notes are about leftovers of an interrupted run."""
+    """The result of preprocess(); notes are about leftovers of an interrupted run, and labels that look wrong."""
 
     folder: Path
     labels: Path | None
@@ -159,7 +160,8 @@ def preprocess(
             _drop_motions(prepared, staging)
             os.chmod(staging, 0o755)
             put_in_place(staging, target)
-        report.folder, report.labels, report.notes = output, table, tuple(notes)
+        doubts = [f"warning: {file.name}: {file.labels}" for file in report.files if file.labels]
+        report.folder, report.labels, report.notes = output, table, (*notes, *doubts)
         return report
     except OSError as error:
         raise DatasetError(f"{output}: cannot be written ({error.strerror or error})") from None
@@ -240,6 +242,7 @@ def _prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> _Prepared:
     try:
         fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
         motion, mapping = retarget_file(source.path, options.scale, fps, options.own_bodies, plant=True)
+        report.labels = beyond_end(source.segments, len(motion))
         motion, cleaning = clean(motion)
         native_fps = motion.fps
         motion = resample(motion, FPS)

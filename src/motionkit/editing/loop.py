@@ -40,6 +40,13 @@ MOST_SHARE, LEAST_LIMIT, MOST_LIMIT = 0.3, 2.5, 8.0
 # taken.
 AS_GOOD, GOOD = 1.25, 3.0
 LIVELY = 0.6  # a cycle moves at least this share of what the clip moves
+# Somewhere in a cycle the body is at least this share of the usual difference between two frames from its ends.
+LEAVES = 0.85
+# A clip whose frames usually differ by less than so many cm is one of standing, whose cycle takes at least so long.
+CALM, CALM_SHORTEST = 5.0, 2.0  # cm, s
+STILL = 0.05  # cm; a clip whose frames usually differ by less does not move
+# A cycle goes over the ground within this share of the clip's median speed, or so many cm/s, if one of them does.
+PACE_SHARE, PACE = 0.1, 10.0
 # Within this share of the wished length, and within so many seconds, the most alike ends decide.
 WISH_SHARE, WISH_SECONDS = 0.05, 0.1
 FADE_SECONDS = 0.25
@@ -116,12 +123,18 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
     every = np.arange(0, frames, stride)
     apart = distances_between(rows[every], rows[every])
     usual = float(np.median(apart))
-    pairs = _allowed(upright, every, least)
+    if usual < CALM and frames > 2 * CALM_SHORTEST * fps:
+        least = round(CALM_SHORTEST * fps)
+    if usual < STILL:
+        raise MotionkitError("the clip does not move, expected movement to find a cycle in")
+    pairs = _allowed(upright, every, least) & (_reach(apart) >= LEAVES * usual)
     if not bool(pairs.any()):
         raise MotionkitError(
             "the clip never repeats: no two frames have the same facing and enough movement between them"
         )
     limit = min(max(MOST_SHARE * usual, LEAST_LIMIT), MOST_LIMIT)
+    usual_pace = pairs & _at_its_pace(upright, every)
+    pairs = usual_pace if bool((apart[usual_pace] <= limit).any()) else pairs
     apart = np.where(pairs, apart, np.inf)
     a, b = (
         _shortest(apart, every, limit)
@@ -156,7 +169,6 @@ def _rows(upright: Upright) -> Array:
 
 def _allowed(upright: Upright, every: Array, least: int) -> Array:
     """Which pairs of frames (N, N) may be ends: far enough apart, facing alike, with movement between them."""
-    fps = upright.motion.fps
     speeds = np.linalg.norm(np.gradient(upright.facing_positions.astype(np.float64), axis=0), axis=-1).mean(
         axis=1
     )
@@ -166,7 +178,25 @@ def _allowed(upright: Upright, every: Array, least: int) -> Array:
     turned = np.abs(wrap_angle(heading[None, :] - heading[:, None]))
     mean = float(speeds.mean())
     lively = moved[None, :] - moved[:, None] >= LIVELY * mean * lengths
-    return (lengths >= max(least, round(SHORTEST * fps))) & (turned <= MOST_TURN) & lively
+    return (lengths >= least) & (turned <= MOST_TURN) & lively
+
+
+def _reach(apart: Array) -> Array:
+    """How far (N, N) the frames from one to another get from the first, given the differences (N, N)."""
+    return np.asarray(np.maximum.accumulate(np.triu(apart), axis=1))
+
+
+def _at_its_pace(upright: Upright, every: Array) -> Array:
+    """Which pairs of frames (N, N) have a way over the ground between them that is usual in the clip."""
+    fps = upright.motion.fps
+    track = upright.positions[:, 0, [0, 2]].astype(np.float64)
+    speeds = np.linalg.norm(np.gradient(track, axis=0), axis=1) * fps
+    usual = float(np.median(speeds))
+    way = np.cumsum(speeds)[every] / fps
+    lengths = np.maximum(every[None, :] - every[:, None], 1) / fps
+    return np.asarray(
+        np.abs((way[None, :] - way[:, None]) / lengths - usual) <= max(PACE_SHARE * usual, PACE)
+    )
 
 
 def _shortest(apart: Array, every: Array, limit: float) -> tuple[int, int]:

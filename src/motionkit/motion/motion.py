@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,7 +48,7 @@ class Motion:
         return [0, *(joint for joint in np.flatnonzero(away > 1e-5).tolist() if joint > 0)]
 
     def cut(self, start: int, end: int) -> Motion:
-        """Frames start to end (exclusive)."""
+        """Frames start to end (exclusive), as a slice takes them."""
         local = None if self.local_positions is None else self.local_positions[start:end]
         return replace(
             self,
@@ -89,8 +90,10 @@ def resample(motion: Motion, fps: float) -> Motion:
     Frame 0 keeps its time, and the last frame is at or before the last frame of the source.
 
     Raises:
-        MotionkitError: the motion is longer than longest_seconds().
+        MotionkitError: the rate is not above 0, or the motion is longer than longest_seconds().
     """
+    if not 0.0 < fps < math.inf:
+        raise MotionkitError(f"expected a frame rate above 0, found {fps:g}")
     if len(motion) < 2 or abs(motion.fps - fps) < 1e-6 * fps:
         return replace(motion, fps=fps) if len(motion) < 2 else motion
     if motion.seconds > longest_seconds(motion.fps) * 1.001:

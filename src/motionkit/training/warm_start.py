@@ -59,6 +59,11 @@ def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None
                 value.copy_(old[name])
 
 
+def _its_preset(model: MotionModel) -> str:
+    name = model.card.get("options", {}).get("preset")
+    return f", {name}" if isinstance(name, str) else ""
+
+
 def _check_fit(network: Predictor, model: MotionModel, layout: ControlLayout) -> None:
     """Raise ModelError unless the weights of a model fit a network whose controls have this layout."""
     if layout.kind != model.controls.kind:
@@ -67,8 +72,8 @@ def _check_fit(network: Predictor, model: MotionModel, layout: ControlLayout) ->
     for name, value in network.state_dict().items():
         if name in old and name not in CONTROL_WEIGHTS and value.shape != old[name].shape:
             raise ModelError(
-                f"the model's {name} is {tuple(old[name].shape)}, the preset's is {tuple(value.shape)}: "
-                "expected the preset the model was trained with"
+                f"the model is of another size than the preset ({name} has {tuple(old[name].shape)} numbers, not "
+                f"{tuple(value.shape)}): expected the preset the model was trained with{_its_preset(model)}"
             )
 
 
