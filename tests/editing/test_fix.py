@@ -106,6 +106,12 @@ def test_feet_are_held_on_the_rig_itself(clip: Motion, floor: bool) -> None:
         assert np.linalg.norm(own - there, axis=-1).max() < 1.5
 
 
+def test_a_rig_without_bones_is_refused(clip: Motion) -> None:
+    point = replace(clip.skeleton, offsets=np.zeros_like(clip.skeleton.offsets))
+    with pytest.raises(MotionkitError, match="zero length"):
+        fix_motion(replace(clip, skeleton=point))
+
+
 def test_rigs_that_are_not_human_keep_their_floor(make_motion: Callable[..., Motion]) -> None:
     offsets = np.array([[0, 0, 0], [0, 60, 0], [0, 80, 10]], np.float32)
     crane = make_motion(60, skeleton=Skeleton(("Base", "Boom", "Hook"), (-1, 0, 1), offsets))

@@ -191,7 +191,7 @@ def diagnose(
     sides = {kind: _one_side(stretches) for kind, stretches in shown.items()}
     types = tuple(_type_facts(kind, shown, sides) for kind in sorted(shown))
     rigs = sorted({clip.rig for clip in clips if clip.rig})
-    warnings = [f"{len(rigs)} different rigs: {', '.join(rigs[:6])}"] if len(rigs) > 1 else []
+    warnings = [f"{len(rigs)} different rigs: {'; '.join(rigs[:6])}"] if len(rigs) > 1 else []
     clips = _with_tilts(clips, standing)
     tilted = [clip for clip in clips if any(clip.tilt)]
     if tilted:
@@ -235,7 +235,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], _Sta
         tuple(dict.fromkeys(segment.type for segment in source.segments)),
         seconds,
         motion.fps,
-        f"{rig.source_joints} joints, {next(iter(rig.mapped.values()), '')}",
+        f"{rig.source_joints} joints below {next(iter(rig.mapped.values()), '')}",
         rig.scale_source,
         _up(rig),
         cleaning.floor_shift,
@@ -398,7 +398,10 @@ def _misplaced(kind: str, shown: dict[str, list[_Shown]]) -> list[str]:
         nearest = min(centres, key=lambda name: float(np.linalg.norm(stretch.place - centres[name])))
         if own > FAR and float(np.linalg.norm(stretch.place - centres[nearest])) < NEARER * own:
             found[nearest].append(stretch.clip)
-    return [f"{_listed(clips)} move like {other!r}" for other, clips in found.items()]
+    return [
+        f"{_listed(clips)} {'moves' if len(set(clips)) == 1 else 'move'} like {other!r}"
+        for other, clips in found.items()
+    ]
 
 
 def _listed(clips: list[str]) -> str:

@@ -82,6 +82,8 @@ def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
     repairs = repairs or Repairs()
     if len(motion) < 2:
         raise MotionkitError(f"expected at least 2 frames to repair, found {len(motion)}")
+    if not motion.skeleton.offsets[1:].any() and motion.local_positions is None:
+        raise SkeletonError("all bones have zero length, expected a rig")
     source = Upright.of(motion)
     made, rig = source.motion, _rig(source.motion)
     notes: tuple[str, ...] = ()
