@@ -48,6 +48,22 @@ def live(addon: ModuleType) -> Iterator[Callable[..., Any]]:
         client.close()
 
 
+@pytest.mark.parametrize(
+    ("system", "command", "words"),
+    [
+        ("posix", "python -m motionkit", ["python", "-m", "motionkit"]),
+        ("posix", "'/opt/my tools/motionkit'", ["/opt/my tools/motionkit"]),
+        ("nt", r"C:\venv\Scripts\motionkit.exe", [r"C:\venv\Scripts\motionkit.exe"]),
+        ("nt", r'"C:\My Tools\python.exe" -m motionkit', [r"C:\My Tools\python.exe", "-m", "motionkit"]),
+    ],
+)
+def test_the_command_may_be_a_path_of_any_system(
+    addon: ModuleType, monkeypatch: pytest.MonkeyPatch, system: str, command: str, words: list[str]
+) -> None:
+    monkeypatch.setattr(addon, "os", SimpleNamespace(name=system))
+    assert addon.command_words(command) == words
+
+
 def until(client: Any, holds: Callable[[dict], bool] = lambda _: True) -> dict[str, Any]:
     """The next character shown that meets a condition."""
     ends = time.monotonic() + PATIENCE
