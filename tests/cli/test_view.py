@@ -11,6 +11,8 @@ import pytest
 
 from motionkit.cli.showing import open_in_browser
 from motionkit.errors import MotionkitError
+from motionkit.export.formats import write_motion
+from synthetic_motions import make_walk
 
 from .test_mirror import RIG, run
 
@@ -23,6 +25,20 @@ def test_a_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert result["output"] == str(sheet)
     assert [c["frames"] for c in result["clips"]] == [2, 2]
     assert sheet.read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_glb_is_shown_as_the_clip_it_was_made_of(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_motion("walk.bvh", make_walk(40))
+    write_motion("walk.glb", make_walk(40))
+    assert run(monkeypatch, "view", "walk.bvh", "walk.glb", "-o", "sheet.png", "--json") == 0
+    first, second = json.loads(capsys.readouterr().out)["clips"]
+    assert (first["frames"], first["fps"]) == (second["frames"], second["fps"]) == (40, 60.0)
+    Path("cut.glb").write_bytes(Path("walk.glb").read_bytes()[:500])
+    assert run(monkeypatch, "view", "cut.glb", "-o", "cut.png") == 1
+    assert "cut.glb" in capsys.readouterr().err and not Path("cut.png").exists()
 
 
 def test_a_page_is_the_default_and_never_overwrites(

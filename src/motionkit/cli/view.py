@@ -1,4 +1,4 @@
-"""`motionkit view`: BVH files as a web page that plays them, a contact sheet, a GIF or a video."""
+"""`motionkit view`: BVH and GLB files as a web page that plays them, a contact sheet, a GIF or a video."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from motionkit.cli.showing import open_in_browser
 from motionkit.names import counted, visible
 
 if TYPE_CHECKING:
+    from motionkit.motion.motion import Motion
     from motionkit.view.figure_data import Shown
 
 ENDINGS = (".html", ".png", ".gif", ".mp4")
@@ -73,13 +74,12 @@ def command(
     width: int | None,
     as_json: bool,
 ) -> None:
-    """Show BVH files (CLIPS) of any rig, unit and frame rate.
+    """Show BVH and skinned GLB files (CLIPS) of any rig, unit and frame rate.
 
     Without -o the command writes a web page, named after the first clip, to the current folder and opens it
     in the browser. The page is one self-contained HTML file.
     """
     from motionkit.files import check_outputs
-    from motionkit.motion.bvh import bvh_to_motion, read_bvh
     from motionkit.view.body import check_bones
     from motionkit.view.figure_data import Shown
 
@@ -92,8 +92,7 @@ def command(
 
         path = read_path(path_file).points
     shown = [
-        Shown(visible(name), bvh_to_motion(read_bvh(clip)), path=path)
-        for name, clip in zip(_names(clips), clips, strict=True)
+        Shown(visible(name), _read(clip), path=path) for name, clip in zip(_names(clips), clips, strict=True)
     ]
     for clip, one in zip(clips, shown, strict=True):
         with naming(clip):
@@ -109,6 +108,17 @@ def command(
         print_json({"output": str(target), "clips": facts})
     else:
         say(f"{target}: {counted(len(clips), 'clip')}")
+
+
+def _read(clip: Path) -> Motion:
+    """The motion of a .glb file, or of a BVH file of any name."""
+    if clip.suffix.lower() == ".glb":
+        from motionkit.export.formats import read_motion
+
+        return read_motion(clip)
+    from motionkit.motion.bvh import bvh_to_motion, read_bvh
+
+    return bvh_to_motion(read_bvh(clip))
 
 
 def _names(clips: Sequence[Path]) -> list[str]:
