@@ -56,6 +56,8 @@ def command(data: tuple[Path, ...], labels: Path | None, as_json: bool) -> None:
 def _print(found: Diagnosis) -> None:
     from rich.table import Table
 
+    from motionkit.data.labels import BEYOND_END
+
     out = stdout_console()
     if not out.is_terminal:
         out.width = NO_LIMIT
@@ -76,7 +78,7 @@ def _print(found: Diagnosis) -> None:
     out.print(f"types from {found.labels}" if found.labels else "types from folder and file names")
     notes: dict[str, int] = {}
     for clip in found.clips:
-        for note in clip.notes:
+        for note in (each for each in clip.notes if not each.startswith(BEYOND_END)):  # a warning, below
             notes[note] = notes.get(note, 0) + 1
     for note, count in sorted(notes.items(), key=lambda item: -item[1])[:8]:
         out.print(f"note: {note} ({counted(count, 'clip')})")

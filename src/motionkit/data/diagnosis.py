@@ -17,7 +17,7 @@ from motionkit.arrays import Array
 from motionkit.data.cleaning import clean
 from motionkit.data.events import frames_in_the_air
 from motionkit.data.glitches import find_leaps
-from motionkit.data.labels import Segment, SourceFile, beyond_end, find_sources, mirrored_type
+from motionkit.data.labels import BEYOND_END, Segment, SourceFile, beyond_end, find_sources, mirrored_type
 from motionkit.data.level import floor_tilts, footfalls, performer
 from motionkit.data.phases import PhaseStretch, phase_rule, phase_stretch
 from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
@@ -62,7 +62,6 @@ class ClipFacts:
         tilt: slopes (2,) of the floor along x and z that the performer's clips show, in cm per cm.
         notes: missing joints, rest-pose differences and the like.
         fault: why the file cannot be used; empty if it can.
-        labels: what is wrong with its labels; empty for nothing.
     """
 
     name: str
@@ -77,7 +76,6 @@ class ClipFacts:
     tilt: tuple[float, float] = (0.0, 0.0)
     notes: tuple[str, ...] = ()
     fault: str = ""
-    labels: str = ""
 
 
 @dataclass(frozen=True)
@@ -200,7 +198,9 @@ def diagnose(
             f"the floor under {_listed([clip.name for clip in tilted])} rises by up to {steepest:.1f} cm a metre; "
             "preprocess levels it"
         )
-    warnings += [f"{clip.name}: {clip.labels}" for clip in clips if clip.labels]
+    warnings += [
+        f"{clip.name}: {note}" for clip in clips for note in clip.notes if note.startswith(BEYOND_END)
+    ]
     return Diagnosis(tuple(clips), types, table, tuple(warnings), tuple(skipped))
 
 
@@ -230,6 +230,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], _Sta
             stretches.append((segment.type, _describe(source.name, part, segment.split)))
     seconds = sum(stretch.seconds for _, stretch in stretches)
     fault = "" if stretches else f"{source.path}: no labelled stretch of at least {MIN_FRAMES} frames"
+    doubts = filter(None, [beyond_end(source.segments, len(motion))])
     facts = ClipFacts(
         source.name,
         tuple(dict.fromkeys(segment.type for segment in source.segments)),
@@ -240,9 +241,13 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], _Sta
         _up(rig),
         cleaning.floor_shift,
         len(cleaning.pops) + len(leaps),
-        notes=(*((f"no {', '.join(rig.missing)}",) if rig.missing else ()), *rig.notes, *cleaning.notes),
+        notes=(
+            *doubts,
+            *((f"no {', '.join(rig.missing)}",) if rig.missing else ()),
+            *rig.notes,
+            *cleaning.notes,
+        ),
         fault=fault,
-        labels=beyond_end(source.segments, len(motion)),
     )
     whose = performer((segment.subject for segment in source.segments), rig.body)
     return facts, stretches, _Standing(whose, footfalls(whole)) if stretches else None

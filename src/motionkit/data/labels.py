@@ -37,13 +37,16 @@ class Segment:
     split: str = ""
 
 
+BEYOND_END = "labelled up to frame"
+
+
 def beyond_end(segments: Sequence[Segment], frames: int) -> str:
     """What is wrong with segments that go on after the last of a clip's frames; "" for none.
 
     A table may count the last frame in or start counting at 1. More is a table of another clip or frame rate.
     """
     last = max((segment.end for segment in segments), default=0)
-    return f"labelled up to frame {last:,}, but the clip has {frames:,}" if last > frames + 1 else ""
+    return f"{BEYOND_END} {last:,}, but the clip has {frames:,}" if last > frames + 1 else ""
 
 
 @dataclass(frozen=True)
