@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,11 @@ from motionkit.editing.fix import fix_motion
 from motionkit.editing.root_motion import in_place
 from motionkit.editing.upright import Upright
 from motionkit.export.formats import read_motion
+from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import mirror_motion
 from motionkit.motion.motion import Motion
+from motionkit.motion.retarget import retarget
 from motionkit.motion.rotations import quat_inverse
 from motionkit.motion.up_axis import turned_world, up_axis, up_name, up_turn
 from motionkit.view.figure_data import in_metres
@@ -52,6 +55,17 @@ def test_a_body_upside_down_for_a_whole_clip_keeps_its_axis(walk: Motion) -> Non
     handstand = turned_world(walk, np.array([0.0, 1.0, 0.0, 0.0], np.float32))
     assert positions(handstand)[..., 1] == pytest.approx(-positions(walk)[..., 1], abs=1e-3)
     assert up_axis(positions(handstand), handstand.skeleton).tolist() == [0.0, 1.0, 0.0]
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.5 * np.pi, 1.0])
+def test_a_body_on_the_floor_for_a_whole_clip_keeps_its_axis(walk: Motion, turn: float) -> None:
+    still = replace(walk.cut(0, 60), root_positions=np.repeat(walk.root_positions[:1], 60, axis=0))
+    lying = turned_world(still, np.array([0.5**0.5, 0.5**0.5, 0.0, 0.0], np.float32)).turned(turn)
+    away = np.array([60.0, 3.0 - positions(lying)[..., 1].min(), -40.0], np.float32)
+    lying = replace(lying, root_positions=lying.root_positions + away)
+    assert np.ptp(positions(lying)[..., 1]) < 0.6 * np.ptp(positions(walk)[..., 1])
+    assert up_axis(positions(lying), lying.skeleton).tolist() == [0.0, 1.0, 0.0]
+    assert retarget(motion_to_bvh(lying))[1].notes == retarget(motion_to_bvh(walk))[1].notes
 
 
 def test_repairs_are_the_same(walk: Motion, up: np.ndarray) -> None:

@@ -240,7 +240,7 @@ def _up_axis(source: SourceRig, positions: Array, frame: Array | None) -> Array:
     rest = None if frame is None else quat_rotate(frame, np.array([0.0, 1.0, 0.0], np.float32))
     # motionkit's own files are upright in their rest pose, however short they are cut and whatever they show.
     own = source.skeleton.same_hierarchy(canonical_skeleton())
-    return voted_up(arms - hips, rest, OWN_VOTES if own else REST_VOTES)
+    return voted_up(positions, arms - hips, rest, OWN_VOTES if own else REST_VOTES)
 
 
 def pose_notes(pose: RigPose) -> tuple[str, ...]:

@@ -21,10 +21,16 @@ _LIES_WITHIN = (0.05, 0.25)  # below and above height zero, of a body's length
 _AXES = np.eye(3, dtype=np.float32)
 
 
-def voted_up(directions: Array, rest: Array | None, rest_votes: float = REST_VOTES) -> Array:
+def voted_up(
+    positions: Array, directions: Array, rest: Array | None, rest_votes: float = REST_VOTES
+) -> Array:
     """The axis (3,) that points up, with its sign.
 
+    A body that lies on the ground of Y for a whole clip, as in push-ups, points elsewhere; but its lowest joint is at
+    about height zero of Y, and not of where it points.
+
     Args:
+        positions: (T, J, 3) of the recorded joints.
         directions: (T, 3) from lower to higher parts of the recorded bodies, of any length.
         rest: (3,) the same in a rest pose that stands; None without one.
         rest_votes: weight of the rest pose.
@@ -38,7 +44,8 @@ def voted_up(directions: Array, rest: Array | None, rest_votes: float = REST_VOT
         votes[axis] += rest_votes
         sign[axis] = 1.0 if rest[axis] > 0 else -1.0
     best = int(votes.argmax())
-    return _AXES[best] * sign[best].astype(np.float32)
+    up = _AXES[best] * sign[best].astype(np.float32)
+    return _AXES[1] if best != 1 and _on_ground(positions, _AXES[1]) and not _on_ground(positions, up) else up
 
 
 def up_axis(positions: Array, skeleton: Skeleton) -> Array:
@@ -52,12 +59,17 @@ def up_axis(positions: Array, skeleton: Skeleton) -> Array:
     if high and low:
         rest = _between(skeleton.rest_positions()[None], high, low)[0]
         stands = float(np.abs(rest).max()) > _STANDS * float(np.linalg.norm(rest))
-        return voted_up(_between(positions, high, low), rest if stands else None)
+        return voted_up(positions, _between(positions, high, low), rest if stands else None)
     spread = (positions.max(axis=1) - positions.min(axis=1)).mean(axis=0)
     if spread[2] <= 1.5 * spread[1]:
         return _AXES[1]
-    lowest = float(positions[..., 1].min()) / float(spread.max())
-    return _AXES[1 if -_LIES_WITHIN[0] <= lowest <= _LIES_WITHIN[1] else 2]
+    return _AXES[1 if _on_ground(positions, _AXES[1]) else 2]
+
+
+def _on_ground(positions: Array, up: Array) -> bool:
+    """Whether the lowest joint of a clip (T, J, 3) is at about height zero, if an axis points up."""
+    size = float((positions.max(axis=1) - positions.min(axis=1)).mean(axis=0).max())
+    return -_LIES_WITHIN[0] * size <= float((positions @ up).min()) <= _LIES_WITHIN[1] * size
 
 
 def up_name(up: Array) -> str:
