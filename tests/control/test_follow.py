@@ -120,6 +120,14 @@ def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
     assert not any(shown[:60]) and all(is_shown for is_shown, w in zip(shown, of_it, strict=True) if w == 1.0)
 
 
+def test_a_run_slows_down_where_its_path_turns_back(tiny_model: MotionModel) -> None:
+    there_and_back = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 600.0], [0.0, 0.0]]), "running", 300.0)])
+    speeds = speed_profile(tiny_model, there_and_back)
+    assert speeds[there_and_back.nearest(600.0)] == speeds.min() == 100.0 and speeds[0] == 300.0
+    corner = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 600.0], [300.0, 200.0]]), "running", 300.0)])
+    assert speed_profile(tiny_model, corner).min() == 300.0
+
+
 @pytest.mark.parametrize(
     "corners",
     [[[0, 0], [0, 200], [0, 0]], [[0, 0], [0, 200], [0, 0], [0, 200]], [[0, 0], [90, 90], [0, 0.5]]],

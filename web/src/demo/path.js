@@ -7,7 +7,7 @@ import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
-const [BACK, NO_FURTHER, BESIDE] = [-0.9, 1, 15];
+const [BACK, NO_FURTHER, BESIDE, FOLD, TURN_SPEED] = [-0.9, 1, 15, 3, 100];
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
 /** Points resampled evenly, with their directions and the parts they belong to. */
@@ -78,6 +78,8 @@ export class Path {
 }
 
 const apart = (a, b) => Math.hypot(a[0] - b[0], a[1] - b[1]);
+
+const dot = (a, b) => a[0] * b[0] + a[1] * b[1];
 
 const unit = (x, z) => {
   const size = Math.max(Math.hypot(x, z), 1e-12);
@@ -175,6 +177,8 @@ export class Follower {
       return speeds && speed != null ? Math.fround(Math.min(Math.max(wanted, speeds[0]), speeds[1])) : wanted;
     });
     const speeds = path.part.map((part) => asked[part]);
+    const turns = (n) => dot(path.tangents[n - FOLD], path.tangents[n + FOLD]) < BACK;
+    for (let n = FOLD; n < speeds.length - FOLD; n++) if (turns(n)) speeds[n] = Math.min(speeds[n], TURN_SPEED);
     for (const [place] of this.stops) speeds[path.nearest(place)] = CREEP;
     // The square of the speed changes evenly along the way: no point's is more than so much above another's.
     const rise = 2 * ACCELERATION * SPACING;
@@ -193,7 +197,7 @@ export class Follower {
     const [there, wayBack] = path.at(beyond);
     const way = path.tangents[path.nearest(arc)];
     const [toX, toZ] = [there[0] - x, there[1] - z];
-    const turns = wayBack[0] * way[0] + wayBack[1] * way[1] < BACK;
+    const turns = dot(wayBack, way) < BACK;
     if (!turns || toX * way[0] + toZ * way[1] >= NO_FURTHER || Math.hypot(toX, toZ) >= BESIDE) return arc;
     return (this.least = beyond);
   }
