@@ -120,10 +120,10 @@ def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
     assert not any(shown[:60]) and all(is_shown for is_shown, w in zip(shown, of_it, strict=True) if w == 1.0)
 
 
-def test_a_run_slows_down_where_its_path_turns_back(tiny_model: MotionModel) -> None:
+def test_bodies_slow_down_for_sharp_turns(tiny_model: MotionModel) -> None:
     there_and_back = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 600.0], [0.0, 0.0]]), "running", 300.0)])
     speeds = speed_profile(tiny_model, there_and_back)
-    assert speeds[there_and_back.nearest(600.0)] == speeds.min() == 100.0 and speeds[0] == 300.0
+    assert speeds[there_and_back.nearest(600.0)] == speeds.min() == 30.0 and speeds[0] == 300.0
     corner = make_path([PathPart(np.array([[0.0, 0.0], [0.0, 600.0], [300.0, 200.0]]), "running", 300.0)])
     assert speed_profile(tiny_model, corner).min() == 300.0
 
@@ -137,7 +137,7 @@ def test_a_way_back_on_the_way_there_is_gone(tiny_model: MotionModel, corners: l
     follower = PathFollower(tiny_model, path)
     track, _ = walk_obediently(follower, path, int(1.6 * 60 * follower.expected_seconds))
     assert follower.finished
-    assert len(track) / 60 == pytest.approx(follower.expected_seconds, rel=0.15)
+    assert len(track) / 60 < 1.15 * follower.expected_seconds
     furthest = np.linalg.norm(track[:, :2], axis=1).max()
     assert furthest > np.linalg.norm(corners[1]) - 15.0, "it turned too early"
 

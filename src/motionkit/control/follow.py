@@ -38,7 +38,9 @@ ARRIVED = 8.0  # cm before a stop at which it has been reached
 # Where a path turns back on itself: cosine between the ways there and back, how much further (cm) the body has to go
 # along the first to a place beyond the turn, and how far that may be beside it.
 BACK, NO_FURTHER, BESIDE = -0.9, 1.0, 15.0
-FOLD, TURN_SPEED = 3, 100.0  # points of the path to both sides of such a turn, and cm/s to slow down to there
+# Cosine between the ways before and after a turn that bodies slow down for, to so many cm/s (faster ones leap around
+# it), and how many points of the path to both sides tell.
+SHARP, TURN_SPEED, BESIDE_TURN = -0.8, 30.0, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +218,8 @@ def speed_profile(model: MotionModel, path: Path2D) -> Array:
     The beginning is as fast as its part: start poses are in motion.
     """
     speeds = part_speeds(model, path)[path.part].astype(np.float64)
-    speeds[_folds(path)] = np.minimum(speeds[_folds(path)], TURN_SPEED)
+    sharp = _sharp_turns(path)
+    speeds[sharp] = np.minimum(speeds[sharp], TURN_SPEED)
     for place, _ in path.stops:
         speeds[path.nearest(place)] = CREEP
     # The square of the speed changes evenly along the way: no point's is more than so much above another's.
@@ -226,12 +229,12 @@ def speed_profile(model: MotionModel, path: Path2D) -> Array:
     return np.sqrt(squares).astype(np.float32)
 
 
-def _folds(path: Path2D) -> Array:
-    """Whether the path turns back on itself at each point (N,)."""
-    before, after = path.tangents[: -2 * FOLD], path.tangents[2 * FOLD :]
-    folds = np.zeros(len(path.points), bool)
-    folds[FOLD : len(folds) - FOLD] = (before * after).sum(axis=-1) < BACK
-    return folds
+def _sharp_turns(path: Path2D) -> Array:
+    """Whether the path turns sharply at each point (N,)."""
+    before, after = path.tangents[: -2 * BESIDE_TURN], path.tangents[2 * BESIDE_TURN :]
+    sharp = np.zeros(len(path.points), bool)
+    sharp[BESIDE_TURN : len(sharp) - BESIDE_TURN] = (before * after).sum(axis=-1) < SHARP
+    return sharp
 
 
 def expected_seconds(model: MotionModel, path: Path2D) -> float:

@@ -7,7 +7,7 @@ import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
-const [BACK, NO_FURTHER, BESIDE, FOLD, TURN_SPEED] = [-0.9, 1, 15, 3, 100];
+const [BACK, NO_FURTHER, BESIDE, SHARP, TURN_SPEED, BESIDE_TURN] = [-0.9, 1, 15, -0.8, 30, 3];
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
 /** Points resampled evenly, with their directions and the parts they belong to. */
@@ -177,8 +177,8 @@ export class Follower {
       return speeds && speed != null ? Math.fround(Math.min(Math.max(wanted, speeds[0]), speeds[1])) : wanted;
     });
     const speeds = path.part.map((part) => asked[part]);
-    const turns = (n) => dot(path.tangents[n - FOLD], path.tangents[n + FOLD]) < BACK;
-    for (let n = FOLD; n < speeds.length - FOLD; n++) if (turns(n)) speeds[n] = Math.min(speeds[n], TURN_SPEED);
+    const sharp = (n) => dot(path.tangents[n - BESIDE_TURN], path.tangents[n + BESIDE_TURN]) < SHARP;
+    for (let n = BESIDE_TURN; n < speeds.length - BESIDE_TURN; n++) if (sharp(n)) speeds[n] = Math.min(speeds[n], TURN_SPEED);
     for (const [place] of this.stops) speeds[path.nearest(place)] = CREEP;
     // The square of the speed changes evenly along the way: no point's is more than so much above another's.
     const rise = 2 * ACCELERATION * SPACING;
