@@ -38,6 +38,7 @@ ARRIVED = 8.0  # cm before a stop at which it has been reached
 # Where a path turns back on itself: cosine between the ways there and back, how much further (cm) the body has to go
 # along the first to a place beyond the turn, and how far that may be beside it.
 BACK, NO_FURTHER, BESIDE = -0.9, 1.0, 15.0
+NEARER = 5.0  # cm by which the way back has to be nearer than the way there before the turn
 # Cosine between the ways before and after a turn that bodies slow down for, to so many cm/s (faster ones leap around
 # it), and how many points of the path to both sides tell.
 SHARP, TURN_SPEED, BESIDE_TURN = -0.8, 30.0, 3
@@ -172,8 +173,13 @@ class PathFollower:
     def _nearest(self, point: Array) -> float:
         first = max(0, int(max(self.arc - SEARCH_BACK, self.least) / SPACING))
         last = min(len(self.path.points), int((self.arc + SEARCH_AHEAD) / SPACING) + 2)
-        near = self.path.points[first:last]
-        nearest = first + int(np.linalg.norm(near - point, axis=-1).argmin())
+        away = np.linalg.norm(self.path.points[first:last] - point, axis=-1)
+        nearest = first + int(away.argmin())
+        # The way back is no better than the way there for being nearer by a little.
+        ways = self.path.tangents[first:last] @ self.path.tangents[self.path.nearest(self.arc)]
+        if float(ways[nearest - first]) < BACK:
+            there = np.flatnonzero((ways > 0.0) & (away < away.min() + NEARER))
+            nearest = first + int(there[away[there].argmin()]) if len(there) else nearest
         # Past the last point the way on is counted along its direction, so that the end can be reached.
         beyond = float(((point - self.path.points[-1]) * self.path.tangents[-1]).sum())
         arc = nearest * SPACING

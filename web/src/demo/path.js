@@ -7,7 +7,7 @@ import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
-const [BACK, NO_FURTHER, BESIDE, SHARP, TURN_SPEED, BESIDE_TURN] = [-0.9, 1, 15, -0.8, 30, 3];
+const [BACK, NO_FURTHER, BESIDE, NEARER, SHARP, TURN_SPEED, BESIDE_TURN] = [-0.9, 1, 15, 5, -0.8, 30, 3];
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
 /** Points resampled evenly, with their directions and the parts they belong to. */
@@ -212,6 +212,15 @@ export class Follower {
     for (let n = first; n < end; n++) {
       const away = Math.hypot(points[n][0] - x, points[n][1] - z);
       if (away < least) [best, least] = [n, away];
+    }
+    // The way back is no better than the way there for being nearer by a little.
+    const way = tangents[this.path.nearest(this.arc)];
+    if (dot(tangents[best], way) < BACK) {
+      let nearest = least + NEARER;
+      for (let n = first; n < end; n++) {
+        const away = Math.hypot(points[n][0] - x, points[n][1] - z);
+        if (dot(tangents[n], way) > 0 && away < nearest) [best, nearest] = [n, away];
+      }
     }
     const last = points.length - 1;
     if (best < last) return best * SPACING;
