@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from motionkit.editing.loop import Loop, make_loop
+from motionkit.editing.root_motion import in_place
 from motionkit.editing.upright import Upright
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion, write_motion
@@ -147,6 +148,38 @@ def test_a_clip_that_does_not_move_is_refused() -> None:
     )
     with pytest.raises(MotionkitError, match="does not move"):
         make_loop(still)
+
+
+def under_a_still_root(motion: Motion) -> Motion:
+    """The motion below another joint, which stays at the origin: the hips carry the way, as in some rigs."""
+    skeleton = motion.skeleton
+    frames, joints = len(motion), len(skeleton)
+    places = np.broadcast_to(
+        np.concatenate([np.zeros((1, 3)), skeleton.offsets]), (frames, joints + 1, 3)
+    ).copy()
+    places[:, 1] = motion.root_positions
+    still = np.broadcast_to(np.array([1.0, 0.0, 0.0, 0.0], np.float32), (frames, 1, 4))
+    return Motion(
+        Skeleton(
+            ("joint_Root", *skeleton.names),
+            (-1, *(parent + 1 for parent in skeleton.parents)),
+            np.concatenate([np.zeros((2, 3), np.float32), skeleton.offsets[1:]]),
+            {joint + 1: end for joint, end in skeleton.end_sites.items()},
+        ),
+        np.concatenate([still, motion.local_rotations], axis=1),
+        np.zeros((frames, 3), np.float32),
+        motion.fps,
+        places.astype(np.float32),
+    )
+
+
+def test_a_rig_whose_root_stands_still_goes_on() -> None:
+    walk = make_walk(300, turn=0.0)
+    made, wanted = make_loop(under_a_still_root(walk)), make_loop(walk)
+    assert (made.start, made.end) == (wanted.start, wanted.end)
+    places = motion_kinematics(made.motion)[1][:, 1:]
+    assert np.abs(places - motion_kinematics(wanted.motion)[1]).max() < 0.05
+    assert np.abs(in_place(under_a_still_root(walk)).root_positions[:, [0, 2]]).max() < 10.0
 
 
 def test_what_never_repeats_is_refused() -> None:

@@ -21,6 +21,10 @@ from motionkit.motion.up_axis import turned_world, up_turn
 from motionkit.view.figure_data import in_metres
 
 CM_PER_METRE = 100.0
+STILL_ROOT, MOVING_HIPS = (
+    1.0,
+    30.0,
+)  # cm within which a root stays that does not carry the way, and hips go that do
 _Y_UP = np.array([0.0, 1.0, 0.0], np.float32)
 
 
@@ -42,9 +46,9 @@ class Upright:
 
     @staticmethod
     def of(motion: Motion) -> Upright:
-        """Bring a motion of any rig and unit into cm with Y up."""
+        """Bring a motion of any rig and unit into cm with Y up, and with its way over the ground in the root."""
         metres = in_metres(motion)
-        scaled = metres.motion.scaled(CM_PER_METRE)
+        scaled = _carried_by_root(metres.motion.scaled(CM_PER_METRE))
         return Upright(scaled, metres.scale * CM_PER_METRE, metres.up, motion.skeleton)
 
     def back(self, motion: Motion) -> Motion:
@@ -87,6 +91,30 @@ class Upright:
             return np.zeros((len(self.motion), 0), np.float32)
         lift = np.array([0.0, floor_shift(self.canonical)[0], 0.0], np.float32)
         return foot_contacts(self.positions + lift, self.motion.fps)
+
+
+def _carried_by_root(motion: Motion) -> Motion:
+    """A motion in cm whose root moves where the joint below it did, if the root stood still; no joint is elsewhere.
+
+    Some rigs have a root that stays at the origin, and hips that go.
+    """
+    below = motion.skeleton.children(0)
+    if motion.local_positions is None or len(below) != 1 or _range(motion.root_positions) > STILL_ROOT:
+        return motion
+    offset = motion.skeleton.offsets[below[0]]
+    moved = motion.local_positions[:, below[0]] - offset
+    if _range(moved) < MOVING_HIPS:
+        return motion
+    places = motion.local_positions.copy()
+    places[:, below[0]] = offset
+    roots = motion.root_positions + quat_rotate(motion.local_rotations[:, 0], moved)
+    places[:, 0] = roots
+    return replace(motion, root_positions=roots, local_positions=places)
+
+
+def _range(places: Array) -> float:
+    """How far places (T, 3) go over the ground, along x or z."""
+    return float(np.ptp(places[:, [0, 2]], axis=0).max())
 
 
 def relative_rotation(above: Array, below: Array) -> Array:
