@@ -73,6 +73,14 @@ def test_what_a_path_file_has_of_its_own_is_refused_beside_it(follow, tmp_path: 
         follow_path(tmp_path / "way.csv", **{words[0][2:]: words[1]})
 
 
+def test_a_part_too_short_for_its_performance_is_told(motionkit, tmp_path: Path) -> None:
+    (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,1,walking\n0,1.3,cartwheel\n0,2,walking\n")
+    said = motionkit("follow-path", "way.csv", "-o", "a.bvh")
+    assert said.code == 0 and "part 2: cartwheel takes some 3" in said.err and "found 0.3 m" in said.err
+    (tmp_path / "long.csv").write_text("x,z,type\n0,0,cartwheel\n0,3,cartwheel\n")
+    assert "may not be shown" not in motionkit("follow-path", "long.csv", "-o", "a.bvh").err
+
+
 def test_a_broken_table_names_the_line(follow, tmp_path: Path) -> None:
     (tmp_path / "way.csv").write_text("x,z,type\n0,0,walking\n0,far,walking\n")
     assert follow("way.csv").failed_with("way.csv:3: expected numbers")

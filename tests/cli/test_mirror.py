@@ -57,6 +57,17 @@ def run(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
     return 0
 
 
+def test_the_output_may_be_an_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clip, made, other = (tmp_path / name for name in ("a.bvh", "b.bvh", "c.bvh"))
+    clip.write_text(RIG)
+    assert run(monkeypatch, "mirror", clip, "-o", made) == run(monkeypatch, "mirror", clip, other) == 0
+    assert made.read_bytes() == other.read_bytes()
+    assert run(monkeypatch, "mirror", clip) == run(monkeypatch, "mirror", clip, made, "-o", other) == 2
+    assert "one place to write to" in capsys.readouterr().err
+
+
 def test_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     source, target = tmp_path / "in.bvh", tmp_path / "out.bvh"
     source.write_text(RIG)

@@ -19,6 +19,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, quat_multiply
 from motionkit.motion.skeleton import Skeleton
+from synthetic_motions import make_walk
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"
 NONE = Repairs(glitches=False, trembling=False, floor=False, sliding=False)
@@ -104,6 +105,24 @@ def test_feet_are_held_on_the_rig_itself(clip: Motion, floor: bool) -> None:
         assert canonical is not None
         there = motion_kinematics(canonical)[1][:, canonical.skeleton.names.index(name)]
         assert np.linalg.norm(own - there, axis=-1).max() < 1.5
+
+
+@pytest.mark.parametrize(("off", "moves"), [(5.0, False), (60.0, True)])
+def test_the_floor_of_a_rig_without_toes_is_moved_only_if_it_is_far_off(off: float, moves: bool) -> None:
+    walk = make_walk(120)
+    toes = [j for j, name in enumerate(walk.skeleton.names) if "Toe" in name]
+    keep = [j for j in range(len(walk.skeleton)) if j not in toes]
+    new = {joint: number for number, joint in enumerate(keep)}
+    skeleton = Skeleton(
+        tuple(walk.skeleton.names[j] for j in keep),
+        tuple(new.get(walk.skeleton.parents[j], -1) for j in keep),
+        walk.skeleton.offsets[keep],
+    )
+    up = np.array([0.0, off, 0.0], np.float32)
+    toeless = Motion(skeleton, walk.local_rotations[:, keep], walk.root_positions + up, walk.fps)
+    fixed = fix_motion(toeless, replace(NONE, floor=True))
+    moved = float((fixed.motion.root_positions - toeless.root_positions)[:, 1].mean())
+    assert (abs(moved) > 0.5 * off) == moves and any("no toes" in note for note in fixed.notes) != moves
 
 
 def test_a_rig_without_bones_is_refused(clip: Motion) -> None:

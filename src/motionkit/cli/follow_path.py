@@ -73,7 +73,7 @@ def command(
     """
     from motionkit.control.follow import expected_seconds, follow_path
     from motionkit.control.path import read_path, shape_path
-    from motionkit.control.speeds import check_speeds, other_speeds
+    from motionkit.control.speeds import check_speeds, other_speeds, short_performances
     from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
     from motionkit.files import check_outputs
@@ -100,7 +100,7 @@ def command(
         check_speeds(model, target)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature, model), character, init, ik, fps)
     announce(expected_seconds(model, target), model.fps, options)
-    for line in other_speeds(model, target):
+    for line in other_speeds(model, target) + short_performances(model, target):
         remark(line)
     with progress_bar() as bar:
         task = bar.add_task("following", total=100)

@@ -12,16 +12,21 @@ from motionkit.errors import MotionkitError
 
 @click.command("mirror")
 @click.argument("source", type=click.Path(path_type=Path, exists=True))
-@click.argument("target", type=click.Path(path_type=Path))
+@click.argument("target", required=False, type=click.Path(path_type=Path))
+@click.option("-o", "--output", type=click.Path(path_type=Path), help="TARGET, as other commands have it.")
 @click.option("--strict", is_flag=True, help="Folders: stop at the first file that cannot be mirrored.")
 @json_option
-def command(source: Path, target: Path, strict: bool, as_json: bool) -> None:
+def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:
     """Write the mirror image of a BVH file: same hierarchy and channels, left and right swapped.
 
     SOURCE and TARGET are two files or two folders. In folders, every .bvh file below SOURCE is mirrored to
     the same place below TARGET; links to folders are followed. TARGET must be another file, or a folder
     outside SOURCE: the command never overwrites its input.
     """
+    if (target is None) == (output is None):
+        raise click.UsageError("give one place to write to, as TARGET or with -o")
+    target = target or output
+    assert target is not None
     if source.is_dir():
         _mirror_folder(source, target, strict, as_json)
         return

@@ -7,12 +7,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.path import METRE, Path2D
+from motionkit.control.path import METRE, SPACING, Path2D
 from motionkit.errors import ControlError
 from motionkit.models.model import MotionModel
 
 DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
 SLOWEST = 20.0  # cm/s, at least
+SHORT = 0.5  # share of its time in which a performance may not be shown
 
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
@@ -47,6 +48,21 @@ def other_speeds(model: MotionModel, path: Path2D) -> list[str]:
         f"part {number}: {kind} goes at {gone / METRE:.2f} m/s instead of {asked / METRE:g}: {_recorded(model, kind)}"
         for number, kind, asked, gone in _changed(model, path)
     ]
+
+
+def short_performances(model: MotionModel, path: Path2D) -> list[str]:
+    """A line for each part that is gone along in less than half the time that a flip, jump or strike takes."""
+    lines = []
+    speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
+    for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
+        kind = model.types.get(part.type)
+        seconds = 0.0 if kind is None or not kind.has_phase else model.phase_seconds(part.type)
+        if float(length / speed) < SHORT * seconds:
+            lines.append(
+                f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
+                f"{float(length) / METRE:.1f} m, in which it may not be shown"
+            )
+    return lines
 
 
 def check_speeds(model: MotionModel, path: Path2D) -> None:

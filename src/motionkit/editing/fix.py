@@ -34,6 +34,7 @@ MEASURED: dict[str, str] = {
     "skate-ratio": "share of standing toes that slide",
     "jerk": "jerk",
 }
+FAR_OFF = 15.0  # cm; a floor that is further off is seen without toes, whose height is guessed then
 
 
 @dataclass(frozen=True)
@@ -144,7 +145,10 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
     if repairs.sliding:
         before = replace(canonical, root_positions=canonical.root_positions + up)
         raised = _moved_like(raised, rig, before, lock_feet(before, upright.contacts))
-    if not repairs.floor:
+    sure = all(f"{side}ToeBase" in rig.places for side in SIDES) or abs(shift) > FAR_OFF
+    if repairs.floor and not sure:
+        notes = (*notes, "the rig has no toes, which show where its floor is: it was left where it is")
+    if not (repairs.floor and sure):
         raised = replace(raised, root_positions=raised.root_positions - up)
     return raised, notes
 

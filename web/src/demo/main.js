@@ -13,7 +13,9 @@ const still = matchMedia("(prefers-reduced-motion: reduce)");
 
 // Begun before anything else: they take longest.
 const loaded = Promise.all([fetched("motionkit.wasm").then((bytes) => WebAssembly.compile(bytes)), fetched("model.bin").then(readModel)]);
-const replayed = readAddress(location.href).catch(() => null);
+let damaged = false;
+const replayed = readAddress(location.href).catch(() => ((damaged = true), null));
+addEventListener("hashchange", () => location.reload()); // another link in the same tab
 
 async function fetched(name) {
   const answer = await fetch(name);
@@ -42,6 +44,7 @@ async function begin(play) {
   const first = old?.done ?? (still.matches ? [] : [[0, { do: "stroll", character: 1 }]]);
   play.link.begin(kernel, old?.seed ?? 1 + Math.floor(Math.random() * 9999), first);
   if (first.length) play.watch();
+  if (damaged) play.say("The link is cut off or damaged, so this is another motion.");
   document.documentElement.dataset.ready = "true";
   if ("serviceWorker" in navigator) await navigator.serviceWorker.register("sw.js");
 }
