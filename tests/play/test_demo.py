@@ -341,6 +341,20 @@ def test_somebody_walks_until_steered_and_a_link_does_it_again(visit: Callable[.
     again.close()
 
 
+def test_a_damaged_link_is_told(visit: Callable[..., Page], address: str) -> None:
+    page = visit(f"{address}#do=abc")
+    assert "damaged" in page.locator("#hint").inner_text()
+    assert "damaged" not in visit().locator("#hint").inner_text()
+
+
+def test_another_link_in_the_same_tab_is_done(visit: Callable[..., Page], address: str) -> None:
+    page = visit()
+    with page.expect_navigation():
+        page.evaluate("location.hash = 'do=def'")
+    page.wait_for_function(START, timeout=PATIENCE)
+    assert "damaged" in page.locator("#hint").inner_text()
+
+
 def test_a_drawn_path_is_followed(visit: Callable[..., Page]) -> None:
     page = visit(reduced_motion="reduce")
     wait_frames(page, 30)
