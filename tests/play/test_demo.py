@@ -409,6 +409,38 @@ def test_the_hand_rests_where_a_drawn_path_is_to_stop(page: Page) -> None:
     assert asked["stops"]
 
 
+def test_who_is_removed_while_recording_leaves_its_file(visit: Callable[..., Page], tmp_path: Path) -> None:
+    page = visit()
+    page.evaluate("motionkit.add()")
+    page.wait_for_function("motionkit.mine.length === 2", timeout=PATIENCE)
+    page.evaluate("motionkit.record()")
+    page.wait_for_function("motionkit.told.get(motionkit.chosen).recording", timeout=PATIENCE)
+    wait_frames(page, 30)
+    began = page.evaluate("motionkit.recordedFrom")
+    chosen = page.evaluate("motionkit.chosen")
+    page.keyboard.press("Tab")
+    page.wait_for_function(
+        f"motionkit.chosen !== {chosen} && motionkit.recordedFrom === null", timeout=PATIENCE
+    )
+    page.keyboard.press("Tab")
+    page.wait_for_function(f"motionkit.recordedFrom === {began}", timeout=PATIENCE)
+    with page.expect_download(timeout=PATIENCE * 1000) as made:
+        page.get_by_role("button", name=f"Remove character {chosen}").click()
+    made.value.save_as(tmp_path / "a.bvh")
+    assert len(read_bvh(tmp_path / "a.bvh").values) >= 30
+    page.wait_for_function("motionkit.mine.length === 1", timeout=PATIENCE)
+    page.close()
+
+
+def test_arrow_keys_move_a_slider_that_has_the_focus(visit: Callable[..., Page]) -> None:
+    page = visit()
+    page.locator("input[type=range]").focus()
+    before = page.evaluate("motionkit.noise.value")
+    page.keyboard.press("ArrowRight")
+    assert page.evaluate("motionkit.noise.value") > before
+    page.close()
+
+
 def test_a_recording_is_the_motion_that_was_shown(page: Page, tmp_path: Path) -> None:
     with page.expect_download(timeout=PATIENCE) as download:
         page.evaluate("motionkit.record()")

@@ -41,6 +41,7 @@ export class Play {
     this.sheets = new Sheets($("dock"), [{ name: "Types", panel: $("types") }, { name: "More", panel: $("tools") }]);
     this.characters = new Map(); // id to what is shown of it
     this.told = new Map(); // id to what the server says of it
+    this.recordedFroms = new Map(); // id to when its recording began
     Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [], shownFrames: 0 });
     this.theme = initialTheme();
     this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
@@ -426,7 +427,8 @@ export class Play {
   #keys() {
     addEventListener("keydown", (event) => {
       if (event.ctrlKey || event.metaKey || event.altKey || $("help").open || !this.hello) return;
-      if (event.target instanceof HTMLSelectElement) return;
+      const { target } = event;
+      if (target instanceof HTMLSelectElement || (target.type === "range" && event.key.startsWith("Arrow"))) return;
       if (!event.repeat) this.touched = event.timeStamp;
       if (this.steering.key(event, true)) {
         event.preventDefault();
@@ -554,7 +556,7 @@ export class Play {
       const box = element("div", { className: "character" }, button(`Character ${id}`, "Steer this one (Tab)", () => this.choose(id), swatch, `${id}`));
       box.classList.toggle("chosen", id === this.chosen);
       if (this.mine.length > 1) {
-        const close = button(`Remove character ${id}`, "Remove", () => this.link.ask("remove", { character: id }), "×");
+        const close = button(`Remove character ${id}`, "Remove", () => this.#dismiss(id), "×");
         close.classList.add("close");
         box.append(close);
       }
@@ -567,12 +569,18 @@ export class Play {
     if (own) {
       this.bodies.value = own.body;
       if (document.activeElement !== this.noise) this.noise.value = String(own.temperature);
-      this.#recordState(own.recording);
+      this.#recordState(this.chosen, own.recording);
     }
   }
 
   add() {
     this.link.ask("add", { body: this.told.get(this.chosen)?.body ?? "default" });
+  }
+
+  // What it has recorded is downloaded first.
+  #dismiss(character) {
+    if (this.told.get(character)?.recording) this.link.ask("record", { character, on: false });
+    this.link.ask("remove", { character });
   }
 
   #next() {
@@ -592,11 +600,12 @@ export class Play {
     this.link.ask("record", { character: this.chosen, on: !this.told.get(this.chosen)?.recording });
   }
 
-  #recordState(on) {
-    if (Boolean(this.recordedFrom) === on && this.recordButton.childNodes.length) {
-      if (this.recordButton.classList.contains("recording") === on) return;
-    }
-    this.recordedFrom = on ? performance.now() : null;
+  #recordState(character, on) {
+    const from = on ? (this.recordedFroms.get(character) ?? performance.now()) : null;
+    if (on) this.recordedFroms.set(character, from);
+    else this.recordedFroms.delete(character);
+    if (from === this.recordedFrom && this.recordButton.childNodes.length) return;
+    this.recordedFrom = from;
     this.recordButton.classList.toggle("recording", on);
     this.recordButton.replaceChildren(element("span", { className: "dot" }), on ? "0.0 s" : "Record");
   }
@@ -630,9 +639,10 @@ export class Play {
   }
 
   #hint() {
+    const touch = matchMedia("(pointer: coarse)").matches;
     const text = this.drawing
-      ? "Draw on the ground with mouse or finger; rest a moment where the path is to stop. Esc or Draw path ends drawing."
-      : matchMedia("(pointer: coarse)").matches
+      ? `Draw on the ground with mouse or finger; rest a moment where the path is to stop. ${touch ? "More, then" : "Esc or"} Draw path ends drawing.`
+      : touch
         ? "Push the stick to go, past its rim to run; drag elsewhere to look around"
         : "W A S D to go, Shift faster, drag to look around, ? for all keys";
     $("hint").style.pointerEvents = "none";
