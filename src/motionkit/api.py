@@ -266,12 +266,9 @@ def write_view(
 
     Raises MotionkitError for another ending, and without Pillow for pictures (`pip install 'motionkit[view]'`).
     """
-    from motionkit.view.figure_data import Shown
+    from motionkit.view.figure_data import shown_motions
 
-    if names and len(names) != len(motions):
-        raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
-    names = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
-    shown = [Shown(name, motion) for name, motion in zip(names, motions, strict=True)]
+    shown = shown_motions(motions, names or ())
     kind = Path(path).suffix.lower()
     if kind == ".html":
         from motionkit.view.viewer import write_viewer

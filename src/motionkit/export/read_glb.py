@@ -30,9 +30,7 @@ from motionkit.motion.skeleton import Skeleton
 CM = 100.0
 FPS = 60.0  # of a file that does not say its own and whose keys are not evenly spaced
 FASTEST, MOST_FRAMES = 480.0, 500_000
-KEY_WITHIN = (
-    1e-3  # share of the time between two keys by which a frame may be before a key and counts as at it
-)
+KEY_WITHIN = 1e-3  # share of the time between two keys within which a frame before a key counts as at it
 MOST_JOINTS = 1000
 # Extensions that concern meshes and their looks only.
 _HARMLESS = ("KHR_materials", "KHR_texture", "KHR_lights", "KHR_draco_mesh", "KHR_mesh_quantization", "VRMC_")

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.arrays import Array
-from motionkit.errors import SkeletonError
+from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.metrics.loading import PLAUSIBLE_LEG
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.mirror import joint_sides
@@ -52,6 +52,18 @@ class Shown:
     motion: Motion
     types: Sequence[tuple[str, float]] = ()
     path: Array | None = None
+
+
+def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[Shown]:
+    """Motions with their names; "motion 1", "motion 2" ... by default.
+
+    Raises:
+        MotionkitError: there are other names than motions.
+    """
+    if names and len(names) != len(motions):
+        raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
+    called = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
+    return [Shown(name, motion) for name, motion in zip(called, motions, strict=True)]
 
 
 def pack(values: NDArray, kind: str) -> dict[str, Any]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
-from motionkit.view.figure_data import Shown
+from motionkit.view.figure_data import shown_motions
 from motionkit.view.viewer import viewer_page
 
 MOST_HEIGHT = 2000  # pixels
@@ -46,10 +46,7 @@ def show(*motions: Motion, names: Sequence[str] = (), height: int = 420, control
     Raises:
         MotionkitError: no motions or too many, other names than motions, or an unlikely height.
     """
-    if names and len(names) != len(motions):
-        raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
+    shown = shown_motions(motions, names)
     if not 50 <= height <= MOST_HEIGHT:
         raise MotionkitError(f"expected a height of 50 to {MOST_HEIGHT} pixels, found {height}")
-    called = names or [f"motion {number}" for number in range(1, len(motions) + 1)]
-    shown = [Shown(name, motion) for name, motion in zip(called, motions, strict=True)]
     return Player(viewer_page(shown, bare=not controls), height)
