@@ -2,11 +2,12 @@
 
 import { STANDS_BELOW, stands } from "./springs.js";
 
+const [LEAD, LEAD_SECONDS] = [0.3, 0.35];
 const [TRIM_SECONDS, WAIT_SECONDS, SAME_WISH, LEAST, MOST] = [1, 0.5, 0.1, 0.75, 1.35];
 
 export class SpeedTrim {
   constructor(model) {
-    Object.assign(this, { model, shares: {}, kind: -1, wish: [0, 0], since: 0 });
+    Object.assign(this, { model, shares: {}, kind: -1, wish: [0, 0], since: 0, lead: 0 });
   }
 
   /** The velocity [x, z] to ask a gait for in this frame, for one that is wanted and one at which the body goes. */
@@ -18,7 +19,11 @@ export class SpeedTrim {
       return velocity;
     }
     const far = Math.hypot(velocity[0] - this.wish[0], velocity[1] - this.wish[1]);
-    if (kind !== this.kind || far > SAME_WISH * speed) Object.assign(this, { kind, wish: velocity, since: 0 });
+    if (kind !== this.kind || far > SAME_WISH * speed) {
+      const change = kind === this.kind ? speed - Math.hypot(...this.wish) : 0;
+      const lead = LEAD * Math.min(Math.max(change, -speed), speed);
+      Object.assign(this, { kind, wish: velocity, since: 0, lead });
+    }
     this.since += 1;
     let share = this.shares[kind] ?? 1;
     const found = this.since > WAIT_SECONDS * fps;
@@ -28,7 +33,8 @@ export class SpeedTrim {
     }
     // Not beyond the speeds of the recordings for the sake of one within them.
     const [slowest, fastest] = types[kind].speeds ?? [0, Infinity];
-    share = Math.max(Math.min(share * speed, Math.max(fastest, speed)), Math.min(slowest, speed)) / speed;
+    const asked = share * speed + (this.since <= LEAD_SECONDS * fps ? this.lead : 0);
+    share = Math.max(Math.min(asked, Math.max(fastest, speed)), Math.min(slowest, speed)) / speed;
     if (found) this.shares[kind] = share;
     return [share * velocity[0], share * velocity[1]];
   }
