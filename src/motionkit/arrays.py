@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 Array = NDArray[Any]
@@ -30,6 +31,14 @@ def smoothstep(x: Array) -> Array:
 def lerp(a: Array, b: Array, share: Array | float) -> Array:
     """Linear interpolation from a (share 0) to b (share 1); share is broadcast against both."""
     return a + share * (b - a)
+
+
+def smoothed(values: Array, half: int) -> Array:
+    """Values (T, k) averaged over `half` frames to both sides, the nearer the more."""
+    kernel = np.hanning(2 * half + 3)[1:-1]
+    kernel = (kernel / kernel.sum()).astype(values.dtype)
+    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
+    return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
 
 
 def lower_median(values: Array, axis: int = 0) -> Array:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.motion.foot_ik import LIFT_FRAMES, MIN_LOCK_FRAMES, lock_feet, locked_spans
+from motionkit.motion.foot_ik import LIFT_FRAMES, MIN_LOCK_FRAMES, hold_root, lock_feet, locked_spans
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import LOCK, TOE
 from motionkit.motion.motion import Motion
@@ -211,7 +211,7 @@ def test_feet_in_contact_decide_the_way_of_the_root() -> None:
     """A body that glides while both feet are down stays where it is, and goes on when they leave the floor."""
     motion = sliding(90, 12.0)
     contacts = feet_down(90, [(30, 60)], [(30, 60)])
-    held, free = lock_feet(motion, contacts, hold=1.0), lock_feet(motion, contacts)
+    held, free = lock_feet(hold_root(motion, contacts, 1.0), contacts), lock_feet(motion, contacts)
     way = [float(m.root_positions[59, 2] - m.root_positions[31, 2]) for m in (motion, free, held)]
     assert way[0] > 5.0 and abs(way[1] - way[0]) < 0.1
     assert abs(way[2]) < 0.5 * way[0]
@@ -241,11 +241,15 @@ def test_feet_are_held_and_let_go_in_the_same_time_at_any_rate(fps: float) -> No
 def test_feet_hold_the_root_in_the_frames_that_say_so() -> None:
     motion = sliding(speed=20.0)
     contacts = np.ones((len(motion), 4), np.float32)
-    whole, none = (lock_feet(motion, contacts, hold).root_positions for hold in (1.0, 0.0))
-    assert np.array_equal(lock_feet(motion, contacts, np.ones(len(motion))).root_positions, whole)
+    whole, none = (
+        lock_feet(hold_root(motion, contacts, hold), contacts).root_positions for hold in (1.0, 0.0)
+    )
+    assert np.array_equal(
+        lock_feet(hold_root(motion, contacts, np.ones(len(motion))), contacts).root_positions, whole
+    )
     half = np.zeros(len(motion), np.float32)
     half[60:] = 1.0
-    mixed = lock_feet(motion, contacts, half).root_positions[:, ::2]
+    mixed = lock_feet(hold_root(motion, contacts, half), contacts).root_positions[:, ::2]
     assert np.abs(mixed[:60] - none[:60, ::2]).max() < 0.5
     went = [np.linalg.norm(path[-1] - path[60]) for path in (mixed, whole[:, ::2], none[:, ::2])]
     assert went[0] == pytest.approx(went[1], rel=0.1) and went[0] < 0.5 * went[2]

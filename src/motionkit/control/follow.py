@@ -297,7 +297,7 @@ def follow_path(
     rollout = run(state, limit, follower, report, finished)
     seconds = time.perf_counter() - began
     track = rollout.ground[0, :, :2]
-    motion, raw = finish_motions(model, rollout, 0, skeleton, options)
+    motion, raw = finish_motions(model, rollout, 0, skeleton, options, [part.type for part in path.parts])
     return FollowResult(
         motion,
         trajectory_distance(track, path.points),

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.easing import acceleration_limit, eased_turns, eased_way
 from motionkit.control.flight import come_down, falling_freely
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
@@ -19,7 +20,7 @@ from motionkit.errors import ControlError
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
-from motionkit.motion.foot_ik import lock_feet
+from motionkit.motion.foot_ik import hold_root, lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
 from motionkit.seeds import check_seed
@@ -153,8 +154,10 @@ def synthesize(
     for i in range(count):
         mine = rollout.first(frames[turn[i]])
         skeleton = skeletons[i % len(skeletons)]
-        motion, raw = finish_motions(model, mine, i, skeleton, options, model.root_hold(weights[turn[i]]))
-        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
+        plan, hold = plans[turn[i]], model.root_hold(weights[turn[i]])
+        shown = [part.type for part in plan]
+        motion, raw = finish_motions(model, mine, i, skeleton, options, shown, hold)
+        motions.append(Synthesis(motion, mine.contacts[i], tuple(plan), raw))
     return SynthesisResult(tuple(motions), seconds)
 
 
@@ -187,6 +190,7 @@ def finish_motion(
     index: int,
     skeleton: Skeleton,
     options: SynthesisOptions,
+    kinds: Iterable[str],
     hold: Array | float = 0.0,
 ) -> Motion:
     """One character of a roll-out as a motion to write: on its skeleton, feet locked, flights falling, at its rate.
@@ -194,12 +198,15 @@ def finish_motion(
     A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
     Args:
+        kinds: the types it performs, whose recordings limit how it accelerates.
         hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way; 0
             where the way was given.
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
-        motion = come_down(lock_feet(motion, rollout.contacts[index], hold))
+        contacts = rollout.contacts[index]
+        motion = eased_way(hold_root(eased_turns(motion), contacts, hold), acceleration_limit(model, kinds))
+        motion = come_down(lock_feet(motion, contacts))
     motion = on_character(motion, skeleton)
     if options.ik:
         motion = falling_freely(motion)
@@ -212,14 +219,15 @@ def finish_motions(
     index: int,
     skeleton: Skeleton,
     options: SynthesisOptions,
+    kinds: Iterable[str],
     hold: Array | float = 0.0,
 ) -> tuple[Motion, Motion | None]:
     """One character's motion to write, and the same with feet not locked if the options ask for it."""
     without = replace(options, ik=False)
-    raw = finish_motion(model, rollout, index, skeleton, without) if options.raw else None
+    raw = finish_motion(model, rollout, index, skeleton, without, kinds) if options.raw else None
     if options.keys:
         return _meeting(model, rollout, index, skeleton, options), raw
-    motion = finish_motion(model, rollout, index, skeleton, options, hold)
+    motion = finish_motion(model, rollout, index, skeleton, options, kinds, hold)
     return motion, raw
 
 

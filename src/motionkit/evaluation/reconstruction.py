@@ -110,9 +110,9 @@ def roll_like(
     takes = []
     for index, clip in enumerate(clips):
         # The way is given, as on a path: feet that are locked do not change it.
-        held, raw = finish_motions(
-            model, rollout.first(clip.frames), index, skeleton, SynthesisOptions(raw=True)
-        )
+        mine, options = rollout.first(clip.frames), SynthesisOptions(raw=True)
+        kinds = [kind for kind in asked[index].shown if kind in model.types]
+        held, raw = finish_motions(model, mine, index, skeleton, options, kinds)
         assert raw is not None, "the options ask for it"
         takes.append(Take(body_of(held), body_of(raw)))
     return takes

@@ -29,6 +29,11 @@ class SequenceControls:
         self.player, self.kind = ReferencePlayer(model, rests=True), ""
         self.near: Array | None = last_poses(model, data.features[:initial])
 
+    @property
+    def shown(self) -> list[str]:
+        """The recording's types, in the order of their names' numbers."""
+        return [self.types[i] for i in np.unique(self.data.types)]
+
     def __call__(self, frame: int, ground: Array) -> Controls:
         at = np.array([min(self.initial + frame, len(self.data.types) - 1)])
         trajectory = future_trajectory(self.data.ground, at, ground)

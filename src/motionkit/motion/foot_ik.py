@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from motionkit.arrays import Array, length, lower_median, smoothstep
+from motionkit.arrays import Array, length, lower_median, smoothed, smoothstep
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import (
     ANKLES,
@@ -47,14 +47,31 @@ RATE = 60.0
 ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
 
 
-def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Motion:
+def hold_root(motion: Motion, contacts: Array, share: Array | float) -> Motion:
+    """Take sliding of feet in contact out of the root's way over the ground, smoothly.
+
+    Args:
+        motion: T frames on the canonical joints, in cm.
+        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
+        share: of the sliding (T,), or one for all frames; 0 keeps the way, 1 lets feet decide it.
+    """
+    shares = np.broadcast_to(np.asarray(share, np.float32), len(motion))[1:, None]
+    if not shares.any():
+        return motion
+    feet = motion_kinematics(motion)[1][:, list(FOOT_JOINTS)]
+    slip = shares * root_slip(feet[:-1], feet[1:], contacts[1:])
+    shift = np.zeros_like(motion.root_positions)
+    shift[1:, ::2] = -np.cumsum(slip, axis=0, dtype=np.float64)
+    shift[:, ::2] = smoothed(shift[:, ::2].astype(np.float64), _frames(HOLD_FRAMES, motion.fps))
+    return replace(motion, root_positions=motion.root_positions + shift)
+
+
+def lock_feet(motion: Motion, contacts: Array) -> Motion:
     """Hold the feet of a motion while they touch the floor, and keep toes above it.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
-        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way
-            over the ground; 0 keeps the way, 1 lets feet decide it.
+        contacts: as for hold_root, which goes before.
 
     Returns:
         The motion with changed leg rotations and root positions.
@@ -62,15 +79,6 @@ def lock_feet(motion: Motion, contacts: Array, hold: Array | float = 0.0) -> Mot
     if len(motion) < 2:
         return motion
     turns, positions = motion_kinematics(motion)
-    share = np.broadcast_to(np.asarray(hold, np.float32), len(motion))[1:, None]
-    if share.any():
-        feet = positions[:, list(FOOT_JOINTS)]
-        slip = share * root_slip(feet[:-1], feet[1:], contacts[1:])
-        shift = np.zeros_like(motion.root_positions)
-        shift[1:, ::2] = -np.cumsum(slip, axis=0, dtype=np.float64)
-        shift[:, ::2] = _smoothed(shift[:, ::2].astype(np.float64), _frames(HOLD_FRAMES, motion.fps))
-        motion = replace(motion, root_positions=motion.root_positions + shift)
-        positions = positions + shift[:, None]
     rise = _rise(positions, motion.fps)
     if rise.any():
         motion = replace(motion, root_positions=motion.root_positions + rise)
@@ -220,14 +228,6 @@ def _easing(frames: int, ease: int) -> Array:
     return smoothstep(1.0 - np.arange(1, frames + 1) / ease)
 
 
-def _smoothed(values: Array, half: int) -> Array:
-    """Values (T, k) averaged over `half` frames to both sides, the nearer the more."""
-    kernel = np.hanning(2 * half + 3)[1:-1]
-    kernel = (kernel / kernel.sum()).astype(values.dtype)
-    padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
-    return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
-
-
 def _eased_most(size: Array, values: Array, half: int) -> Array:
     """Replace each of values (T, k) by the one of largest size (T,) within `half` frames, then smooth as widely.
 
@@ -235,7 +235,7 @@ def _eased_most(size: Array, values: Array, half: int) -> Array:
     """
     around = sliding_window_view(np.pad(size, half, constant_values=-1.0), 2 * half + 1)
     largest = values[around.argmax(axis=-1) + np.arange(len(size)) - half]
-    return _smoothed(largest, half)
+    return smoothed(largest, half)
 
 
 def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
