@@ -58,6 +58,28 @@ def test_standing_has_stances_that_are_unlike(dataset: Dataset, monkeypatch: pyt
     assert not any(np.array_equal(far.features, one.features) for one in nearest[:2])
 
 
+def test_where_there_are_enough_recordings_a_mirror_image_is_no_other_stance(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bundle, "STANCE_SHARE", 1.0)
+
+    def recordings() -> list[int]:
+        starts = start_poses_of(dataset, "walking", stands=True)
+        return [
+            clip.start
+            for one in starts
+            for clip in dataset.select("train")
+            if begins(dataset, clip, "walking", one.features)
+        ]
+
+    many = recordings()
+    count = len(set(many))
+    assert len(many) == 2 * count, "few recordings: each and its mirror image"
+    monkeypatch.setattr(bundle, "STANCES", count)
+    few = recordings()
+    assert len(few) == len(set(few)) == count
+
+
 def test_a_type_without_training_clips_has_no_references(tmp_path: Path) -> None:
     """It once ended a run that was over."""
     (tmp_path / "clips").mkdir()

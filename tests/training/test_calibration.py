@@ -15,7 +15,6 @@ from motionkit.models.checkpoint import load_model, save_model
 from motionkit.models.model import MotionModel
 from motionkit.training import calibration
 from motionkit.training.calibration import (
-    GAINS,
     Manner,
     calibrated_gains,
     calibrated_noise,
@@ -37,13 +36,14 @@ RECORDED = Manner(2.0, 50.0, 0.5, 0.1)
         (Manner(2.0, 50.0, 0.5, 0.1), 0.0),
         (Manner(2.0, 10.0, 0.5, 0.1), 0.0),  # smoother is no fault
         (Manner(2.0, 60.0, 0.5, 0.1), 0.0),
-        (Manner(2.0, 120.0, 0.5, 0.1), 0.25 * math.log(2.0)),  # twice 1.2 times the jerk
+        (Manner(2.0, 65.0, 0.5, 0.1), 0.25 * math.log(65.0 / 60.0)),  # more than 1.2 times the jerk
+        (Manner(2.0, 120.0, 0.5, 0.1), 0.25 * math.log(2.0) + math.log(2.4 / 1.4)),
         (Manner(1.0, 50.0, 0.5, 0.1), math.log(2.0)),
         (Manner(2.0, 50.0, 0.5, 0.0), 0.0),
         (Manner(2.0, 50.0, 0.5, 0.12), 0.0),
         (Manner(2.0, 50.0, 0.5, 0.29), math.log(2.0)),
         (Manner(4.0, 50.0, 0.5, 0.1), math.log(2.0)),  # too fast is as bad as too slow
-        (Manner(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(5.5 / 1.5)),
+        (Manner(1.0, 120.0, 0.1, 0.1), 1.25 * math.log(2.0) + math.log(2.4 / 1.4) + math.log(5.5 / 1.5)),
     ],
 )
 def test_the_cost_of_a_manner(made: Manner, cost: float) -> None:
@@ -56,11 +56,11 @@ def test_the_cost_of_a_manner(made: Manner, cost: float) -> None:
         ((0.5, 0.4, 0.3, 0.1, 0.2, 0.4), 1.5),
         ((0.28, 0.27, 0.26, 0.26, 0.26, 0.26), 1.0),  # neither more nor less is much better
         ((0.1, 0.3, 0.3, 0.3, 0.3, 0.3), 0.5),
-        ((0.4, 0.36, 0.32, 0.31, 0.27, 0.26), 1.5),
+        ((0.4, 0.36, 0.32, 0.28, 0.27, 0.26), 1.5),
     ],
 )
 def test_the_gain_nearest_to_one_that_is_nearly_the_best(costs: tuple[float, ...], gain: float) -> None:
-    assert calibration._cheapest(GAINS, costs) == gain
+    assert calibration._cheapest((0.5, 0.7, 1.0, 1.5, 2.0, 2.5), costs) == gain
 
 
 def test_the_manner_of_a_motion() -> None:

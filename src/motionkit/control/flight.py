@@ -13,13 +13,13 @@ import numpy as np
 
 from motionkit.arrays import Array, smoothstep, spans
 from motionkit.metrics.flight import FIT_FRAMES, FREE_FALL, centre_of_mass, flights, vertical_acceleration
-from motionkit.metrics.touch import FALL_ERROR, FALLING, TOUCH_HEIGHTS, touching
+from motionkit.metrics.touch import FALLING, TOUCH_HEIGHTS, touching
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 
 # m/s^2; what is further from free fall is no flight but a body on its hands, or one that glides. What is nearer than
-# FALL_ERROR stays as it is.
-NEAR = 4.5
+# the first stays as it is: short flights of runs would not get nearer.
+CLOSE, NEAR = 0.75, 4.5
 EASE = 5  # frames over which a correction comes and goes, since a corner in the way jerks
 GLIDES = 6.0  # cm; a body that comes higher above the ground than this, or falls most of the time, flies
 SMOOTH = 2  # frames to both sides over which what it comes down is averaged
@@ -35,7 +35,7 @@ def falling_freely(motion: Motion) -> Motion:
     roots = motion.root_positions.copy()
     for flight in flights(positions, ~touching(positions)):
         before, after = flight.start - 1, flight.end
-        if before < 0 or after >= len(positions) or not FALL_ERROR < abs(flight.error) <= NEAR:
+        if before < 0 or after >= len(positions) or not CLOSE < abs(flight.error) <= NEAR:
             continue
         frames = np.arange(before, after + 1)
         since, left = frames - before, after - frames

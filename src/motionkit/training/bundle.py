@@ -147,13 +147,17 @@ def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[St
         if frames == longest:
             data = dataset.read(clip, first, first + frames)
             far = float(np.linalg.norm(data.features[:, columns].mean(axis=0) - total / count))
-            ranked.append((far, clip.name, StartPose(data.features, data.contacts, data.ground)))
-    ranked.sort(key=lambda entry: entry[:2])
-    starts = [start for _, _, start in ranked]
+            ranked.append((far, clip, StartPose(data.features, data.contacts, data.ground)))
+    ranked.sort(key=lambda entry: (entry[0], entry[1].name))
     if not stands:
-        return starts[:STARTS_PER_TYPE]
-    nearer = max(STARTS_PER_TYPE, round(STANCE_SHARE * len(starts)))
-    return starts[: nearer : max(1, nearer // STANCES)][:STANCES]
+        return [start for _, _, start in ranked[:STARTS_PER_TYPE]]
+    # A mirror image begins where its recording does, and is another stance only where there are few.
+    recordings: dict[int, StartPose] = {}
+    for _, clip, start in ranked:
+        recordings.setdefault(clip.start, start)
+    starts = [start for _, _, start in ranked] if len(recordings) < STANCES else list(recordings.values())
+    nearer = min(max(STARTS_PER_TYPE, round(STANCE_SHARE * len(starts))), len(starts))
+    return [starts[i] for i in np.unique(np.linspace(0, nearer - 1, STANCES).round().astype(int))]
 
 
 def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
