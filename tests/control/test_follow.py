@@ -180,6 +180,27 @@ def test_types_blend_over_40_frames_between_parts(tiny_model: MotionModel) -> No
     assert mixed == pytest.approx(40, abs=6)
 
 
+def test_who_runs_walks_around_a_sharp_turn_and_to_a_stop(tiny_model: MotionModel) -> None:
+    there_and_back = np.array([[0.0, 0.0], [0.0, 900.0], [0.0, 0.0]], np.float32)
+    path = make_path(
+        [PathPart(there_and_back, "running", None, 1.0), PathPart(there_and_back[:2], "running")]
+    )
+    follower = PathFollower(tiny_model, path)
+    running, walking = (tiny_model.type_id(kind) for kind in ("running", "walking"))
+    slowest, _ = tiny_model.speed_range("running") or (0.0, 0.0)
+    slow = follower.speeds < 0.98 * slowest
+    assert (follower.shown[slow] == walking).all() and (
+        follower.shown[follower.speeds >= slowest] == running
+    ).all()
+    assert slow[path.nearest(900.0)] and slow[path.nearest(1800.0)] and 0.0 < slow.mean() < 0.5
+    weights = follower._type_weights(900.0)
+    assert float(weights[walking]) == 1.0 and float(follower._type_weights(300.0)[running]) == 1.0
+    walked = PathFollower(tiny_model, make_path([PathPart(there_and_back, "walking")]))
+    assert (walked.shown == walking).all(), "who walks has nothing slower"
+    straight = PathFollower(tiny_model, shape_path("line", 10.0, ["running"], None))
+    assert (straight.shown == running).all()
+
+
 def test_a_type_goes_at_its_own_speed_unless_told(tiny_model: MotionModel) -> None:
     path = shape_path("line", 10.0, ["running"], None)
     follower = PathFollower(tiny_model, path)

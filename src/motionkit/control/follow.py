@@ -16,7 +16,7 @@ from motionkit.control.opening import opening
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.speeds import part_speeds
-from motionkit.control.steering import usual_gaits
+from motionkit.control.steering import RUN_SPEED, WALK_SPEED, steered_type, usual_gaits
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
@@ -42,6 +42,7 @@ NEARER = 5.0  # cm by which the way back has to be nearer than the way there bef
 # Cosine between the ways before and after a turn that bodies slow down for, to so many cm/s (faster ones leap around
 # it), and how many points of the path to both sides tell.
 SHARP, TURN_SPEED, BESIDE_TURN = -0.8, 30.0, 3
+TOO_SLOW = 0.99  # of the slowest recorded speed of a run, below which a body walks
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,10 +82,10 @@ class PathFollower:
         self.model, self.path, self.fps = model, path, model.fps
         self.player, self.behind = ReferencePlayer(model, choice, own_share=0.0), behind
         self.first_steps = FirstSteps(model, choice)
-        self.types = np.array([model.type_id(part.type) for part in path.parts])
         self.type_count = len(model.types)
-        gaits = [model.types[part.type].gait for part in path.parts]
         self.speeds = speed_profile(model, path)
+        self.shown = shown_types(model, path, self.speeds)
+        gaits = [model.types[part.type].gait for part in path.parts]
         self.stops = list(path.stops)  # those to come
         stand = usual_gaits(model).stand
         self.stand = None if stand is None else model.type_id(stand)
@@ -210,7 +211,7 @@ class PathFollower:
         half = TYPE_BLEND_FRAMES // 2
         reach = self._speed_at(arc) * half / self.fps
         arcs = np.linspace(arc - reach, arc + reach, BLEND_SAMPLES)
-        kinds = self.types[self.path.part_at(arcs)]
+        kinds = self.shown[self.path.nearest(arcs)]
         weights = np.eye(self.type_count, dtype=np.float32)[kinds].mean(axis=0)
         if standing and self.stand is not None:
             weights *= 1.0 - standing
@@ -233,6 +234,23 @@ def speed_profile(model: MotionModel, path: Path2D) -> Array:
     squares = np.minimum.accumulate(speeds * speeds - slope) + slope
     squares = np.minimum.accumulate((squares + slope)[::-1])[::-1] - slope
     return np.sqrt(squares).astype(np.float32)
+
+
+def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
+    """The number (N,) of the type shown at each point: who runs walks where the path is slower than any recorded run.
+
+    Args:
+        speeds: (N,) speed_profile. It is slow around stops and sharp turns.
+    """
+    shown = np.array([model.type_id(part.type) for part in path.parts])[path.part]
+    walk = steered_type(model, (0.0, WALK_SPEED), 0.0)
+    slower = model.speed_range(walk)
+    for number, part in enumerate(path.parts):
+        gait, span = model.types[part.type].gait, model.speed_range(part.type)
+        if gait is None or span is None or slower is None or gait.speed <= RUN_SPEED or slower[0] >= span[0]:
+            continue
+        shown[(path.part == number) & (speeds < TOO_SLOW * span[0])] = model.type_id(walk)
+    return shown
 
 
 def _sharp_turns(path: Path2D) -> Array:

@@ -2,12 +2,13 @@
 
 import { free, typeNumber } from "./kernel.js";
 import { Player, askedSpeed } from "./player.js";
-import { TRAJECTORY, stands } from "./springs.js";
+import { TRAJECTORY, stands, steeredType } from "./springs.js";
 import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
 const [BACK, NO_FURTHER, BESIDE, NEARER, SHARP, TURN_SPEED, BESIDE_TURN] = [-0.9, 1, 15, 5, -0.8, 30, 3];
+const [RUN_SPEED, WALK_SPEED, TOO_SLOW] = [200, 130, 0.99];
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
 /** Points resampled evenly, with their directions and the parts they belong to. */
@@ -95,6 +96,7 @@ export class Follower {
     this.types = path.part.map((part) => numbers[part]);
     this.facings = path.part.map((part) => model.types[numbers[part]].gait?.facing ?? 0);
     this.speeds = this.#profile(numbers);
+    this.shown = this.#shownTypes();
   }
 
   /** Controls for a body at [x, z, heading]. */
@@ -157,14 +159,26 @@ export class Follower {
 
   // Type weights: the mean over half a blend behind and ahead, and standing.
   #weights(standing) {
-    const { arc, path, types, stand } = this;
+    const { arc, path, shown, stand } = this;
     const reach = (this.speeds[path.nearest(arc)] * TYPE_BLEND) / 2 / this.model.fps;
     const weights = new Float32Array(this.model.types.length);
-    for (let n = 0; n < BLEND_SAMPLES; n++) weights[types[path.nearest(arc - reach + (n * 2 * reach) / (BLEND_SAMPLES - 1))]] += 1 / BLEND_SAMPLES;
+    for (let n = 0; n < BLEND_SAMPLES; n++) weights[shown[path.nearest(arc - reach + (n * 2 * reach) / (BLEND_SAMPLES - 1))]] += 1 / BLEND_SAMPLES;
     if (!standing || stand < 0) return weights;
     for (let n = 0; n < weights.length; n++) weights[n] *= 1 - standing;
     weights[stand] += standing;
     return weights;
+  }
+
+  // The type shown at each point: who runs walks where the path is slower than any recorded run.
+  #shownTypes() {
+    const { types } = this.model;
+    const walk = steeredType(this.model, [0, WALK_SPEED], 0);
+    const slower = types[walk].speeds;
+    return this.types.map((number, n) => {
+      const { gait, speeds } = types[number];
+      const runs = gait && speeds && slower && gait.speed > RUN_SPEED && slower[0] < speeds[0];
+      return runs && this.speeds[n] < TOO_SLOW * speeds[0] ? walk : number;
+    });
   }
 
   // The speed at each point, which changes no faster than bodies brake and start, to each stop.
