@@ -178,15 +178,15 @@ def test_turned_and_placed_motions_lock_alike() -> None:
     [
         ([0.0] * 3 + [1.0] * 6 + [0.0] * 3, [(3, 9)]),
         ([1.0] * 12, [(0, 12)]),
-        ([0.5] * 12, []),  # never sure enough to begin
-        ([1.0] + [0.5] * 11, [(0, 12)]),  # but sure enough to go on
+        ([0.25] * 12, []),  # never sure enough to begin
+        ([1.0] + [0.25] * 11, [(0, 12)]),  # but sure enough to go on
         ([1.0] * (MIN_LOCK_FRAMES - 1) + [0.0] * 9, []),
         ([1.0] * 5 + [0.0] + [1.0] * 6, [(0, 5), (6, 12)]),
         ([0.0] * 12, []),
     ],
 )
 def test_locked_spans(level: list[float], spans: list[tuple[int, int]]) -> None:
-    assert LOCK.contact_off < 0.5 < LOCK.contact_on
+    assert LOCK.contact_off < 0.25 < LOCK.contact_on
     assert locked_spans(np.array([[v, 0.0] for v in level], np.float32)) == spans
     assert locked_spans(np.array([[0.0, v] for v in level], np.float32)) == spans
 

@@ -32,8 +32,8 @@ class LockSettings:
         least_change: smaller changes are left out.
     """
 
-    contact_on: float = 0.6
-    contact_off: float = 0.4
+    contact_on: float = 0.3
+    contact_off: float = 0.2
     ease_frames: int = 8
     brake_frames: int = 4
     max_slide: float = 12.0
