@@ -220,7 +220,7 @@ def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int)
 
 @pytest.mark.parametrize(
     ("asked", "choice", "seed"),
-    [("wishes", 0, 8), ("starts", 3, 4), ("types on a path", 5, 1), ("there and back", 2, 3)],
+    [("wishes", 0, 8), ("starts", 3, 4), ("types on a path", 5, 1), ("there and back", 2, 4)],
 )
 def test_the_page_makes_the_motion_of_numpy(page: Page, asked: str, choice: int, seed: int) -> None:
     noise = np.random.default_rng(seed).standard_normal((FRAMES + 1, 276), np.float32)
