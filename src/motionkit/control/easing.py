@@ -57,9 +57,8 @@ def eased_way(motion: Motion, most: float | None) -> Motion:
     span = max(1, round(PACE_SECONDS * motion.fps))
     if most is None or len(motion) <= 2 * span:
         return motion
-    unit = (
-        100.0 * (span / motion.fps) ** 2
-    )  # cm between a frame and the middle of its neighbours, twice, for 1 m/s^2
+    # For 1 m/s^2: twice as many cm as a frame is from the middle of those before and after.
+    unit = 100.0 * (span / motion.fps) ** 2
     begun = _going_on(motion.root_positions[:, ::2].astype(np.float64), span)
     way = begun.copy()
     for _ in range(ROUNDS):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.easing import acceleration_limit
 from motionkit.control.first_steps import FirstSteps
 from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
@@ -247,9 +248,8 @@ def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
     slower = model.speed_range(walk)
     for number, part in enumerate(path.parts):
         gait, span = model.types[part.type].gait, model.speed_range(part.type)
-        if gait is None or span is None or slower is None or gait.speed <= RUN_SPEED or slower[0] >= span[0]:
-            continue
-        shown[(path.part == number) & (speeds < TOO_SLOW * span[0])] = model.type_id(walk)
+        if gait and span and slower and gait.speed > RUN_SPEED and slower[0] < span[0]:
+            shown[(path.part == number) & (speeds < TOO_SLOW * span[0])] = model.type_id(walk)
     return shown
 
 
@@ -315,7 +315,8 @@ def follow_path(
     rollout = run(state, limit, follower, report, finished)
     seconds = time.perf_counter() - began
     track = rollout.ground[0, :, :2]
-    motion, raw = finish_motions(model, rollout, 0, skeleton, options, [part.type for part in path.parts])
+    most = acceleration_limit(model, [part.type for part in path.parts])
+    motion, raw = finish_motions(model, rollout, 0, skeleton, options, most)
     return FollowResult(
         motion,
         trajectory_distance(track, path.points),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -147,6 +147,7 @@ def synthesize(
         types = type_track(model, plans[0])
         controller = KeyedController(model, controller, options.keys, begin, types, share)
     frames = [len(each) for each in weights]
+    limits = [acceleration_limit(model, [part.type for part in plan]) for plan in plans]
     started = time.perf_counter()
     rollout = run(state, max(frames), controller, progress)
     seconds = time.perf_counter() - started
@@ -154,10 +155,9 @@ def synthesize(
     for i in range(count):
         mine = rollout.first(frames[turn[i]])
         skeleton = skeletons[i % len(skeletons)]
-        plan, hold = plans[turn[i]], model.root_hold(weights[turn[i]])
-        shown = [part.type for part in plan]
-        motion, raw = finish_motions(model, mine, i, skeleton, options, shown, hold)
-        motions.append(Synthesis(motion, mine.contacts[i], tuple(plan), raw))
+        hold = model.root_hold(weights[turn[i]])
+        motion, raw = finish_motions(model, mine, i, skeleton, options, limits[turn[i]], hold)
+        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
     return SynthesisResult(tuple(motions), seconds)
 
 
@@ -190,7 +190,7 @@ def finish_motion(
     index: int,
     skeleton: Skeleton,
     options: SynthesisOptions,
-    kinds: Iterable[str],
+    most: float | None = None,
     hold: Array | float = 0.0,
 ) -> Motion:
     """One character of a roll-out as a motion to write: on its skeleton, feet locked, flights falling, at its rate.
@@ -198,14 +198,14 @@ def finish_motion(
     A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
     Args:
-        kinds: the types it performs, whose recordings limit how it accelerates.
+        most: acceleration over the ground in m/s^2 (acceleration_limit of its types); None for no limit.
         hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way; 0
             where the way was given.
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
         contacts = rollout.contacts[index]
-        motion = eased_way(hold_root(eased_turns(motion), contacts, hold), acceleration_limit(model, kinds))
+        motion = eased_way(hold_root(eased_turns(motion), contacts, hold), most)
         motion = come_down(lock_feet(motion, contacts))
     motion = on_character(motion, skeleton)
     if options.ik:
@@ -219,15 +219,15 @@ def finish_motions(
     index: int,
     skeleton: Skeleton,
     options: SynthesisOptions,
-    kinds: Iterable[str],
+    most: float | None = None,
     hold: Array | float = 0.0,
 ) -> tuple[Motion, Motion | None]:
     """One character's motion to write, and the same with feet not locked if the options ask for it."""
     without = replace(options, ik=False)
-    raw = finish_motion(model, rollout, index, skeleton, without, kinds) if options.raw else None
+    raw = finish_motion(model, rollout, index, skeleton, without) if options.raw else None
     if options.keys:
         return _meeting(model, rollout, index, skeleton, options), raw
-    motion = finish_motion(model, rollout, index, skeleton, options, kinds, hold)
+    motion = finish_motion(model, rollout, index, skeleton, options, most, hold)
     return motion, raw
 
 

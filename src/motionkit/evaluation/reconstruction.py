@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array
+from motionkit.control.easing import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, finish_motions
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.evaluation.body import Body, body_of
@@ -111,8 +112,8 @@ def roll_like(
     for index, clip in enumerate(clips):
         # The way is given, as on a path: feet that are locked do not change it.
         mine, options = rollout.first(clip.frames), SynthesisOptions(raw=True)
-        kinds = [kind for kind in asked[index].shown if kind in model.types]
-        held, raw = finish_motions(model, mine, index, skeleton, options, kinds)
+        most = acceleration_limit(model, asked[index].shown)
+        held, raw = finish_motions(model, mine, index, skeleton, options, most)
         assert raw is not None, "the options ask for it"
         takes.append(Take(body_of(held), body_of(raw)))
     return takes

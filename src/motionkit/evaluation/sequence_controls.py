@@ -31,8 +31,8 @@ class SequenceControls:
 
     @property
     def shown(self) -> list[str]:
-        """The recording's types, in the order of their names' numbers."""
-        return [self.types[i] for i in np.unique(self.data.types)]
+        """The recording's types that the model has."""
+        return [name for i in np.unique(self.data.types) if (name := self.types[i]) in self.model.types]
 
     def __call__(self, frame: int, ground: Array) -> Controls:
         at = np.array([min(self.initial + frame, len(self.data.types) - 1)])

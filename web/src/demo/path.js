@@ -2,13 +2,13 @@
 
 import { free, typeNumber } from "./kernel.js";
 import { Player, askedSpeed } from "./player.js";
-import { TRAJECTORY, stands, steeredType } from "./springs.js";
+import { RUN_SPEED, TRAJECTORY, WALK_SPEED, stands, steeredType } from "./springs.js";
 import { FirstSteps } from "./steps.js";
 
 const SPACING = 2; // cm between the points of a path
 const [SEARCH_BACK, SEARCH_AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [30, 60, 20, 130, 10, 8];
 const [BACK, NO_FURTHER, BESIDE, NEARER, SHARP, TURN_SPEED, BESIDE_TURN] = [-0.9, 1, 15, 5, -0.8, 30, 3];
-const [RUN_SPEED, WALK_SPEED, TOO_SLOW] = [200, 130, 0.99];
+const TOO_SLOW = 0.99; // of the slowest recorded speed of a run, below which a body walks
 const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
 
 /** Points resampled evenly, with their directions and the parts they belong to. */

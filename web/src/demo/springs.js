@@ -4,7 +4,8 @@ export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
 export const STANDS_BELOW = 15; // cm/s; who is asked for less stands
 const GOES_FROM = 25; // cm/s; who is asked for more goes, where there is a gait to choose
 // A gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
-const [MOST_ASIDE, MOST_ASIDE_RUNNING, RUN_SPEED] = [Math.PI / 4, Math.PI / 6, 200];
+const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6];
+export const [RUN_SPEED, WALK_SPEED] = [200, 130]; // cm/s; a run is faster than this, a walk about as fast as that
 const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
 const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
 
