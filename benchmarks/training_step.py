@@ -59,10 +59,12 @@ class Timed:
         self.run.sampler.make_splices()
         self.plain, self.clock = plain, time.process_time if arguments.cpu_time else time.perf_counter
         if plain:
-            settings = options.optimizer
-            self.run.optimizer = torch.optim.AdamW(
-                self.run.module.parameters(), lr=settings.rate, betas=settings.betas, foreach=True
+            settings, made = options.optimizer, self.run.optimizers
+            made[0] = torch.optim.AdamW(
+                made[0].param_groups[0]["params"], lr=settings.rate, betas=settings.betas, foreach=True
             )
+            for other in made[1:]:
+                other.bfloat16 = False
         self.losses: dict[str, float] = {}
 
     def timed(self, work: Callable[[], object]) -> float:
@@ -92,7 +94,8 @@ class Timed:
 
         def update() -> None:
             torch.nn.utils.clip_grad_norm_(run.module.parameters(), options.optimizer.clip_norm)
-            run.optimizer.step()
+            for each in run.optimizers:
+                each.step()
             run.update_average()
 
         seconds = [windows, predictions, self.timed(gradients), self.timed(update)]

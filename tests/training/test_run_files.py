@@ -154,6 +154,7 @@ def _first(tensors: dict[str, torch.Tensor], prefix: str) -> str:
         ("optimizer.exp_avg_sq.", lambda t: -1.0 - t.abs(), "has -1"),
         ("optimizer.step.", lambda t: t * 0.0, "has 0"),
         ("optimizer.step.", lambda t: None, "is missing"),
+        ("optimizer.momentum.", lambda t: t[:1], "expected (2, "),
         ("average.", lambda t: t.half(), "is of type F16"),
         ("average.", lambda t: None, "is missing"),
         ("weights.", lambda t: t * torch.nan, "numbers that are NaN or infinite"),
@@ -207,10 +208,22 @@ def test_facts_of_a_checkpoint(
     def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
         facts |= change
 
-    assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil)
+    assert complaint in _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil, method="adamw")
 
 
-def _resumed(dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoil: Callable) -> str:
+def test_runs_of_earlier_releases_had_adamw_alone(
+    dataset_folder: Path, finished_run: Path, tmp_path: Path, tiny_options
+) -> None:
+    def spoil(tensors: dict[str, torch.Tensor], facts: dict[str, Any]) -> None:
+        del facts["options"]["optimizer"]["method"]
+
+    complaint = _resumed(dataset_folder, finished_run, tmp_path, tiny_options, spoil)
+    assert "started with optimizer.method 'adamw' (now 'muon'); resume it with the same" in complaint
+
+
+def _resumed(
+    dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoil: Callable, **options: Any
+) -> str:
     """Return the error for a damaged copy of a run; check that nothing is written."""
     checkpoint = tmp_path / "m.run" / "checkpoint.safetensors"
     checkpoint.parent.mkdir()
@@ -220,8 +233,8 @@ def _resumed(dataset_folder: Path, run: Path, tmp_path: Path, tiny_options, spoi
     spoil(tensors, facts)
     save_file({n: t.contiguous() for n, t in tensors.items()}, checkpoint, {"run": json.dumps(facts)})
     with pytest.raises(ModelError) as caught:
-        options = tiny_options(steps=2, splices=0)
-        train(dataset_folder, tmp_path / "m.safetensors", options, resume=True, device="cpu")
+        now = tiny_options(steps=2, splices=0, **options)
+        train(dataset_folder, tmp_path / "m.safetensors", now, resume=True, device="cpu")
     message = str(caught.value)
     assert message.startswith(f"{checkpoint}: ") and len(message.splitlines()) == 1
     assert [p.name for p in tmp_path.iterdir()] == ["m.run"] and list(checkpoint.parent.iterdir()) == [

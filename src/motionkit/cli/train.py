@@ -90,6 +90,12 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option("--rate", type=FiniteRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
+    "--optimizer",
+    type=click.Choice(["muon", "adamw"]),
+    help="Optimizer of the matrices within layers; by default muon from random weights, adamw from a model and for "
+    "tptn-paper.",
+)
+@click.option(
     "--type-weights",
     metavar="TYPE=TIMES,...",
     callback=_type_weights,
@@ -166,6 +172,7 @@ def command(
     batch: int | None,
     window: int | None,
     rate: float | None,
+    optimizer: str | None,
     type_weights: dict[str, float],
     step_weight: float | None,
     step_except: tuple[str, ...],
@@ -217,6 +224,7 @@ def command(
         batch=batch,
         window=window,
         rate=rate,
+        method=optimizer,
         type_weights=type_weights,
         step_weight=step_weight,
         step_except=step_except,

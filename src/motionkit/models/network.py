@@ -179,6 +179,16 @@ class PartTransformer(Predictor):
             self.aggregate.weight.mul_(0.1)
             self.aggregate.bias.zero_()
 
+    def layer_matrices(self) -> dict[str, int]:
+        """Return the names of the weights (P, M, C N) within layers and of the fusion, and the C of each: how many
+        matrices it has side by side, 3 for queries, keys and values, else 1."""
+        found = {}
+        for name, module in self.named_modules():
+            within = ".layers." in name or name.partition(".")[0] in ("fusion", "cross")
+            if within and isinstance(module, PartLinear):
+                found[f"{name}.weight"] = 3 if name.endswith(".qkv") else 1
+        return found
+
     def stream(self, batch: int) -> NetworkStream:
         """Return the network's state for a batch of characters, before their first frame."""
         from motionkit.models.stream import NetworkStream

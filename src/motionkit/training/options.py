@@ -19,8 +19,9 @@ SHIPPED_LOSSES = LossOptions(outlier=3.0, beta_nll=0.5, slip_weight=10.0, weight
 
 @dataclass(frozen=True)
 class OptimizerOptions:
-    """AdamW, its batches and learning rate, and the running average of the weights."""
+    """The optimizer, its batches and learning rate, and the running average of the weights."""
 
+    method: str = "muon"  # or "adamw": for the matrices within layers too (training/optimizer.py)
     batch: int = 16  # windows per step, over all processes
     rate: float = 1e-3  # peak learning rate
     warmup: int = 200  # steps of linear warm-up

@@ -29,7 +29,14 @@ STAGES = (
 # 2000 epochs, no warm-up, no average of the weights, no clipping of the gradient.
 PAPER: dict[str, Any] = {
     "optimizer": OptimizerOptions(
-        batch=56, rate=1e-4, warmup=0, schedule="halving", betas=(0.9, 0.999), clip_norm=1e9, ema=0.0
+        method="adamw",
+        batch=56,
+        rate=1e-4,
+        warmup=0,
+        schedule="halving",
+        betas=(0.9, 0.999),
+        clip_norm=1e9,
+        ema=0.0,
     ),
     "losses": LossOptions(outlier=1e9, foot_term="paper"),
     "sampler": SamplerOptions(
@@ -46,7 +53,7 @@ PAPER: dict[str, Any] = {
 }
 
 # From a trained model: a small step, short averages, and few splices, since minutes are all there is.
-FINE_TUNE: dict[str, Any] = {"rate": 5e-4, "warmup": 50, "ema": 0.99, "splices": 400}
+FINE_TUNE: dict[str, Any] = {"method": "adamw", "rate": 5e-4, "warmup": 50, "ema": 0.99, "splices": 400}
 
 
 def train_options(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,13 @@ from motionkit.errors import ModelError
 from motionkit.files import atomic_write
 from motionkit.models.file_check import TensorFacts, check_shapes, check_values
 from motionkit.models.tensor_file import TensorFile, open_tensors
+from motionkit.training.optimizer import Muon
 from motionkit.training.options import flat_options
 from motionkit.training.window_blocks import BlockStart
 
 FORMAT = "motionkit-run-1"
-MOMENTS = ("step", "exp_avg", "exp_avg_sq")  # of AdamW
+ADAMW = ("step", "exp_avg", "exp_avg_sq")  # what it keeps of each parameter
+MUON = ("momentum",)
 MOST_BYTES = 4 * 2**30
 MOST_STEPS = 10**12  # also the limit of seconds
 MOST_BLOCK = 1000  # steps of a block
@@ -29,7 +31,7 @@ def save_run(
     path: Path,
     module: nn.Module,
     average: dict[str, Tensor],
-    optimizer: torch.optim.Optimizer,
+    optimizers: Sequence[torch.optim.Optimizer],
     facts: dict[str, Any],
     block: BlockStart | None,
 ) -> None:
@@ -41,7 +43,7 @@ def save_run(
     tensors = {f"weights.{n}": t for n, t in module.state_dict().items()}
     tensors.update({f"average.{n}": t for n, t in average.items()})
     for name, p in module.named_parameters():
-        for key, value in optimizer.state.get(p, {}).items():
+        for key, value in _optimizer_of(p, optimizers).state.get(p, {}).items():
             tensors[f"optimizer.{key}.{name}"] = value.reshape(1) if value.dim() == 0 else value
     if block is not None:
         tensors.update({f"block.{n}": t for n, t in block.weights.items()})
@@ -74,7 +76,10 @@ def _facts_of(path: Path, file: TensorFile) -> dict[str, Any]:
 
 
 def load_run(
-    path: Path, module: nn.Module, average: dict[str, Tensor], optimizer: torch.optim.Optimizer
+    path: Path,
+    module: nn.Module,
+    average: dict[str, Tensor],
+    optimizers: Sequence[torch.optim.Optimizer],
 ) -> tuple[dict[str, Any], BlockStart | None]:
     """Restore what save_run wrote and return its facts, and the start of the block that the run was within.
 
@@ -85,7 +90,7 @@ def load_run(
         facts = _facts_of(path, file)
         try:
             _check_facts(facts)
-            _check_fit(file.found, module, average, "block" in facts)
+            _check_fit(file.found, module, average, optimizers, "block" in facts)
             tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
             _check_numbers(tensors)
         except ModelError as error:
@@ -102,18 +107,31 @@ def load_run(
     for name, value in _under(tensors, "average.").items():
         average[name].copy_(value)
     for name, p in module.named_parameters():
-        if f"optimizer.step.{name}" in tensors:
-            moments = {key: tensors[f"optimizer.{key}.{name}"] for key in MOMENTS}
-            # A fused optimizer has its steps where its parameters are, any other on the CPU.
-            at = p.device if optimizer.defaults.get("fused") else torch.device("cpu")
-            optimizer.state[p] = {
-                key: value.reshape(()).to(at) if key == "step" else value.to(p.device)
-                for key, value in moments.items()
-            }
+        optimizer = _optimizer_of(p, optimizers)
+        kept = {key: tensors.get(f"optimizer.{key}.{name}") for key in _kept(optimizer)}
+        # A fused optimizer has its steps where its parameters are, any other on the CPU.
+        at = p.device if optimizer.defaults.get("fused") else torch.device("cpu")
+        optimizer.state[p] = {
+            key: value.reshape(()).to(at) if key == "step" else value.to(p.device)
+            for key, value in kept.items()
+            if value is not None  # before the first step
+        }
     block = facts.get("block")
     if block is None:
         return facts, None
     return facts, BlockStart(block["step"], float(block["progress"]), _under(tensors, "block."))
+
+
+def _optimizer_of(p: nn.Parameter, optimizers: Sequence[torch.optim.Optimizer]) -> torch.optim.Optimizer:
+    """Return which of the optimizers moves a parameter."""
+    return next(
+        o for o in optimizers for group in o.param_groups if any(p is other for other in group["params"])
+    )
+
+
+def _kept(optimizer: torch.optim.Optimizer) -> tuple[str, ...]:
+    """Return what an optimizer keeps of each parameter."""
+    return MUON if isinstance(optimizer, Muon) else ADAMW
 
 
 def _check_facts(facts: dict[str, Any]) -> None:
@@ -141,7 +159,11 @@ def _check_facts(facts: dict[str, Any]) -> None:
 
 
 def _check_fit(
-    found: Mapping[str, TensorFacts], module: nn.Module, average: dict[str, Tensor], within_block: bool
+    found: Mapping[str, TensorFacts],
+    module: nn.Module,
+    average: dict[str, Tensor],
+    optimizers: Sequence[torch.optim.Optimizer],
+    within_block: bool,
 ) -> None:
     """Raise ModelError unless a file has exactly the tensors of this module's run, with their shapes and types."""
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
@@ -149,9 +171,9 @@ def _check_fit(
     if within_block:
         expected |= {f"block.{name}": tuple(value.shape) for name, value in average.items()}
     for name, p in module.named_parameters():
-        keys = [f"optimizer.{key}.{name}" for key in MOMENTS]
-        if any(key in found for key in keys):  # none before the first step
-            expected |= dict(zip(keys, ((1,), tuple(p.shape), tuple(p.shape)), strict=True))
+        keys = {key: f"optimizer.{key}.{name}" for key in _kept(_optimizer_of(p, optimizers))}
+        if any(key in found for key in keys.values()):  # none before the first step
+            expected |= {name: (1,) if key == "step" else tuple(p.shape) for key, name in keys.items()}
     expected["random.cpu"] = tuple(torch.get_rng_state().shape)
     if "random.cuda" in found:
         expected["random.cuda"] = found["random.cuda"].shape

@@ -36,10 +36,11 @@ from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
 from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_gains, with_noise
 from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
-from motionkit.training.options import OptimizerOptions, TrainOptions, flat_options
+from motionkit.training.optimizer import make_optimizers
+from motionkit.training.options import TrainOptions, flat_options
 from motionkit.training.rehearsal import keep_types
 from motionkit.training.replay import Replayed
-from motionkit.training.run_state import load_run, save_run
+from motionkit.training.run_state import load_run, run_options, save_run
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.scores import TypeScore, score_rollouts
 from motionkit.training.warm_start import check_start, part_way_back, warm_start
@@ -216,19 +217,6 @@ def _use_bfloat16(precision: str, device: torch.device) -> bool:
     return precision == "bfloat16"
 
 
-def _adamw(module: nn.Module, options: OptimizerOptions) -> torch.optim.AdamW:
-    """Return AdamW in one kernel where this release of torch has it, which is three times as fast on a CPU."""
-    settings: dict[str, Any] = {
-        "lr": options.rate,
-        "betas": options.betas,
-        "weight_decay": options.weight_decay,
-    }
-    try:
-        return torch.optim.AdamW(module.parameters(), fused=True, **settings)
-    except RuntimeError:  # not for this device
-        return torch.optim.AdamW(module.parameters(), **settings)
-
-
 class TrainingRun:
     """A run of train(), whose arguments it takes."""
 
@@ -284,9 +272,9 @@ class TrainingRun:
             self.trainable = DistributedDataParallel(self.module, device_ids=ids)
         # Dropout must differ between processes, weights must not.
         torch.manual_seed(options.seed + 1 + self.rank)
-        self.optimizer = _adamw(self.module, options.optimizer)
-        self.average = {n: p.detach().clone() for n, p in self.module.network.state_dict().items()}
         self.autocast = _use_bfloat16(options.optimizer.precision, self.device)
+        self.optimizers = make_optimizers(self.module, network, options.optimizer, self.autocast)
+        self.average = {n: p.detach().clone() for n, p in self.module.network.state_dict().items()}
         self.step, self.seconds = 0, 0.0
         self.losses: dict[str, float] = {}
         self.scores: tuple[TypeScore, ...] = ()
@@ -314,8 +302,8 @@ class TrainingRun:
         """Load the checkpoint. Its options and clips must equal those of this run, except FREE_ON_RESUME."""
         if not self.checkpoint.is_file():
             raise DatasetError(f"{self.checkpoint}: no checkpoint to resume from")
-        facts, block = load_run(self.checkpoint, self.module, self.average, self.optimizer)
-        before = flat_options(facts["options"])
+        # Earlier releases had AdamW alone and did not write it.
+        before = {"optimizer.method": "adamw"} | run_options(self.checkpoint)
         now = flat_options(json.loads(json.dumps(self.options.to_dict())))
         changed = [k for k in before if k in now and before[k] != now[k] and not k.startswith(FREE_ON_RESUME)]
         if changed:
@@ -323,6 +311,7 @@ class TrainingRun:
             raise ModelError(
                 f"{self.checkpoint}: the run was started with {words}; resume it with the same options"
             )
+        facts, block = load_run(self.checkpoint, self.module, self.average, self.optimizers)
         if facts.get("data", self.digest) != self.digest:  # earlier releases have not written it
             raise DatasetError(
                 f"{self.checkpoint}: the run was started with other training clips than those of "
@@ -455,12 +444,14 @@ class TrainingRun:
             torch.manual_seed((options.seed + 1) * 1_000_003 + self.step * self.world + self.rank)
         batch = self.blocks.next(self.step, self.progress())
         options = self.blocks.options
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.learning_rate()
+        rate = self.learning_rate()
+        for group in (group for each in self.optimizers for group in each.param_groups):
+            group["lr"] = rate
         terms = self.gradients(batch, options.losses)
         norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.optimizer.clip_norm)
         if math.isfinite(float(norm)):
-            self.optimizer.step()
+            for each in self.optimizers:
+                each.step()
             self.update_average()
         self.step += 1
         stop = norm.new_tensor(float(self.asked_to_stop))  # all processes stop at the same step
@@ -485,7 +476,8 @@ class TrainingRun:
         return dict(zip(self._terms, values, strict=True))
 
     def _gradients(self, batch: Batch, options: LossOptions) -> dict[str, Tensor]:
-        self.optimizer.zero_grad(set_to_none=True)
+        for each in self.optimizers:
+            each.zero_grad(set_to_none=True)
         terms = self.trainable(batch, self.autocast, self.progress())
         weights = {} if isinstance(self.module, OwnLosses) else options.weights
         loss = total_loss(terms, weights) * LOSS_SCALE
@@ -537,7 +529,7 @@ class TrainingRun:
             "options": self.options.to_dict(),
             "data": self.digest,
         }
-        save_run(self.checkpoint, self.module, self.average, self.optimizer, facts, self.blocks.unfinished)
+        save_run(self.checkpoint, self.module, self.average, self.optimizers, facts, self.blocks.unfinished)
         self._emit("checkpoint")
 
     def model(self) -> MotionModel:
