@@ -25,7 +25,7 @@ AS_ADAMW = 0.2  # root mean square of a usual update of AdamW at rate 1
 
 
 def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
-    """Return matrices (..., M, N) with the singular vectors of x and singular values near 1, by Newton and Schulz.
+    """Return matrices (B, M, N) with the singular vectors of x and singular values near 1, by Newton and Schulz.
 
     Args:
         bfloat16: whether to multiply in 16 bits, where the processor is fast at it.
@@ -38,7 +38,7 @@ def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
     a, b, c = POLYNOMIAL
     for _ in range(REPETITIONS):
         square = x @ x.transpose(-1, -2)
-        x = a * x + (b * square + c * (square @ square)) @ x
+        x = torch.baddbmm(x, torch.baddbmm(square, square, square, beta=b, alpha=c), x, beta=a)
     x = x.to(dtype)
     return x.transpose(-1, -2) if turned else x
 
