@@ -107,7 +107,10 @@ export class Play {
     else if (event.event === "pace") {
       this.behind = event.behind ? event : null;
       this.#pace();
-    } else if (event.event === "error") this.say(event.message);
+    } else if (event.event === "error") {
+      this.say(event.message);
+      this.#who(); // a list whose choice was refused shows again what is
+    }
   }
 
   #lost(fault) {
