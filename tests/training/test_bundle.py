@@ -242,14 +242,13 @@ def test_movement_of_an_outline_is_the_mean_over_what_comes() -> None:
     assert reference_clip.movement[-1] == 0.0 and len(reference_clip.movement) == 300
 
 
-def test_sharp_types_follow_references_more(tiny_model: MotionModel) -> None:
+def test_what_helps_a_motion_depends_on_its_kind(tiny_model: MotionModel) -> None:
     gait, other = replace(tiny_model.types["walking"], steered=True), MotionType()
     steered, kicking, jumping, cartwheel, dance = (
         sampling_preset(kind, event)
         for kind, event in ((gait, None), (other, "kick"), (other, "jump"), (other, ""), (other, None))
     )
-    gains = [p.reference_gain for p in (steered, kicking, jumping, cartwheel, dance)]
-    assert gains == sorted(gains) and gains[0] == 1.0 < gains[1] and gains[-2] < gains[-1]
+    assert {p.reference_gain for p in (steered, kicking, jumping, cartwheel, dance)} == {1.0}  # until it is found
     blends = [p.velocity_blend for p in (steered, jumping, kicking, dance, cartwheel)]
     assert blends == sorted(blends) and 0.0 < blends[0]
     slips = [p.slip_correction for p in (steered, kicking, dance)]
