@@ -90,7 +90,8 @@ class Muon(torch.optim.Optimizer):
         # In 16 bits nothing is lost of what was multiplied in 16 bits.
         mine = (mine.bfloat16() if self.bfloat16 else mine).contiguous()
         found = torch.empty((world * share, *x.shape[1:]), dtype=mine.dtype, device=mine.device)
-        dist.all_gather(list(found.split(share)), mine)
+        # As bytes, because not every backend knows every number format.
+        dist.all_gather(list(found.view(torch.uint8).split(share)), mine.view(torch.uint8))
         return found[: len(x)].to(x.dtype)
 
     def _ahead(self, p: nn.Parameter) -> Tensor:
