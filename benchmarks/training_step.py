@@ -3,9 +3,10 @@
     python benchmarks/training_step.py [--dataset FOLDER] [--threads 2] [--device cuda]
 
 Plain means: attention over blocks in torch instead of C, windows on predictions in torch in float32 instead of the C
-step, AdamW parameter by parameter, and on a GPU no graphs. Weights, windows and losses are the same; the losses of the
-first step are compared. Both run in turn, and the best of their times counts, because other work on the machine only
-adds to them; --cpu-time takes the time of the processor. Without a dataset the sample motion of examples/data is used.
+step, AdamW parameter by parameter, Muon in float32, and on a GPU no graphs. Weights, windows and losses are the same;
+the losses of the first step are compared. Both run in turn, and the best of their times counts, because other work on
+the machine only adds to them; --cpu-time takes the time of the processor. Without a dataset the sample motion of
+examples/data is used.
 """
 
 from __future__ import annotations
