@@ -248,9 +248,8 @@ def test_what_helps_a_motion_depends_on_its_kind(tiny_model: MotionModel) -> Non
         sampling_preset(kind, event)
         for kind, event in ((gait, None), (other, "kick"), (other, "jump"), (other, ""), (other, None))
     )
-    assert {p.reference_gain for p in (steered, kicking, jumping, cartwheel, dance)} == {
-        1.0
-    }  # until it is found
+    gains = {p.reference_gain for p in (steered, kicking, jumping, cartwheel, dance)}
+    assert gains == {1.0}  # until they are found
     blends = [p.velocity_blend for p in (steered, jumping, kicking, dance, cartwheel)]
     assert blends == sorted(blends) and 0.0 < blends[0]
     slips = [p.slip_correction for p in (steered, kicking, dance)]

@@ -180,8 +180,7 @@ class PartTransformer(Predictor):
             self.aggregate.bias.zero_()
 
     def layer_matrices(self) -> dict[str, int]:
-        """Return the names of the weights (P, M, C N) within layers and of the fusion, and the C of each: how many
-        matrices it has side by side, 3 for queries, keys and values, else 1."""
+        """As in Predictor, with the fusion; C is 3 for queries, keys and values, else 1."""
         found = {}
         for name, module in self.named_modules():
             within = ".layers." in name or name.partition(".")[0] in ("fusion", "cross")

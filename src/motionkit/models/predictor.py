@@ -90,6 +90,11 @@ class Predictor(nn.Module):
         """Return the terms of the training loss by name, weighted; progress is the share of the run that is done."""
         raise NotImplementedError
 
+    def layer_matrices(self) -> dict[str, int]:
+        """Return the names of the weights (P, M, C N) within layers and the C of each: how many matrices it has side
+        by side. None here: Muon moves those of part transformers alone (training/optimizer.py)."""
+        return {}
+
     def stream(self, batch: int) -> PredictorStream:
         """Return the state of a batch of characters before their first frame."""
         raise NotImplementedError

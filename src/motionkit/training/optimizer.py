@@ -15,6 +15,7 @@ import torch.distributed as dist
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from motionkit.models.predictor import Predictor
 from motionkit.training.options import OptimizerOptions
 
 MOMENTUM = 0.95
@@ -122,15 +123,14 @@ def _adamw(parameters: Sequence[nn.Parameter], options: OptimizerOptions) -> tor
 
 
 def make_optimizers(
-    module: nn.Module, network: nn.Module, options: OptimizerOptions, bfloat16: bool
+    module: nn.Module, network: Predictor, options: OptimizerOptions, bfloat16: bool
 ) -> list[torch.optim.Optimizer]:
     """Return the optimizers of all parameters of a module that holds a network.
 
     Args:
         bfloat16: whether products of Muon may be in 16 bits.
     """
-    find = getattr(network, "layer_matrices", None)
-    counts: dict[str, int] = find() if find is not None and options.method == "muon" else {}
+    counts = network.layer_matrices() if options.method == "muon" else {}
     own = dict(network.named_parameters())
     matrices = [(own[name], count) for name, count in counts.items()]
     by_muon = {id(p) for p, _ in matrices}

@@ -42,8 +42,9 @@ def save_run(
     """
     tensors = {f"weights.{n}": t for n, t in module.state_dict().items()}
     tensors.update({f"average.{n}": t for n, t in average.items()})
+    owners = _owners(optimizers)
     for name, p in module.named_parameters():
-        for key, value in _optimizer_of(p, optimizers).state.get(p, {}).items():
+        for key, value in owners[p].state.get(p, {}).items():
             tensors[f"optimizer.{key}.{name}"] = value.reshape(1) if value.dim() == 0 else value
     if block is not None:
         tensors.update({f"block.{n}": t for n, t in block.weights.items()})
@@ -106,8 +107,9 @@ def load_run(
     module.load_state_dict(_under(tensors, "weights."))
     for name, value in _under(tensors, "average.").items():
         average[name].copy_(value)
+    owners = _owners(optimizers)
     for name, p in module.named_parameters():
-        optimizer = _optimizer_of(p, optimizers)
+        optimizer = owners[p]
         kept = {key: tensors.get(f"optimizer.{key}.{name}") for key in _kept(optimizer)}
         # A fused optimizer has its steps where its parameters are, any other on the CPU.
         at = p.device if optimizer.defaults.get("fused") else torch.device("cpu")
@@ -122,11 +124,9 @@ def load_run(
     return facts, BlockStart(block["step"], float(block["progress"]), _under(tensors, "block."))
 
 
-def _optimizer_of(p: nn.Parameter, optimizers: Sequence[torch.optim.Optimizer]) -> torch.optim.Optimizer:
-    """Return which of the optimizers moves a parameter."""
-    return next(
-        o for o in optimizers for group in o.param_groups if any(p is other for other in group["params"])
-    )
+def _owners(optimizers: Sequence[torch.optim.Optimizer]) -> dict[nn.Parameter, torch.optim.Optimizer]:
+    """Return which of the optimizers moves each parameter."""
+    return {p: each for each in optimizers for group in each.param_groups for p in group["params"]}
 
 
 def _kept(optimizer: torch.optim.Optimizer) -> tuple[str, ...]:
@@ -170,8 +170,9 @@ def _check_fit(
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
     if within_block:
         expected |= {f"block.{name}": tuple(value.shape) for name, value in average.items()}
+    owners = _owners(optimizers)
     for name, p in module.named_parameters():
-        keys = {key: f"optimizer.{key}.{name}" for key in _kept(_optimizer_of(p, optimizers))}
+        keys = {key: f"optimizer.{key}.{name}" for key in _kept(owners[p])}
         if any(key in found for key in keys.values()):  # none before the first step
             expected |= {name: (1,) if key == "step" else tuple(p.shape) for key, name in keys.items()}
     expected["random.cpu"] = tuple(torch.get_rng_state().shape)
