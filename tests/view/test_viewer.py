@@ -146,6 +146,39 @@ def test_the_picture_shows_figures_and_moves(page: Page) -> None:
     assert (np.abs(picture(page) - first).max(axis=-1) > 30).sum() > 500
 
 
+@pytest.mark.parametrize(
+    "size", [(1280, 720), (390, 844), (844, 390)], ids=["screen", "phone", "phone across"]
+)
+def test_motions_side_by_side_are_all_in_the_picture_at_first(
+    size: tuple[int, int], tmp_path: Path, browser: Browser
+) -> None:
+    walk = make_walk(240)
+    file = tmp_path / "many.html"
+    write_viewer(file, [Shown(f"walk {n}", walk) for n in range(5)])
+    page = browser.new_page(viewport={"width": size[0], "height": size[1]})
+    page.goto(file.as_uri())
+    page.wait_for_selector("html[data-ready]", state="attached", timeout=PATIENCE)
+    drawn(page)
+    assert page.evaluate("motionkit.followed && motionkit.apart")
+    across = page.evaluate(
+        """motionkit.tracks.map(({ clip, group, frame }) => {
+            const [x, , z] = clip.hips.slice(frame * 3, frame * 3 + 3);
+            return group.position.clone().add({ x, y: 0.9, z }).project(motionkit.stage.camera).x;
+        })"""
+    )
+    page.close()
+    assert np.abs(across).max() < 0.95
+    assert np.ptp(across) > 1.0, "the camera stands no further off than it must"
+
+
+def test_a_low_screen_leaves_the_figures_half_of_it(page: Page) -> None:
+    before = page.viewport_size
+    page.set_viewport_size({"width": 844, "height": 390})
+    page.wait_for_function("document.getElementById('stage').clientHeight > 195")
+    page.set_viewport_size(before)
+    page.wait_for_function("document.getElementById('timeline').clientHeight > 100")
+
+
 def test_the_size_of_a_file(two_motions: list[Shown]) -> None:
     empty = len(viewer_page([Shown("x", two_motions[0].motion.cut(0, 1))]))
     assert empty < 1_500_000

@@ -8,6 +8,7 @@ import { Timeline } from "./timeline.js";
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227", "#8d97a8"];
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
 const FAR_OFF = 2.5; // metres a motion may wander before the camera goes along
+const REACH = 0.9; // metres to either side that a body and its arms take in the picture
 const $ = (id) => document.getElementById(id);
 
 class Viewer {
@@ -15,13 +16,12 @@ class Viewer {
     this.stage = new Stage($("scene"));
     this.labels = new Labels($("labels"), this.stage);
     this.tracks = clips.map((clip, n) => this.#track(clip, COLORS[n % COLORS.length]));
-    Object.assign(this, { time: 0, playing: false, looping: true, speed: 1, chosen: 0, apart: clips.length > 1 });
+    Object.assign(this, { time: 0, playing: false, looping: true, speed: 1, chosen: 0, apart: clips.length > 1, aside: [0, 0] });
     Object.assign(this, { followed: this.#wanders(), names: false, skeletons: false, paths: true, marks: true });
     this.timeline = new Timeline($("timeline"), this.tracks, (time) => this.seek(time, true));
     this.#controls();
     this.theme = initialTheme();
     this.#arrange();
-    this.frameAll();
     this.seek(0);
     document.addEventListener("keydown", (event) => this.#key(event));
     const loop = (now) => {
@@ -86,29 +86,48 @@ class Viewer {
 
   /** Looks at the whole of what is shown, or at the figure that is followed. */
   frameAll() {
-    const { clip, group } = this.track;
+    this.stage.resize(); // the page may have been laid out since
     const shown = this.tracks.filter((track) => track.shown);
+    const angle = this.tracks.length > 1 ? 0.5 : this.#goodSide(this.track.clip);
+    if (this.followed) {
+      const { middle, distance } = this.#standBack(this.apart && shown.length ? shown : [this.track], angle);
+      const [x, z] = this.#place(this.track);
+      this.aside = [middle[0] - x, middle[1] - z];
+      this.stage.look(new Vector3(middle[0], this.#eyeHeight(), middle[1]), angle, 0.17, distance);
+      return;
+    }
     const boxes = shown.map(({ clip, group }) => clip.box.map((value, i) => value + (i % 2 ? group.position.z : group.position.x)));
     const low = [0, 1].map((axis) => Math.min(...boxes.map((box) => box[axis])) - 0.5);
     const high = [2, 3].map((axis) => Math.max(...boxes.map((box) => box[axis])) + 0.5);
-    const angle = this.tracks.length > 1 ? 0.5 : this.#goodSide(clip);
-    const { aspect } = this.stage.camera;
-    const narrow = Math.max(1, 1.4 / aspect);
-    if (this.followed) {
-      const frame = clip.frameAt(this.time);
-      const x = clip.middle[frame * 2] + group.position.x;
-      const z = clip.middle[frame * 2 + 1] + group.position.z;
-      const crowd = this.apart ? 1 + 0.55 * (shown.length - 1) : 1;
-      this.stage.look(new Vector3(x, this.#eyeHeight(), z), angle, 0.17, 3.9 * Math.max(1, 0.95 / aspect) * (crowd > 1 ? crowd * Math.min(narrow, 1.5) : 1));
-      return;
-    }
     const middle = new Vector3((low[0] + high[0]) / 2, this.#eyeHeight(), (low[1] + high[1]) / 2);
     const span = Math.hypot(high[0] - low[0], high[1] - low[1]);
+    const narrow = Math.max(1, 1.4 / this.stage.camera.aspect);
     this.stage.look(middle, angle, 0.2, Math.max(4.4, span * 1.45) * narrow);
   }
 
   #eyeHeight() {
     return 0.9;
+  }
+
+  /** Where the body of a motion is now, on the ground: x, z. */
+  #place({ clip, group }) {
+    const frame = clip.frameAt(this.time);
+    return [clip.middle[frame * 2] + group.position.x, clip.middle[frame * 2 + 1] + group.position.z];
+  }
+
+  /** The middle of some motions as they are now, and how far a camera in this direction stands off to have each in the picture. */
+  #standBack(tracks, angle) {
+    const { aspect, fov } = this.stage.camera;
+    const wide = Math.tan((fov * Math.PI) / 360) * aspect;
+    const [cos, sin] = [Math.cos(angle), Math.sin(angle)];
+    const seen = tracks.map((track) => this.#place(track)).map(([x, z]) => [x * cos - z * sin, x * sin + z * cos]);
+    const [side, depth] = [0, 1].map((axis) => {
+      const values = seen.map((place) => place[axis]);
+      return (Math.min(...values) + Math.max(...values)) / 2;
+    });
+    const needed = seen.map(([across, near]) => (Math.abs(across - side) + REACH) / wide + near - depth);
+    const distance = Math.max(3.9, 3.7 / aspect, ...(tracks.length > 1 ? needed : []));
+    return { middle: [side * cos + depth * sin, depth * cos - side * sin], distance };
   }
 
   // Someone who travels is seen from the side, a little from the front; someone who stays from the front.
@@ -158,10 +177,8 @@ class Viewer {
 
   #follow() {
     if (!this.followed) return;
-    const { clip, group } = this.track;
-    const frame = clip.frameAt(this.time);
-    const { target } = this.stage.controls;
-    this.stage.follow(clip.middle[frame * 2] + group.position.x, target.y, clip.middle[frame * 2 + 1] + group.position.z);
+    const [x, z] = this.#place(this.track);
+    this.stage.follow(x + this.aside[0], this.stage.controls.target.y, z + this.aside[1]);
   }
 
   #tick(now) {
@@ -227,6 +244,7 @@ class Viewer {
   choose(n) {
     if (!this.tracks[n]) return;
     this.chosen = n;
+    this.aside = [0, 0];
     this.timeline.chosen = n;
     [...$("clips").children].forEach((node, i) => node.classList.toggle("chosen", i === n && this.tracks.length > 1));
     this.timeline.redraw();
@@ -387,6 +405,7 @@ async function start() {
   document.documentElement.toggleAttribute("data-bare", Boolean(data.bare));
   const viewer = new Viewer(await Promise.all(data.motions.map((motion) => Clip.from(motion))));
   viewer.choose(0);
+  viewer.frameAll();
   if (data.bare) viewer.bare(data.theme);
   window.motionkit = viewer; // for tests and the curious
   viewer.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);

@@ -22,9 +22,8 @@ export class Timeline {
     Object.assign(this, { canvas, tracks, seek, time: 0, chosen: 0 });
     this.seconds = Math.max(...tracks.map((track) => track.clip.seconds), 1e-3);
     this.types = [...new Set(tracks.flatMap((track) => track.clip.types.map((band) => band.type)))];
-    this.rows = this.#layout();
-    this.height = this.rows.at(-1).top + this.rows.at(-1).height;
-    canvas.style.height = `${this.height}px`;
+    this.low = matchMedia("(max-height: 520px)");
+    this.low.addEventListener("change", () => this.redraw());
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
       canvas.focus();
@@ -36,7 +35,9 @@ export class Timeline {
     new ResizeObserver(() => this.redraw()).observe(canvas);
   }
 
+  // On a low screen, a phone held across, the figures need the place of the curves.
   #layout() {
+    const low = this.low.matches;
     const rows = [];
     let top = 0;
     const add = (row, height, gap) => {
@@ -44,15 +45,19 @@ export class Timeline {
       top += height + gap;
     };
     this.tracks.forEach((track, n) => {
-      if (track.clip.types.length) add({ kind: "types", n }, BAND, 3);
+      if (track.clip.types.length && (!low || n === this.chosen)) add({ kind: "types", n }, BAND, 3);
     });
     const feet = Math.max(...this.tracks.map((track) => track.clip.feet.length));
     for (let foot = 0; foot < feet; foot++) add({ kind: "contact", foot }, STRIPE, 3);
-    top += GAP - 3;
-    add({ kind: "speed" }, PLOT, GAP);
-    if (feet) add({ kind: "height" }, PLOT, 0);
+    if (!low) {
+      top += GAP - 3;
+      add({ kind: "speed" }, PLOT, GAP);
+      if (feet) add({ kind: "height" }, PLOT, 0);
+    }
     add({ kind: "axis" }, AXIS, 0);
-    return rows;
+    this.rows = rows;
+    this.height = top;
+    this.canvas.style.height = `${top}px`;
   }
 
   #seekTo(event) {
@@ -68,6 +73,7 @@ export class Timeline {
 
   /** Draws everything that does not move with the cursor, once. */
   redraw() {
+    this.#layout();
     const scale = Math.min(window.devicePixelRatio, 2);
     this.width = this.canvas.clientWidth;
     this.canvas.width = Math.round(this.width * scale);
