@@ -457,6 +457,14 @@ def test_characters_bodies_and_noise(page: Page) -> None:
     first, second = page.evaluate("motionkit.mine")
     page.keyboard.press("Tab")
     assert page.evaluate("motionkit.chosen") == second
+    page.keyboard.press("Shift+Tab")
+    focused = "document.activeElement.closest('button, select, input')?.ariaLabel"
+    last = page.evaluate(focused)
+    page.keyboard.press("Shift+Tab")
+    assert last and page.evaluate(focused) not in (None, last), "the buttons are within reach of the keyboard"
+    page.keyboard.press("Tab")
+    assert page.evaluate(focused) == last and page.evaluate("motionkit.chosen") == second
+    page.evaluate("document.activeElement.blur()")
     name = page.evaluate("motionkit.hello.bodies[1].name")
     page.get_by_label("Body").select_option(name)
     page.wait_for_function(

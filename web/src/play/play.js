@@ -442,7 +442,9 @@ export class Play {
       const key = digit ? digit[1] : event.key.length === 1 ? event.key.toLowerCase() : event.key;
       const type = this.typeKeys.get(key);
       const action = type ? () => this.perform(type) : this.commands[key];
-      if (!action || (key === "Tab" && this.mine.length < 2)) return; // Tab goes from button to button then, as anywhere
+      // Shift and Tab reach the buttons, and from a button, or with one character, Tab goes on as anywhere.
+      const onPage = target === document.body || target === $("scene");
+      if (!action || (key === "Tab" && (this.mine.length < 2 || event.shiftKey || !onPage))) return;
       action();
       event.preventDefault();
     });
@@ -543,7 +545,7 @@ export class Play {
       [["V"], "face ahead: go backwards and aside"],
       [["O"], "record; again to end and download"],
       [["N"], "another character"],
-      [["Tab"], "steer the next of one's characters"],
+      [["Tab"], "steer the next of one's characters; with Shift to the buttons"],
       [["Backspace"], "start anew"],
       [["T", "I"], "theme; measurements"],
       [["Touch"], "the stick goes, past its rim fast; drag looks around, two fingers come nearer"],
