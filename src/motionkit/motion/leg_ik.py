@@ -108,7 +108,7 @@ BENT, THIGH_SHARE = 0.3, 0.2
 ALIKE = 0.3
 # A knee that is bent backwards is stretched, and goes over to bending forwards while its leg shortens; so many times as
 # fast as a leg would that is bent forwards already.
-STRAIGHTENING = 3.0
+STRAIGHTENING = 1.5
 # Sine of the angle from which on a knee counts as bent backwards.
 BACKWARDS = 0.002
 # Feet whose horizontal part is below this share of their length are turned less.
