@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.inference.frame_kernel import frame_library
 from motionkit.inference.step_kernel import kernel_library
 from motionkit.models.attention_kernel import attention_library

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from motionkit.control.drive import Driver, Wish
     from motionkit.control.path import Path2D, PathPart, make_path, read_path, shape_path
     from motionkit.data.dataset import Dataset
-    from motionkit.data.preprocess import PreprocessOptions
+    from motionkit.data.options import PreprocessOptions
     from motionkit.editing.fix import fix_motion
     from motionkit.editing.loop import make_loop
     from motionkit.editing.root_motion import in_place, with_ground_root
@@ -73,7 +73,7 @@ _HOMES = {
     "read_path": "control.path",
     "shape_path": "control.path",
     "Dataset": "data.dataset",
-    "PreprocessOptions": "data.preprocess",
+    "PreprocessOptions": "data.options",
     "fix_motion": "editing.fix",
     "make_loop": "editing.loop",
     "in_place": "editing.root_motion",

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from motionkit.control.keys import Key
     from motionkit.control.path import Path2D
     from motionkit.control.synthesize import SynthesisResult
-    from motionkit.data.preprocess import PreprocessOptions, PreprocessReport
+    from motionkit.data.options import PreprocessOptions
+    from motionkit.data.preprocess import PreprocessReport
     from motionkit.evaluation.report import Scoreboard
     from motionkit.evaluation.settings import EvaluationSettings
     from motionkit.export.clip import Clip
@@ -309,9 +310,10 @@ def preprocess(
         ModelError: references is no model, or one of another layout.
     """
     from motionkit.data import preprocess as room
+    from motionkit.data.options import PreprocessOptions
     from motionkit.models.bundled import reference_rotations
 
-    options = options or room.PreprocessOptions()
+    options = options or PreprocessOptions()
     if options.reference_rotations is None:
         options = replace(options, reference_rotations=reference_rotations(references, options.layout))
     return room.preprocess(folders, output, options, progress)

@@ -91,7 +91,7 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
     monkeypatch.setattr(TrainingRun, "_train_step", counted)
     monkeypatch.setattr(quickstart, "_look", look)
     for place in (
-        "data.preprocess._prepare_file", "training.sampler.WindowSampler.make_splices", None,
+        "data.first_pass.prepare_file", "training.sampler.WindowSampler.make_splices", None,
         "training.trainer.calibrated_gains", "cli.quickstart._show", "cli.quickstart._judge",
     ):  # fmt: skip
         with monkeypatch.context() as patched:

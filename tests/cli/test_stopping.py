@@ -35,7 +35,7 @@ if __name__ == "__main__":
 @pytest.mark.parametrize(
     ("words", "interrupted"),
     [
-        (["preprocess", "clips", "-o", "ds", "--jobs", 1], "data.preprocess._prepare_file"),
+        (["preprocess", "clips", "-o", "ds", "--jobs", 1], "data.first_pass.prepare_file"),
         (["train", "DATASET", "-o", "m2.safetensors", "--preset", "tiny"], "training.trainer.WindowSampler"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "control.synthesize.run"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "motion.bvh._hierarchy_lines"),

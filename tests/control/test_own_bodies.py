@@ -15,7 +15,8 @@ from motionkit.control.path import shape_path
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.rollout import Noise

@@ -16,7 +16,8 @@ import pytest
 from motionkit.data import folder as module
 from motionkit.data.dataset import Dataset
 from motionkit.data.folder import DATASET_NAMES, MOTIONS, put_in_place, staging_folder
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError
 from motionkit.motion.bvh import write_bvh
 from synthetic_motions import make_idle, make_walk
@@ -244,7 +245,7 @@ def test_a_file_that_may_not_grow_is_one_line_and_leaves_nothing(clips: Path, tm
 def test_numbers_that_are_not_finite_make_no_dataset(
     clips: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import motionkit.data.preprocess as passes
+    import motionkit.data.second_pass as passes
 
     monkeypatch.setattr(passes, "_plain", lambda scaling: {"mean": [float("nan")], "std": [1.0]})
     with pytest.raises(DatasetError, match="not finite"):

@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import motionkit.data.preprocess as module
+from motionkit.data import first_pass, second_pass
 from motionkit.data.dataset import Clip, Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import LAYOUTS
@@ -310,10 +311,11 @@ def test_no_usable_file_at_all(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "fault", [RuntimeError("power cut"), KeyboardInterrupt(), OSError(28, "No space left")]
 )
-@pytest.mark.parametrize("stage", ["_prepare_file", "_encode_file"])
+@pytest.mark.parametrize("stage", ["prepare_file", "_encode_file"])
 def test_a_fault_in_the_middle_leaves_no_folder(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stage: str, fault: BaseException
 ) -> None:
+    module = first_pass if stage == "prepare_file" else second_pass
     honest, calls = getattr(module, stage), []
 
     def breaks(item: object) -> object:
@@ -335,7 +337,7 @@ def test_a_fault_leaves_the_old_dataset_as_it_was(
 ) -> None:
     preprocess([folder], tmp_path / "out", ONE_JOB)
     before = (tmp_path / "out" / "manifest.json").read_bytes()
-    monkeypatch.setattr(module, "_encode_file", lambda item: 1 / 0)
+    monkeypatch.setattr(second_pass, "_encode_file", lambda item: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         preprocess([folder], tmp_path / "out", ONE_JOB)
     assert (tmp_path / "out" / "manifest.json").read_bytes() == before

@@ -9,8 +9,9 @@ import pytest
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
+from motionkit.data.options import PreprocessOptions
 from motionkit.data.phases import NO_PHASE
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.preprocess import preprocess
 from motionkit.data.repeat import REPEATED_SECONDS, repeat_short_types
 from motionkit.features.decode import decode_motion
 from motionkit.motion.bvh import write_bvh

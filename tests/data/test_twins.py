@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.data.twins import EVERY, mirrored_types, type_poses
 from motionkit.errors import DatasetError
 from motionkit.features.encode import encode_motion

@@ -16,7 +16,8 @@ from motionkit.control.path import shape_path
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.rollout import Noise
 from motionkit.models.bundled import load_bundled_model

@@ -12,7 +12,8 @@ import pytest
 
 from motionkit.cli.main import main
 from motionkit.data.dataset import Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments.bodies import MEASURES, measures, performers, slopes
 from motionkit.experiments.model_results import read_bodies

@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from motionkit.cli.experiment.options import SETS
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments import runs
 from motionkit.experiments.datasets import SELECTIONS, Selection, is_dance, select

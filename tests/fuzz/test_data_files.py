@@ -28,7 +28,8 @@ from fuzz.mutation import (
 from motionkit.control.path import read_path
 from motionkit.data.dataset import Dataset
 from motionkit.data.labels import find_sources
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.errors import MotionkitError
 from motionkit.metrics.report import evaluate_files
 from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh, write_bvh

@@ -10,7 +10,8 @@ import pytest
 
 from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Clip, Dataset
-from motionkit.data.preprocess import PreprocessOptions, preprocess
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.preprocess import preprocess
 from motionkit.features.control import ControlLayout
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel

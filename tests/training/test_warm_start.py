@@ -8,8 +8,8 @@ import torch
 
 import motionkit as mk
 from motionkit.data.dataset import Dataset
+from motionkit.data.options import PreprocessOptions
 from motionkit.data.phases import turns_over
-from motionkit.data.preprocess import PreprocessOptions
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
 from motionkit.models.bundled import BUNDLED, load_bundled_model, reference_rotations

@@ -124,7 +124,8 @@ def command(
     folders are followed.
     Unusable files are skipped and listed; the dataset then holds the others and the exit code is 1.
     """
-    from motionkit.data.preprocess import PreprocessOptions, preprocess
+    from motionkit.data.options import PreprocessOptions
+    from motionkit.data.preprocess import preprocess
     from motionkit.models.bundled import reference_rotations
 
     rotations = reference_rotations(references, layout)

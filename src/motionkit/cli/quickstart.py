@@ -258,7 +258,7 @@ def _preprocess(data: Path, folder: Path, mirror: bool) -> Dataset:
     from motionkit.api import preprocess
     from motionkit.cli.training_monitor import duration
     from motionkit.data.dataset import Dataset
-    from motionkit.data.preprocess import PreprocessOptions
+    from motionkit.data.options import PreprocessOptions
 
     with progress_bar() as bar:
         # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.

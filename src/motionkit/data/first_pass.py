@@ -1,0 +1,172 @@
+"""The first pass over a folder of BVH files: each is read, retargeted, cleaned, resampled and cut into runs."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from motionkit.data.cleaning import clean
+from motionkit.data.folder import MOTIONS
+from motionkit.data.glitches import cut_at_leaps, find_leaps
+from motionkit.data.labels import Segment, SourceFile, beyond_end
+from motionkit.data.level import footfalls
+from motionkit.data.options import PreprocessOptions
+from motionkit.data.twins import type_poses
+from motionkit.data.workers import Map
+from motionkit.errors import DatasetError, MotionkitError
+from motionkit.files import read_bytes
+from motionkit.motion.bvh_text import MAX_BYTES
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import resample
+from motionkit.motion.retarget import retarget_file
+
+FPS = 60.0
+MIN_CLIP_FRAMES = 16
+
+
+@dataclass
+class FileReport:
+    """The result for one file; skipped is why it was not used, fault whether the file is invalid."""
+
+    name: str
+    clips: int = 0
+    frames: int = 0
+    skipped: str = ""
+    fault: bool = False
+    mapping: dict[str, Any] = field(default_factory=dict)
+    cleaning: dict[str, Any] = field(default_factory=dict)
+    leaps: int = 0
+    sha256: str = ""
+    labels: str = ""  # what is wrong with them
+
+
+class Run(NamedTuple):
+    """A stretch of a file at 60 fps: its frames, what they show, and its split and subject if labelled."""
+
+    start: int
+    end: int
+    spans: tuple[tuple[int, int, str], ...]
+    split: str
+    subject: str
+
+    @property
+    def main_type(self) -> str:
+        """The type of its longest span."""
+        return max(self.spans, key=lambda span: span[1] - span[0])[2]
+
+
+@dataclass(frozen=True, eq=False)
+class Prepared:
+    """The first pass's result for a file; the arrays are in motion_file.
+
+    body is the skeleton of the motion; own_body has the performer's bone lengths; poses are some of each type;
+    footfalls, (F, 3) for each toe, are where it stands.
+    """
+
+    report: FileReport
+    motion_file: str
+    runs: tuple[Run, ...]
+    body: list[list[float]]
+    own_body: list[list[float]]
+    moment: np.ndarray | None
+    poses: dict[str, np.ndarray] = field(default_factory=dict)
+    footfalls: tuple[np.ndarray, ...] = ()
+
+
+def read_files(
+    sources: list[SourceFile],
+    staging: Path,
+    options: PreprocessOptions,
+    each: Map,
+    progress: Callable[[str, int, int], None] | None,
+) -> list[Prepared]:
+    """Prepare all files; raises DatasetError if none is usable, or, with strict, one is not."""
+    (staging / MOTIONS).mkdir()
+    items = [(source, str(staging / MOTIONS / f"{i}.npz"), options) for i, source in enumerate(sources)]
+    prepared = []
+    for done, result in enumerate(each(prepare_file, items), 1):
+        if options.strict and result.report.fault:
+            raise DatasetError(f"{result.report.skipped} (stopped by --strict)")
+        prepared.append(result)
+        if progress:
+            progress("reading", done, len(items))
+    if not any(p.runs for p in prepared):
+        reasons = Counter(p.report.skipped for p in prepared)
+        raise DatasetError(
+            f"none of the {len(prepared)} files is usable; most common reason: {reasons.most_common(1)[0][0]}"
+        )
+    return prepared
+
+
+def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
+    """Prepare one file: its motion is written to motion_file."""
+    source, motion_file, options = item
+    report = FileReport(source.name)
+    if source.skip_reason:
+        report.skipped = source.skip_reason
+        return Prepared(report, motion_file, (), [], [], None)
+    try:
+        fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
+        motion, mapping = retarget_file(source.path, options.scale, fps, options.own_bodies, plant=True)
+        report.labels = beyond_end(source.segments, len(motion))
+        motion, cleaning = clean(motion)
+        native_fps = motion.fps
+        motion = resample(motion, FPS)
+        report.sha256 = hashlib.sha256(read_bytes(source.path, MAX_BYTES)).hexdigest()
+    except MotionkitError as error:
+        report.skipped, report.fault = str(error), True
+        return Prepared(report, motion_file, (), [], [], None)
+    report.mapping = {
+        "source_joints": mapping.source_joints,
+        "missing": list(mapping.missing),
+        "scale": mapping.scale,
+        "scale_source": mapping.scale_source,
+        "leg_length": mapping.leg_length,
+        "notes": list(mapping.notes),
+    }
+    report.cleaning = asdict(cleaning)
+    leaps = find_leaps(motion_kinematics(motion)[1])
+    report.leaps = len(leaps)
+    runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion), leaps)
+    if not runs:
+        report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
+        return Prepared(report, motion_file, (), [], [], None)
+    np.savez(motion_file, rotations=motion.local_rotations, root=motion.root_positions)
+    rows = np.concatenate([np.arange(start, end) for start, end, *_ in runs])
+    quats = motion.local_rotations.astype(np.float64)[rows]
+    moment = np.einsum("tja,tjb->jab", quats, quats)
+    body, own_body = motion.skeleton.offsets.tolist(), mapping.body.tolist()
+    spans = [span for run in runs for span in run.spans]
+    poses, falls = type_poses(motion, spans), footfalls(motion)
+    return Prepared(report, motion_file, runs, body, own_body, moment, poses, falls)
+
+
+def _runs(
+    segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]
+) -> tuple[Run, ...]:
+    """Stretches of 60 fps frames without gaps and leaps, each with its typed spans, split and subject.
+
+    Adjacent segments stay together, so that the model learns from real transitions.
+    """
+    out: list[tuple[int, int, list[tuple[int, int, str]], str, str]] = []
+    for segment in segments:
+        first = max(0, int(np.ceil((segment.start - lead_in) * FPS / fps - 1e-6)))
+        last = frames if segment.end < 0 else int(np.floor((segment.end - lead_in) * FPS / fps + 1e-6))
+        for start, end in cut_at_leaps(first, min(frames, last), leaps):
+            if out and out[-1][1] >= start - 1 and out[-1][3] == segment.split and start not in leaps:
+                start = out[-1][1]
+                out[-1][2].append((start, end, segment.type))
+                out[-1] = (out[-1][0], end, *out[-1][2:])
+            else:
+                out.append((start, end, [(start, end, segment.type)], segment.split, segment.subject))
+    return tuple(
+        Run(a, b, tuple(spans), split, subject)
+        for a, b, spans, split, subject in out
+        if b - a >= MIN_CLIP_FRAMES
+    )

@@ -1,0 +1,69 @@
+"""Which clips of a dataset are for training, for validation and for the test, where labels do not say."""
+
+from __future__ import annotations
+
+import hashlib
+from collections import defaultdict
+from collections.abc import Mapping, Sequence
+
+from motionkit.data.first_pass import Prepared
+
+TEST_SHARE = 0.15  # of the clips of a type
+# Of the files with training clips of a type, at least one; a type of fewer files spares none.
+VALIDATION_SHARE, VALIDATION_FILES = 0.1, 4
+
+
+def decide_splits(
+    prepared: Sequence[Prepared], mirror: bool, twin_types: Mapping[str, str], test: bool
+) -> dict[tuple[int, int], str]:
+    """Choose a split for each (file, run) without one; with test, whole clips of each type are held out for testing.
+
+    A type with a single clip gets "mirror": the clip is for training and its mirror image for testing, or, for about
+    half of such clips, the reverse (paper section 3). The mirror image of a one-sided type has another type, so its
+    single clip is for training.
+    """
+    open_runs: dict[str, list[tuple[int, int]]] = defaultdict(list)
+    for i, item in enumerate(prepared):
+        for r, run in enumerate(item.runs):
+            if not run.split:
+                open_runs[run.main_type].append((i, r))
+    out: dict[tuple[int, int], str] = {}
+    if not test:
+        return {key: "train" for keys in open_runs.values() for key in keys}
+    for kind in sorted(open_runs):
+        keys = sorted(open_runs[kind], key=lambda k: hashed(f"{prepared[k[0]].report.name}{k[1]}"))
+        if len(keys) == 1:
+            i, r = keys[0]
+            same = all(twin_types[shown] == shown for _, _, shown in prepared[i].runs[r].spans)
+            out[keys[0]] = "mirror" if mirror and same else "train"
+            continue
+        held = max(1, round(TEST_SHARE * len(keys)))
+        out.update({key: "test" if n < held else "train" for n, key in enumerate(keys)})
+    return out
+
+
+def hold_out_validation(prepared: Sequence[Prepared], splits: dict[tuple[int, int], str]) -> None:
+    """Take clips for validation out of the training clips, type by type; changes splits.
+
+    All training clips of a type in one file go together, because parts of one take are alike. Files are picked by a
+    hash of their names, so the choice does not change with the order of files or with other types. Nothing is done if
+    the labels name validation clips.
+    """
+    if any(run.split == "validation" for item in prepared for run in item.runs):
+        return
+    files: dict[str, dict[int, list[tuple[int, int]]]] = defaultdict(lambda: defaultdict(list))
+    for i, item in enumerate(prepared):
+        for r, run in enumerate(item.runs):
+            if (run.split or splits[i, r]) == "train":
+                files[run.main_type][i].append((i, r))
+    for kind in sorted(files):
+        if len(files[kind]) < VALIDATION_FILES:
+            continue
+        order = sorted(files[kind], key=lambda i: hashed(f"validation {kind} {prepared[i].report.name}"))
+        for i in order[: max(1, round(VALIDATION_SHARE * len(order)))]:
+            splits.update(dict.fromkeys(files[kind][i], "validation"))
+
+
+def hashed(text: str) -> bytes:
+    """A number that depends on a text alone, to pick clips by."""
+    return hashlib.sha256(text.encode("utf-8", "surrogateescape")).digest()
