@@ -8,7 +8,7 @@ import os
 import signal
 import time
 from collections.abc import Callable
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -26,16 +26,15 @@ from motionkit.features.layout import FEATURE_COUNT
 from motionkit.models.architectures import build
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import save_model
-from motionkit.models.consistency import ConsistencyModules
 from motionkit.models.file_check import check_names
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType
 from motionkit.models.network import PartTransformer, parameter_count
-from motionkit.models.predictor import Predictor
 from motionkit.models.presets import preset
 from motionkit.training.bundle import bundle_model
 from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_gains, with_noise
-from motionkit.training.losses import Batch, FeatureSpace, LossOptions, total_loss, training_losses
+from motionkit.training.losses import Batch, LossOptions, total_loss
+from motionkit.training.objective import OwnLosses, TrainingModule
 from motionkit.training.optimizer import make_optimizers
 from motionkit.training.options import TrainOptions, flat_options
 from motionkit.training.rehearsal import keep_types
@@ -51,88 +50,6 @@ LOSS_SCALE = 1.0 / FEATURE_COUNT
 PAPER_FRAMES = 2000 * 60_962 * 300  # of the paper's training: epochs, windows, frames
 # Options that a resumed run may change: its length and its outputs.
 FREE_ON_RESUME = ("steps", "minutes", "output.")
-
-
-class OwnLosses(nn.Module):
-    """A network that brings its losses along (Predictor.losses), as one module for DistributedDataParallel."""
-
-    def __init__(self, network: Predictor, dataset: Dataset) -> None:
-        super().__init__()
-        self.network = network
-        self.space = FeatureSpace.of(dataset)
-
-    def to_device(self, device: torch.device) -> OwnLosses:
-        """Move the weights and the feature space to a device."""
-        self.to(device)
-        self.space = self.space.to(device)
-        return self
-
-    def use(self, options: LossOptions) -> None:
-        """The network has options of its own."""
-
-    def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
-        with torch.autocast(batch.inputs.device.type, torch.bfloat16) if autocast else nullcontext():
-            return self.network.losses(batch, self.space, progress)
-
-
-class TrainingModule(nn.Module):
-    """Network, consistency modules and losses as one module, for DistributedDataParallel."""
-
-    def __init__(
-        self,
-        network: PartTransformer,
-        dataset: Dataset,
-        options: LossOptions,
-    ) -> None:
-        super().__init__()
-        self.network = network
-        self.consistency = ConsistencyModules(network) if network.config.head.consistency else None
-        self.types = dataset.types
-        self.space = FeatureSpace.of(dataset)
-        self.use(options)
-
-    def to_device(self, device: torch.device) -> TrainingModule:
-        """Move the weights and the feature space to a device."""
-        self.to(device)
-        self.space = self.space.to(device)
-        self.use(self.options)
-        return self
-
-    def use(self, options: LossOptions) -> None:
-        """Compute the losses by these options from now on."""
-        share = _step_share(self.types, options)
-        self.options = options
-        self.step_share = None if share is None else share.to(self.space.mean.device)
-
-    def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
-        kind = batch.inputs.device.type
-        with torch.autocast(kind, torch.bfloat16) if autocast else nullcontext():
-            prediction = self.network(batch.inputs, batch.contacts, batch.controls)
-        # The losses, consistency modules included, are computed in float32.
-        return training_losses(
-            self.network,
-            self.consistency,
-            prediction,
-            batch,
-            self.space,
-            self.options,
-            self.step_share,
-        )
-
-
-def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
-    """Return (C,) weights whose product with controls is the share of types with step_weight; None for all."""
-    unknown = set(options.step_except) - set(types)
-    if unknown:
-        raise DatasetError(
-            f"--step-except: unknown type {min(unknown)!r}, expected some of {', '.join(types)}"
-        )
-    if not options.step_weight or not options.step_except:
-        return None
-    layout = ControlLayout(types)
-    share = torch.zeros(layout.size)
-    share[layout.type] = torch.tensor([float(name not in options.step_except) for name in types])
-    return share
 
 
 @dataclass(frozen=True)
