@@ -76,7 +76,7 @@ def preprocess(
             put_in_place(staging, target)
         files = [item.report for item in prepared]
         doubts = [f"warning: {file.name}: {file.labels}" for file in files if file.labels]
-        seconds = sum(end - start for item in prepared for start, end, *_ in item.runs) / FPS
+        seconds = sum(file.frames for file in files) / FPS
         clips = len(manifest["clips"])
         return PreprocessReport(output, table, files, types, clips, seconds, (*notes, *doubts))
     except OSError as error:
