@@ -154,19 +154,15 @@ def _runs(
 
     Adjacent segments stay together, so that the model learns from real transitions.
     """
-    out: list[tuple[int, int, list[tuple[int, int, str]], str, str]] = []
+    runs: list[Run] = []
     for segment in segments:
         first = max(0, int(np.ceil((segment.start - lead_in) * FPS / fps - 1e-6)))
         last = frames if segment.end < 0 else int(np.floor((segment.end - lead_in) * FPS / fps + 1e-6))
         for start, end in cut_at_leaps(first, min(frames, last), leaps):
-            if out and out[-1][1] >= start - 1 and out[-1][3] == segment.split and start not in leaps:
-                start = out[-1][1]
-                out[-1][2].append((start, end, segment.type))
-                out[-1] = (out[-1][0], end, *out[-1][2:])
+            before = runs[-1] if runs else None
+            if before and before.end >= start - 1 and before.split == segment.split and start not in leaps:
+                spans = (*before.spans, (before.end, end, segment.type))
+                runs[-1] = before._replace(end=end, spans=spans)
             else:
-                out.append((start, end, [(start, end, segment.type)], segment.split, segment.subject))
-    return tuple(
-        Run(a, b, tuple(spans), split, subject)
-        for a, b, spans, split, subject in out
-        if b - a >= MIN_CLIP_FRAMES
-    )
+                runs.append(Run(start, end, ((start, end, segment.type),), segment.split, segment.subject))
+    return tuple(run for run in runs if run.end - run.start >= MIN_CLIP_FRAMES)

@@ -41,12 +41,12 @@ REST = 0.35
 BLEND = 0.3
 STEP_BLEND = 0.2  # of gaits and hops, whose feet slide with more
 # Reference gains are found at the end of a run; one that is stopped before may answer more than a finished one does.
-GAIT = SamplingPreset(1.0, velocity_blend=STEP_BLEND, slip_correction=0.15, noise_scale=0.2)
+GAIT = SamplingPreset(velocity_blend=STEP_BLEND, slip_correction=0.15, noise_scale=0.2)
 STANDING = replace(GAIT, noise_scale=0.7)
-PERFORMANCE = SamplingPreset(1.0, velocity_blend=BLEND, slip_correction=0.2, noise_scale=0.2)
-STRIKE = SamplingPreset(1.0, velocity_blend=BLEND, slip_correction=0.3, noise_scale=0.2)
-JUMP = SamplingPreset(1.0, velocity_blend=STEP_BLEND, slip_correction=0.2, noise_scale=0.2)
-OTHER = SamplingPreset(1.0, velocity_blend=BLEND, slip_correction=0.45, noise_scale=0.2)
+PERFORMANCE = SamplingPreset(velocity_blend=BLEND, slip_correction=0.2, noise_scale=0.2)
+STRIKE = SamplingPreset(velocity_blend=BLEND, slip_correction=0.3, noise_scale=0.2)
+JUMP = SamplingPreset(velocity_blend=STEP_BLEND, slip_correction=0.2, noise_scale=0.2)
+OTHER = SamplingPreset(velocity_blend=BLEND, slip_correction=0.45, noise_scale=0.2)
 
 
 def bundle_model(
