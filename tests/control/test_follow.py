@@ -232,7 +232,7 @@ def test_a_whole_roll_out(tiny_model: MotionModel) -> None:
     assert result.frames == len(result.motion) == len(seen)
     assert np.array_equal(result.motion.local_rotations, again.motion.local_rotations)
     assert len(result.part_distances) == 2
-    limit = int((1.6 * 0.4 / 3.0 + 3.0) * 60)
+    limit = int((1.6 * PathFollower(tiny_model, path).expected_seconds + 3.0) * 60)
     assert result.frames <= limit + 1
     assert result.finished == (seen[-1] >= 0.9)
     assert seen == sorted(seen) and max(seen) <= 1.0, "progress is a share that never falls"

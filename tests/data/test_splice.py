@@ -3,9 +3,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motionkit.data.dataset import Clip, Dataset
+from motionkit.control.reference_player import Pause
+from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.data.splice import HEAD, TAIL, splice_clips
 from motionkit.features.decode import decode_motion
+from motionkit.features.reference import PAUSE, REFERENCE_OFFSETS
+from motionkit.models.motion_type import ReferenceClip
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.skeleton import FOOT_JOINTS
 
@@ -14,18 +17,26 @@ def clip_of(dataset: Dataset, name: str, mirrored: bool = False) -> Clip:
     return next(c for c in dataset.clips if name in c.name and c.mirrored == mirrored)
 
 
-def splice(dataset: Dataset, first: str, second: str, seed: int = 0, mirrored: bool = False):
+def splice(
+    dataset: Dataset, first: str, second: str, seed: int = 0, mirrored: bool = False, pause: int = 0
+) -> ClipData:
     a, b = clip_of(dataset, first), clip_of(dataset, second, mirrored)
     pick = np.random.default_rng(seed).integers
-    return splice_clips(dataset, (a, 0, a.frames), (b, 0, b.frames), 30, pick)
+    return splice_clips(dataset, (a, 0, a.frames), (b, 0, b.frames), 30, pick, pause)
 
 
 @pytest.mark.parametrize(
-    ("first", "second"), [("walk_02", "wheel_01"), ("idle_01", "run_01"), ("hop_left", "hop_left")]
+    ("first", "second", "pause"),
+    [
+        ("walk_02", "wheel_01", 0),
+        ("idle_01", "run_01", 0),
+        ("hop_left", "hop_left", 0),
+        ("wheel_01", "wheel_01", PAUSE),
+    ],
 )
-def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str) -> None:
+def test_the_joined_motion_is_smooth(dataset: Dataset, first: str, second: str, pause: int) -> None:
     """At the join, joints have no higher speed or acceleration than in the two clips."""
-    data = splice(dataset, first, second)
+    data = splice(dataset, first, second, pause=pause)
     motion = decode_motion(
         data.features, dataset.skeleton(dataset.clips[0]), 60.0, data.ground[0], dataset.reference_rotations
     )
@@ -53,6 +64,28 @@ def test_types_change_at_the_join(dataset: Dataset) -> None:
     assert set(data.types.tolist()) == {walking, cartwheel}
     assert int((np.diff(data.types) != 0).sum()) == 1
     assert int(data.types[0]) == walking and int(data.types[-1]) == cartwheel
+
+
+def test_a_pause_shows_what_players_ask_for(dataset: Dataset) -> None:
+    """Between two performances: reference poses as the player leads them, no phase, and the speed grows evenly."""
+    data = splice(dataset, "wheel_01", "wheel_01", pause=PAUSE)
+    clip = clip_of(dataset, "wheel_01")
+    whole = dataset.read(clip)
+    poses = np.pad(
+        dataset.pose_embedding.of(whole.features), ((0, REFERENCE_OFFSETS[-1]), (0, 0)), mode="edge"
+    )
+    played = ReferenceClip(poses, whole.ground, whole.phases)
+    asked, _, ended = Pause(played, played, 0).next(PAUSE)
+    assert ended
+    begin = TAIL + 1
+    paused = slice(begin, begin + PAUSE)
+    assert np.allclose(data.reference[paused], asked, atol=1e-4)
+    assert (data.phases[paused] == -1.0).all()
+    assert np.array_equal(data.phases[paused.stop : paused.stop + 20], whole.phases[:20])
+    assert data.phases[begin - 1] == whole.phases[-1]
+    steps = np.linalg.norm(np.diff(data.ground[paused, :2], axis=0), axis=-1)
+    own = np.linalg.norm(np.diff(whole.ground[:, :2], axis=0), axis=-1)
+    assert np.all(steps <= own.max() + 0.05)
 
 
 def test_lengths_agree_and_are_bounded(dataset: Dataset) -> None:

@@ -1,15 +1,19 @@
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import torch
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
+from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
 from motionkit.features.control import ControlLayout
+from motionkit.features.reference import BEFORE_EVENT, PAUSE
 from motionkit.training.presets import train_options
-from motionkit.training.sampler import SamplerOptions, WindowSampler
+from motionkit.training.sampler import SamplerOptions, Span, WindowSampler
 
 WINDOW = 40
 
@@ -133,7 +137,7 @@ def test_trajectory_dropout_and_its_flag(dataset: Dataset) -> None:
 def test_the_type_changes_before_the_motion_never_after(dataset: Dataset) -> None:
     prompt, early = (sampler(dataset, lead_share=share, splices=30) for share in (0.0, 1.0))
     compared = 0
-    for step in range(12):
+    for step in range(24):
         a, b = types_of(prompt, prompt.batch(step, 8)), types_of(early, early.batch(step, 8))
         for before, after in zip(a, b, strict=True):
             if before[0].argmax() != before[-1].argmax():
@@ -207,6 +211,38 @@ def test_only_windows_that_go_straight_drift(dataset: Dataset) -> None:
     assert not np.array_equal(windows._drifted(trajectory, way, random), trajectory)
     way[16:, 0] = way[15::-1, 0][:15]  # there and back
     assert np.array_equal(windows._drifted(trajectory, way, random), trajectory)
+
+
+def test_performances_are_repeated_over_a_pause(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every second splice that ends in one, from another of its type."""
+    asked = []
+
+    def noted(dataset, first, second, decay, pick, pause):
+        asked.append((first, second, pause))
+        return splice_clips(dataset, first, second, decay, pick, pause)
+
+    monkeypatch.setattr("motionkit.training.sampler.splice_clips", noted)
+    sampler(dataset, splices=60)
+    assert {pause for *_, pause in asked} == {0, PAUSE}
+    for number, ((clip_a, _, end), (clip_b, start, _), pause) in enumerate(asked):
+        after = int(dataset.clip_types(clip_b)[start])
+        if pause:
+            assert int(dataset.clip_types(clip_a)[end - 1]) == after
+        assert (pause > 0) == (number % 2 == 1 and dataset.types[after] in dataset.phase_seconds)
+
+
+def test_strikes_are_repeated_from_shortly_before_one(
+    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = sampler(dataset)
+    phases = np.full(100, -1.0, np.float32)
+    phases[8:20] = phases[60:75] = phases[95:] = 0.5
+    monkeypatch.setattr(made, "dataset", SimpleNamespace(read=lambda *_: SimpleNamespace(phases=phases)))
+    span = Span(0, 30, 130)
+    found = [made._from_event(span, lambda count, n=n: n % count) for n in range(3)]
+    assert found == [Span(0, 30, 130), Span(0, 30 + 60 - BEFORE_EVENT, 130), Span(0, 30, 130)]
+    phases[:] = 0.5  # a whole performance
+    assert made._from_event(span, lambda count: 0) == span
 
 
 def test_a_sampler_changes_its_options_but_not_its_splices(dataset: Dataset) -> None:

@@ -112,7 +112,7 @@ def test_golden_loss_curve(dataset_folder: Path, tmp_path: Path, tiny_options) -
 
 
 # The same for the settings that `motionkit train` uses by default: stages, scheduled sampling and spliced transitions.
-GOLDEN_SHIPPED = {1: 2672.568, 16: 2390.33, 32: 2140.65}
+GOLDEN_SHIPPED = {1: 2714.05, 16: 2415.64, 32: 2318.16}
 
 
 def test_golden_loss_curve_of_the_shipped_settings(dataset_folder: Path, tmp_path: Path) -> None:
@@ -250,8 +250,9 @@ def test_step_except_leaves_types_out_of_the_step_loss(
         fk_loss(step_weight=50.0, step_except=tuple(kinds)),
     )
     assert none == pytest.approx(plain, rel=1e-6) and all_types > 1.01 * plain
-    one_less = fk_loss(step_weight=50.0, step_except=(kinds[-1],))
-    assert plain < one_less < all_types
+    # Not every type is in the windows of one step.
+    one_less = [fk_loss(step_weight=50.0, step_except=(kind,)) for kind in kinds]
+    assert all(plain < each <= all_types for each in one_less) and min(one_less) < all_types
     with pytest.raises(DatasetError, match="--step-except: unknown type 'flying'"):
         fk_loss(step_weight=1.0, step_except=("flying",))
 

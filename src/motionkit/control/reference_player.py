@@ -15,7 +15,7 @@ from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
 from motionkit.control.standing import about_zero, in_stance
 from motionkit.features.control import Controls, future_trajectory, straight_trajectory
 from motionkit.features.decode import integrate_ground
-from motionkit.features.reference import reference_signal
+from motionkit.features.reference import BEFORE_EVENT, PAUSE, reference_signal
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip, Rhythm
 
@@ -23,7 +23,6 @@ from motionkit.models.motion_type import MotionType, ReferenceClip, Rhythm
 # the one most like a standing body is one where nothing happens. Many to go on within a type.
 CANDIDATES, CANDIDATES_WITHIN = 24, 200
 SUITED = 2.0  # performances whose beginning costs up to so many times as much as that of the best, and 1, are as good
-PAUSE = 20  # frames from the end of a performance, strike or jump to the beginning of the next
 # Least and most frames of the blend from one clip to the next, which poses cross at the pace of the clip entered.
 SHORTEST_BLEND, LONGEST_BLEND = 15, 45
 # Clips are entered in frames that move more than the first of these shares of all, and less than the second.
@@ -34,7 +33,6 @@ LEAST_SECONDS = 1.5  # of a clip that must follow the frame it is entered at
 GAIT_LEAST = 0.75  # the same of gaits and of standing: most runs are recorded for a second
 # A gait brakes where a clip goes slower than this share of its usual speed in the coming second.
 GOING = 0.6
-BEFORE_EVENT = 15  # a clip of strikes or jumps is entered so many frames before one begins
 # cm/s by which a strike or jump may go faster or slower than the body, beyond the nearest of all: a leap out of a run
 # needs the run.
 OTHER_SPEED = 60.0

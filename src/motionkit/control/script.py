@@ -10,10 +10,11 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.momentum import carried_over
-from motionkit.control.reference_player import PAUSE, ReferencePlayer
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.standing import Present, Stances, comes_to_stand, settling
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls, blend_types, types_ahead
+from motionkit.features.reference import PAUSE
 from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
 from motionkit.names import nfc

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, lerp
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.features.encode import encode_motion
 from motionkit.motion.foot_ik import lock_feet, locked_spans
@@ -66,6 +66,7 @@ def splice_clips(
     second: tuple[Clip, int, int],
     decay: int,
     pick: Callable[[int], int],
+    pause: int = 0,
 ) -> ClipData:
     """Join the end of one stretch to the start of another.
 
@@ -73,12 +74,18 @@ def splice_clips(
         first, second: (clip, start, end) stretches of one type each.
         decay: frames over which the difference at the join decays.
         pick: returns a random number below its argument; selects one of the best joins.
+        pause: frames from the last of the first stretch to the first of the second, as reference poses pause between
+            two performances, in which the body goes over from one to the other.
     """
     clip, start, end = first
     a = cut_piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
     clip, start, end = second
     b = cut_piece(dataset, clip, start, min(end, start + HEAD + SEARCH))
-    i, j = _best_join(a, b, pick)
+    if pause:
+        b = _after_pause(b, pause, a.reference[-1])
+        i, j, decay = len(a.motion) - 1, 1, pause
+    else:
+        i, j = _best_join(a, b, pick)
     a_start, b_end = max(0, i - TAIL), min(len(b.motion), j + HEAD)
     joined = join_pieces(a, b, i, j, decay).motion
     motion = Motion(
@@ -102,6 +109,44 @@ def splice_clips(
     # The reference is not blended: it is the request, not what the body can follow at once.
     reference = np.concatenate([a.reference[a_start : i + 1], b.reference[j + 1 : b_end]])
     return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
+
+
+def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
+    """A piece with so many frames and two more before its first, in which the body gathers its speed.
+
+    The root gets faster evenly; height and joints arrive from a pose that is nearly the first. Reference poses go over
+    from those given (72,) to its first.
+    """
+    held = pause + 2
+    to_come = np.arange(held, 0, -1, dtype=np.float32)  # frames to the first
+    share = np.clip((held - 1 - to_come) / pause, 0.0, None)
+    motion = piece.motion
+    # Steps of the first speed that are still to come: along the way, and of what comes back to where it started.
+    ahead = np.append(np.cumsum(share[:0:-1])[::-1], 0.0)[:, None] + 1.0
+    back = _decay_curves(to_come, float(pause))[1]
+
+    def led(values: Array) -> Array:
+        return np.concatenate([np.repeat(values[:1], held, axis=0), values])
+
+    rotations, root, ground = led(motion.local_rotations), led(motion.root_positions), led(piece.ground)
+    turn = quat_to_expmap(quat_multiply(motion.local_rotations[1], quat_inverse(motion.local_rotations[0])))
+    rotations[:held] = quat_multiply(expmap_to_quat(-back[:, None, None] * turn), rotations[:held])
+    way = piece.ground[0, :2] - ahead * (piece.ground[1, :2] - piece.ground[0, :2])
+    root[:held, [0, 2]], ground[:held, :2] = way, way
+    root[:held, 1] -= back * (motion.root_positions[1, 1] - motion.root_positions[0, 1])
+    phases, shown = led(piece.phases), led(piece.reference)
+    phases[:held] = -1.0
+    shown[:held] = lerp(reference, piece.reference[0], share[:, None])
+    return Piece(
+        Motion(motion.skeleton, rotations, root, motion.fps),
+        ground,
+        led(piece.positions),
+        led(piece.velocities),
+        led(piece.contacts),
+        led(piece.types),
+        phases,
+        shown,
+    )
 
 
 def _contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array:

@@ -26,6 +26,8 @@ from motionkit.features.normalize import Scaling
 EMBEDDING_COUNT = 24
 REFERENCE_OFFSETS: tuple[int, ...] = (5, 15, 30)  # frames ahead, at 60 fps
 REFERENCE_COUNT = EMBEDDING_COUNT * len(REFERENCE_OFFSETS)
+PAUSE = 20  # frames from the end of a performance, strike or jump to the beginning of the next
+BEFORE_EVENT = 15  # a clip of strikes or jumps is entered so many frames before one begins
 LEAST_SHARE = 1e-6  # of the largest variance; directions with less are dropped
 # Nearer poses differ less from the current one; these factors bring all three to about the same size.
 REFERENCE_SCALES: tuple[float, ...] = (4.0, 2.0, 1.0)

@@ -6,8 +6,8 @@ several processes, therefore sees the same windows.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import torch
@@ -30,7 +30,7 @@ from motionkit.features.control import (
     types_ahead,
 )
 from motionkit.features.layout import FEATURE_COUNT
-from motionkit.features.reference import reference_map
+from motionkit.features.reference import BEFORE_EVENT, PAUSE, reference_map
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
 
@@ -196,10 +196,16 @@ class WindowSampler:
         for made in range(count):
             if progress:
                 progress(made / count)
-            first, second = (self._random_span(usable, weights, generator) for _ in range(2))
+            before, after = (int(torch.multinomial(weights, 1, generator=generator)) for _ in range(2))
+            # Half of the performances, strikes and jumps follow another of their type, as reference players ask for.
+            again = made % 2 == 1 and self.dataset.types[after] in self.dataset.phase_seconds
+            first = _random_span(usable[after if again else before], generator)
+            second = _random_span(usable[after], generator)
             clip_a, clip_b = self.clips[first.source], self.clips[second.source]
             if clip_a.body != clip_b.body:
                 continue
+            if again:
+                second = self._from_event(second, pick)
             decay = 20 + pick(21)
             spliced = splice_clips(
                 self.dataset,
@@ -207,18 +213,22 @@ class WindowSampler:
                 (clip_b, second.start, second.end),
                 decay,
                 pick,
+                PAUSE if again else 0,
             )
             self.splices.append(spliced)
             bodies.append(clip_a.body)
         self.splice_bodies = bodies
         self.splice_spans = self._index([data.types for data in self.splices])
 
-    def _random_span(self, spans: dict[int, list[Span]], weights: Tensor, generator: torch.Generator) -> Span:
-        kind = int(torch.multinomial(weights, 1, generator=generator))
-        choices = spans[kind]
-        # Long stretches hold more motion, but only their ends are joined: the square root is a compromise.
-        sizes = torch.tensor([(s.end - s.start) ** 0.5 for s in choices])
-        return choices[int(torch.multinomial(sizes, 1, generator=generator))]
+    def _from_event(self, span: Span, pick: Callable[[int], int]) -> Span:
+        """The rest of a stretch from shortly before one of its strikes or jumps; a whole performance."""
+        phases = self.dataset.read(self.clips[span.source], span.start, span.end).phases
+        begins = np.flatnonzero((phases[1:] >= 0.0) & (phases[:-1] < 0.0)) + 1
+        begins = begins[begins < len(phases) - MIN_SPAN]
+        if not len(begins):
+            return span
+        begin = int(begins[pick(len(begins))])
+        return replace(span, start=span.start + max(0, begin - BEFORE_EVENT))
 
     def batch(self, step: int, size: int, first: int = 0, count: int | None = None) -> Batch:
         """Return windows first to first + count of the batch of the given size at a step."""
@@ -323,6 +333,13 @@ class WindowSampler:
             first = int(begins * len(types))
             gain[first : first + GAP_FRAMES + int(frames * GAP_FRAMES)] = 0.0
         return gain
+
+
+def _random_span(spans: Sequence[Span], generator: torch.Generator) -> Span:
+    """One of some stretches."""
+    # Long stretches hold more motion, but only their ends are joined: the square root is a compromise.
+    sizes = torch.tensor([(s.end - s.start) ** 0.5 for s in spans])
+    return spans[int(torch.multinomial(sizes, 1, generator=generator))]
 
 
 def _straight(ground: Array) -> bool:
