@@ -15,7 +15,7 @@ from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
 from motionkit.control.standing import about_zero, in_stance
 from motionkit.features.control import Controls, future_trajectory, straight_trajectory
 from motionkit.features.decode import integrate_ground
-from motionkit.features.reference import BEFORE_EVENT, PAUSE, reference_signal
+from motionkit.features.reference import BEFORE_EVENT, PAUSE, event_begins, reference_signal
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType, ReferenceClip, Rhythm
 
@@ -497,7 +497,7 @@ class ReferencePlayer:
         """Frames shortly before strikes or jumps, for each clip that has some."""
         found = []
         for clip in clips:
-            begins = np.flatnonzero((clip.phases[1:] >= 0.0) & (clip.phases[:-1] < 0.0)) + 1
+            begins = event_begins(clip.phases)
             if len(begins):
                 found.append((clip, np.maximum(begins - BEFORE_EVENT, 0).tolist()))
         return found

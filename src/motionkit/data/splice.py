@@ -72,7 +72,7 @@ def splice_clips(
 
     Args:
         first, second: (clip, start, end) stretches of one type each.
-        decay: frames over which the difference at the join decays.
+        decay: frames over which the difference at the join decays; over a pause, all of it.
         pick: returns a random number below its argument; selects one of the best joins.
         pause: frames from the last of the first stretch to the first of the second, as reference poses pause between
             two performances, in which the body goes over from one to the other.

@@ -96,6 +96,11 @@ def reference_signal(reference_clips: Array, frames: Array) -> Array:
     )
 
 
+def event_begins(phases: Array) -> Array:
+    """Frames (N,) at which a strike or jump begins, of phases (T,) that are negative outside of them."""
+    return np.flatnonzero((phases[1:] >= 0.0) & (phases[:-1] < 0.0)) + 1
+
+
 @dataclass(frozen=True, eq=False)
 class ReferenceMap:
     """Maps reference poses to the network's input: gains * reference - (x @ matrix + constant).

@@ -30,7 +30,7 @@ from motionkit.features.control import (
     types_ahead,
 )
 from motionkit.features.layout import FEATURE_COUNT
-from motionkit.features.reference import BEFORE_EVENT, PAUSE, reference_map
+from motionkit.features.reference import BEFORE_EVENT, PAUSE, event_begins, reference_map
 from motionkit.motion.skeleton import canonical_skeleton
 from motionkit.training.losses import Batch
 
@@ -223,7 +223,7 @@ class WindowSampler:
     def _from_event(self, span: Span, pick: Callable[[int], int]) -> Span:
         """The rest of a stretch from shortly before one of its strikes or jumps; a whole performance."""
         phases = self.dataset.read(self.clips[span.source], span.start, span.end).phases
-        begins = np.flatnonzero((phases[1:] >= 0.0) & (phases[:-1] < 0.0)) + 1
+        begins = event_begins(phases)
         begins = begins[begins < len(phases) - MIN_SPAN]
         if not len(begins):
             return span
