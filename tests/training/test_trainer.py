@@ -17,6 +17,7 @@ from safetensors.torch import save_file
 from motionkit.data.dataset import Dataset
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.models.checkpoint import load_model
+from motionkit.training import trainer
 from motionkit.training.losses import WEIGHTS
 from motionkit.training.options import Stage, TrainOptions
 from motionkit.training.presets import train_options
@@ -277,6 +278,23 @@ def test_a_signal_ends_the_run_after_a_whole_step(
     assert max(e.step for e in seen if e.kind == "log") == result.steps
     assert any("--resume" in e.text for e in seen if e.kind == "note")
     assert signal.getsignal(how) == before, "the earlier handler is restored"
+
+
+def test_two_signals_at_once_are_one_and_a_later_one_ends_the_run(
+    dataset_folder: Path, tmp_path: Path, tiny_options, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """timeout signals a process and its group; who presses Ctrl-C again does not want to wait."""
+    path = tmp_path / "m.safetensors"
+
+    def twice(event: TrainEvent) -> None:
+        if event.kind == "log" and event.step == 2:
+            os.kill(os.getpid(), signal.SIGTERM)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    assert train(dataset_folder, path, tiny_options(steps=1000), device="cpu", on_event=twice).steps == 2
+    monkeypatch.setattr(trainer, "TWICE", -1.0)
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset_folder, path, tiny_options(steps=1000), device="cpu", on_event=twice)
 
 
 def test_a_run_stopped_anywhere_resumes_as_if_unbroken(

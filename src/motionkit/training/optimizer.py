@@ -65,20 +65,25 @@ class Muon(torch.optim.Optimizer):
         """Make a step along the gradients."""
         assert closure is None
         group = self.param_groups[0]
-        wanted = [(p, c) for p, c in zip(group["params"], self.counts, strict=True) if p.grad is not None]
+        counts = dict(zip(group["params"], self.counts, strict=True))
+        moved = [p for p in group["params"] if p.grad is not None]
+        ahead = dict(zip(moved, self._ahead(moved), strict=True))
         # All matrices with the same shorter and longer side are made orthogonal in one product.
-        alike: dict[tuple[int, ...], list[tuple[nn.Parameter, int, Tensor]]] = {}
-        for p, count in wanted:
-            apart = torch.cat(self._ahead(p).chunk(count, dim=-1))
-            alike.setdefault(tuple(sorted(apart.shape[1:])), []).append((p, count, _low(apart)))
+        alike: dict[tuple[int, ...], list[nn.Parameter]] = {}
+        for p in moved:
+            sides = (p.shape[-2], p.shape[-1] // counts[p])
+            alike.setdefault(tuple(sorted(sides)), []).append(p)
         for (_, longer), members in alike.items():
-            lengths = [len(low) for _, _, low in members]
-            updates = self._shared(torch.cat([low for _, _, low in members])).split(lengths)
-            for (p, count, _), update in zip(members, updates, strict=True):
-                high = p.shape[-1] // count < p.shape[-2]
-                whole = torch.cat((update.transpose(-1, -2) if high else update).chunk(count), dim=-1)
-                p.mul_(1.0 - group["lr"] * group["weight_decay"])
-                p.add_(whole, alpha=-group["lr"] * AS_ADAMW * longer**0.5)
+            low = [_low(matrix) for p in members for matrix in ahead[p].chunk(counts[p], dim=-1)]
+            updates = iter(self._shared(torch.cat(low)).split([len(x) for x in low]))
+            whole = []
+            for p in members:
+                high = p.shape[-1] // counts[p] < p.shape[-2]
+                apart = [next(updates) for _ in range(counts[p])]
+                apart = [x.transpose(-1, -2) for x in apart] if high else apart
+                whole.append(apart[0] if len(apart) == 1 else torch.cat(apart, dim=-1))
+            torch._foreach_mul_([*members], 1.0 - group["lr"] * group["weight_decay"])
+            torch._foreach_add_([*members], whole, alpha=-group["lr"] * AS_ADAMW * longer**0.5)
 
     def _shared(self, x: Tensor) -> Tensor:
         """Make matrices (N, M, M') orthogonal, each by one of the processes, so that all get the same."""
@@ -95,13 +100,15 @@ class Muon(torch.optim.Optimizer):
         dist.all_gather(list(found.view(torch.uint8).split(share)), mine.view(torch.uint8))
         return found[: len(x)].to(x.dtype)
 
-    def _ahead(self, p: nn.Parameter) -> Tensor:
-        """Let the momentum follow the gradient of a parameter, and return where Nesterov's would go."""
-        assert p.grad is not None
-        if not self.state[p]:
-            self.state[p]["momentum"] = torch.zeros_like(p)
-        momentum: Tensor = self.state[p]["momentum"].lerp_(p.grad, 1.0 - MOMENTUM)
-        return p.grad.lerp(momentum, MOMENTUM)
+    def _ahead(self, moved: list[nn.Parameter]) -> list[Tensor]:
+        """Let the momenta follow the gradients of parameters, and return where Nesterov's would go."""
+        for p in moved:
+            if not self.state[p]:
+                self.state[p]["momentum"] = torch.zeros_like(p)
+        gradients = [p.grad for p in moved if p.grad is not None]
+        momenta = [self.state[p]["momentum"] for p in moved]
+        torch._foreach_lerp_(momenta, gradients, 1.0 - MOMENTUM)
+        return list(torch._foreach_lerp(gradients, momenta, MOMENTUM))
 
 
 def _low(x: Tensor) -> Tensor:

@@ -85,10 +85,12 @@ class Span:
     end: int
 
 
-def window_generator(seed: int, step: int, place: int, purpose: int = 0) -> torch.Generator:
+def window_generator(
+    seed: int, step: int, place: int, purpose: int = 0, device: torch.device | str = "cpu"
+) -> torch.Generator:
     """Return the random generator of one window of one step, the same in every process."""
     words = np.random.SeedSequence([seed, step, place, purpose]).generate_state(2, np.uint32)
-    return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]))
+    return torch.Generator(device).manual_seed(int(words[0]) << 31 | int(words[1]))
 
 
 class WindowSampler:

@@ -64,14 +64,13 @@ class PredictedInputs:
         Frames at which the recorded frame takes over do not count in the losses, because no body makes that step.
 
         Args:
-            generators: one random generator per window.
+            generators: one random generator per window, on the device of the batch.
         """
         if options != self.options:
             self.options, self._roll_out = options, Replayed(self._frames)
         _, T, F = batch.inputs.shape
-        device = batch.inputs.device
-        fresh = torch.stack([torch.randn(T, F, generator=g) for g in generators]).to(device)
-        chance = torch.stack([torch.rand(T, generator=g) for g in generators]).to(device)
+        fresh = torch.stack([torch.randn(T, F, generator=g, device=g.device) for g in generators])
+        chance = torch.stack([torch.rand(T, generator=g, device=g.device) for g in generators])
         given = (batch.inputs, batch.targets, batch.contacts, batch.controls, batch.mask)
         was_training = self.network.training
         self.network.eval()

@@ -48,6 +48,7 @@ from motionkit.training.window_blocks import BlockStart, WindowBlocks
 # The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / FEATURE_COUNT
 PAPER_FRAMES = 2000 * 60_962 * 300  # of the paper's training: epochs, windows, frames
+TWICE = 1.0  # seconds within which two signals are one
 # Options that a resumed run may change: its length and its outputs.
 FREE_ON_RESUME = ("steps", "minutes", "output.")
 
@@ -190,6 +191,8 @@ class TrainingRun:
         # Dropout must differ between processes, weights must not.
         torch.manual_seed(options.seed + 1 + self.rank)
         self.autocast = _use_bfloat16(options.optimizer.precision, self.device)
+        if self.device.type == "cuda":  # tensor cores round factors to 10 bits; sums are in float32
+            torch.set_float32_matmul_precision("high")
         self.optimizers = make_optimizers(self.module, network, options.optimizer, self.autocast)
         self.average = {n: p.detach().clone() for n, p in self.module.network.state_dict().items()}
         self.step, self.seconds = 0, 0.0
@@ -285,6 +288,7 @@ class TrainingRun:
             if self.rank == 0:
                 self._save_all()
         finally:
+            self.blocks.close()
             for number, handler in previous.items():
                 signal.signal(number, handler)
         if self.rank == 0:
@@ -312,12 +316,19 @@ class TrainingRun:
         ]
 
     def _catch_signals(self) -> dict[int, Any]:
-        """Make Ctrl-C and SIGTERM end the run after the current step, because a checkpoint holds whole steps only."""
+        """Make Ctrl-C and SIGTERM end the run after the current step, because a checkpoint holds whole steps only.
+
+        A second one, not before a second later, ends it at once: timeout and torchrun send one twice.
+        """
+        heard = 0.0
 
         def stop(number: int, frame: Any) -> None:
+            nonlocal heard
             if self.asked_to_stop:
-                raise KeyboardInterrupt
-            self.asked_to_stop = True
+                if time.monotonic() - heard > TWICE:
+                    raise KeyboardInterrupt
+                return
+            self.asked_to_stop, heard = True, time.monotonic()
             self._emit("stop", "stopping after this step")
 
         try:

@@ -7,7 +7,6 @@ kept, so that a run can stop and resume at any step within a block.
 
 from __future__ import annotations
 
-from concurrent.futures import Future
 from dataclasses import dataclass
 
 import torch
@@ -15,15 +14,15 @@ from torch import Tensor
 
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.predictor import Predictor
-from motionkit.native import cores, workers
 from motionkit.training.options import TrainOptions
-from motionkit.training.sampler import SamplerOptions, WindowSampler, window_generator
+from motionkit.training.sampler import WindowSampler, window_generator
 from motionkit.training.scheduled_sampling import (
     PredictedInputs,
     join_batches,
     sampled_windows,
     take_windows,
 )
+from motionkit.training.window_loader import WindowLoader
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +55,7 @@ class WindowBlocks:
             FeatureSpace.of(sampler.dataset).to(device),
         )
         self._coming: list[Batch] = []
-        self._ahead: tuple[range, SamplerOptions, list[Future[Batch]]] | None = None
+        self._loader = WindowLoader(sampler, options.optimizer.batch, places)
 
     def next(self, step: int, progress: float) -> Batch:
         """Return the batch of a step; progress is the share of the run that is done."""
@@ -65,9 +64,10 @@ class WindowBlocks:
             self._begin(BlockStart(step, progress, weights))
         return self._coming.pop(0)
 
-    def drop(self) -> None:
-        """Drop the batches that have been made."""
+    def close(self) -> None:
+        """Drop the batches that have been made, and end the processes that make more."""
         self._coming = []
+        self._loader.close()
 
     @property
     def unfinished(self) -> BlockStart | None:
@@ -102,7 +102,7 @@ class WindowBlocks:
         if not fed:
             return batches
         generators = [
-            window_generator(options.seed, step, places[i], purpose=1) for step in steps for i in fed
+            window_generator(options.seed, step, places[i], 1, device) for step in steps for i in fed
         ]
         joined = join_batches([take_windows(batch, fed) for batch in batches])
         joined = self.predicted(joined, options.scheduled_sampling, generators)
@@ -115,16 +115,8 @@ class WindowBlocks:
         ]
 
     def _windows(self, steps: range, device: torch.device) -> list[Batch]:
-        """Return the windows of some steps as they are recorded; for a GPU those of the next block are begun."""
-
-        def make(step: int) -> Batch:
-            return self.sampler.batch(step, self.options.optimizer.batch, self.places.start, len(self.places))
-
-        if device.type == "cpu":  # which has better things to do meanwhile
-            return [make(step) for step in steps]
-        ahead, options = self._ahead, self.options.sampler
-        known = ahead is not None and ahead[:2] == (steps, options)
-        batches = [future.result() for future in ahead[2]] if ahead and known else [make(s) for s in steps]
-        coming = range(steps.stop, self._end(steps.stop))
-        self._ahead = coming, options, [workers(cores()).submit(make, step) for step in coming]
-        return batches
+        """Return the windows of some steps as they are recorded; for a GPU other processes make them."""
+        if device.type != "cpu":
+            return [self._loader.next(step) for step in steps]
+        size, places = self.options.optimizer.batch, self.places
+        return [self.sampler.batch(step, size, places.start, len(places)) for step in steps]
