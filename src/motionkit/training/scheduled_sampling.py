@@ -37,7 +37,7 @@ class ScheduledSamplingOptions:
     # The same with reference poses or a phase. They keep the rhythm, so runs can be longer.
     reference_back: float = 0.02
     reference_limit: float = 1.0
-    temperature: float = 0.2  # of the noise on predictions, correlated in time as in synthesis
+    temperature: float = 0.1  # of the noise on predictions, correlated in time as in synthesis
     rho: float = 0.95  # correlation of the noise from frame to frame
 
 
