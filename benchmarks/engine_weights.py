@@ -26,10 +26,10 @@ from motionkit.features.layout import FEATURE_COUNT
 from motionkit.inference.rollout import Noise
 from motionkit.inference.start import type_start
 from motionkit.metrics.foot_sliding import average_foot_sliding
-from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.models.bundled import open_model
 from motionkit.models.model import MotionModel
+from motionkit.motion.floor import floor_height, foot_positions
 
 ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight ahead; None: as recorded
 

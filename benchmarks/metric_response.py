@@ -11,10 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
-from motionkit.metrics.loading import load_canonical
 from motionkit.metrics.report import evaluate_motion
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import expmap_to_quat, quat_multiply, quat_slerp
+from motionkit.rig.canonical import load_canonical
 
 WALK = Path(__file__).resolve().parents[1] / "examples" / "data" / "35_01.bvh"
 COLUMNS = (

@@ -17,21 +17,21 @@ import numpy as np
 import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.export.on_rig import on_rig, read_rig
-from motionkit.features.contacts import foot_contacts
 from motionkit.files import files_below
 from motionkit.motion.bvh import read_bvh, write_bvh
+from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.retarget import retarget
-from motionkit.motion.rig import Rig
-from motionkit.motion.rig_pose import map_file, median_offsets
 from motionkit.motion.rotations import quat_angle
 from motionkit.motion.skeleton import JOINT_NAMES
-from motionkit.motion.to_rig import on_body, rig_bvh, to_rig
 from motionkit.play.on_rig import LiveRig, with_rig
 from motionkit.play.requests import parse_request
 from motionkit.play.session import Session
+from motionkit.rig.on_rig import on_rig, read_rig
+from motionkit.rig.pose import map_file, median_offsets
+from motionkit.rig.retarget import retarget
+from motionkit.rig.rig import Rig
+from motionkit.rig.to_rig import on_body, rig_bvh, to_rig
 
 TOES = [JOINT_NAMES.index(f"{side}ToeBase") for side in ("Left", "Right")]
 LIVE_SECONDS = 7

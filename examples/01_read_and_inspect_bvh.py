@@ -11,7 +11,7 @@ from pathlib import Path
 from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import read_bvh
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.retarget import retarget
+from motionkit.rig.retarget import retarget
 
 
 def main() -> None:

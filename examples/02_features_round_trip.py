@@ -16,8 +16,8 @@ from motionkit.features.encode import encode_motion
 from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
-from motionkit.motion.retarget import retarget_file
 from motionkit.motion.rotations import quat_angle
+from motionkit.rig.retarget import retarget_file
 
 
 def print_round_trip(motion: Motion, layout: str) -> None:

@@ -42,9 +42,9 @@ if TYPE_CHECKING:
     from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
     from motionkit.motion.kinematics import motion_kinematics as kinematics
-    from motionkit.motion.mirror import mirror_motion as mirror
     from motionkit.motion.motion import Motion, resample
     from motionkit.motion.skeleton import Skeleton, canonical_skeleton
+    from motionkit.rig.mirror import mirror_motion as mirror
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.view.notebook import show
 
@@ -90,7 +90,7 @@ _HOMES = {
     "MotionModel": "models.model",
     "write_bvh": "motion.bvh",
     "kinematics": "motion.kinematics:motion_kinematics",
-    "mirror": "motion.mirror:mirror_motion",
+    "mirror": "rig.mirror:mirror_motion",
     "Motion": "motion.motion",
     "resample": "motion.motion",
     "Skeleton": "motion.skeleton",

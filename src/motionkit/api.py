@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from motionkit.metrics.value import MetricSettings
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
-    from motionkit.motion.rig import Rig
+    from motionkit.rig.rig import Rig
     from motionkit.training.options import TrainOptions
     from motionkit.training.trainer import TrainEvent, TrainResult
 
@@ -60,7 +60,7 @@ def read_canonical(path: str | Path, scale: float | None = None, fps: float | No
 
     Raises BvhError for a file that cannot be read, SkeletonError for a rig that is not a human one.
     """
-    from motionkit.metrics.loading import load_canonical
+    from motionkit.rig.canonical import load_canonical
 
     return load_canonical(path, scale, fps)[0]
 
@@ -75,7 +75,7 @@ def read_rig(path: str | Path, map: str | Path | None = None) -> Rig:
     Raises:
         MotionkitError: for a file or a map that cannot be read, or a rig that is not a human one.
     """
-    from motionkit.export import on_rig
+    from motionkit.rig import on_rig
 
     return on_rig.read_rig(path, map)
 
@@ -98,7 +98,7 @@ def retarget(
         MotionkitError: for a file that cannot be read, or a rig that is not a human one.
     """
     from motionkit.export.clip import Clip
-    from motionkit.export.on_rig import on_rig, read_clip, read_on_any_rig
+    from motionkit.rig.on_rig import on_rig, read_clip, read_on_any_rig
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
     if isinstance(motion, (str, Path)):

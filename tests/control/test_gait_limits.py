@@ -11,8 +11,8 @@ from motionkit.control.drive import Driver, Wish
 from motionkit.control.gait_limits import MOST_ASIDE, MOST_ASIDE_RUNNING, GaitLimits
 from motionkit.control.steering import GOES_FROM, steered_type
 from motionkit.inference.character import CharacterStream
-from motionkit.metrics.ground import foot_positions
 from motionkit.models.bundled import load_bundled_model
+from motionkit.motion.floor import foot_positions
 
 
 def test_speeds_are_those_of_the_recordings() -> None:

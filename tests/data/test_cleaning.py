@@ -11,7 +11,8 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array, normalized
-from motionkit.data.cleaning import TOE_HEIGHT, TOES, clean
+from motionkit.data.cleaning import clean
+from motionkit.motion.floor import TOE_HEIGHT, TOES
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (

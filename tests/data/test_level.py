@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.data.cleaning import TOE_HEIGHT, TOES, standing_toes
 from motionkit.data.dataset import Dataset
 from motionkit.data.diagnosis import diagnose
 from motionkit.data.level import STEEPEST, floor_tilt, footfalls, levelled
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.motion.bvh import write_bvh
+from motionkit.motion.floor import TOE_HEIGHT, TOES, standing_toes
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply, quat_rotate

@@ -19,7 +19,7 @@ from motionkit.features.layout import LAYOUTS
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import resample
-from motionkit.motion.retarget import retarget_file
+from motionkit.rig.retarget import retarget_file
 from synthetic_motions import make_idle, make_jump, make_walk
 
 ONE_JOB = PreprocessOptions(jobs=1)

@@ -15,10 +15,10 @@ from motionkit.errors import DatasetError
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.bvh import write_bvh
-from motionkit.motion.mirror import mirror_motion
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.rig.mirror import mirror_motion
 from synthetic_motions import make_jump, make_walk
 
 

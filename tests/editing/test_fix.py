@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from motionkit.editing.fix import Fixed, Repairs, fix_motion
-from motionkit.editing.upright import Upright
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion
 from motionkit.motion.bvh import read_bvh
@@ -19,6 +18,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, quat_multiply
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"

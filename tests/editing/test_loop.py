@@ -11,13 +11,13 @@ import pytest
 
 from motionkit.editing.loop import Loop, make_loop
 from motionkit.editing.root_motion import in_place
-from motionkit.editing.upright import Upright
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import read_motion, write_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle, quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
 
 DATA = Path(__file__).resolve().parents[2] / "examples" / "data"

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from motionkit.editing.root_motion import at_origin, ground_track, in_place, with_ground_root
-from motionkit.editing.upright import Upright
 from motionkit.errors import SkeletonError
 from motionkit.export.formats import read_motion, write_motion
 from motionkit.features.heading import heading_angles
-from motionkit.metrics.loading import canonical_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply, quat_rotate, quat_to_expmap
+from motionkit.rig.canonical import canonical_motion
+from motionkit.rig.upright import Upright
 from synthetic_motions import make_walk
 
 CMU = Path(__file__).resolve().parents[2] / "examples" / "data" / "16_45.bvh"

@@ -48,7 +48,11 @@ def main() -> None:
                 [sys.executable, "-m", "motionkit", *command.split()],
                 cwd=folder, capture_output=True, env=environment,
             )  # fmt: skip
-            shown = "train" not in command and "preprocess" not in command  # these say how long they took
+            shown = command.split()[0] not in (
+                "synthesize",
+                "preprocess",
+                "train",
+            )  # these say how long they took
             print(done.returncode, digest(done.stdout) if shown else "-", command.replace(str(ROOT), ""))
             for path in sorted(Path(folder).rglob("*")):
                 if path.is_file() and path not in before:

@@ -18,7 +18,6 @@ from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.export.clip import Clip
 from motionkit.export.figure import Figure, make_figure, skin_weights
 from motionkit.export.formats import WRITERS, read_motion, write_motion
-from motionkit.export.gltf import GltfDocument, GltfFile
 from motionkit.export.usda import joint_paths
 from motionkit.export.vrma import BONES, humanoid_motion
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -26,6 +25,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_angle, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.rig.gltf import GltfDocument, GltfFile
 from synthetic_motions import make_walk
 
 CMU = Path(__file__).resolve().parents[2] / "examples" / "data" / "16_45.bvh"

@@ -25,12 +25,12 @@ from motionkit.export.clip import Clip
 from motionkit.export.figure import make_figure
 from motionkit.export.formats import write_motion
 from motionkit.export.glb import add_figure
-from motionkit.export.gltf import GltfDocument
 from motionkit.export.vrma import BONES, humanoid_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.rig.gltf import GltfDocument
 from synthetic_motions import make_cartwheel, make_walk
 from view.conftest import browser, open_page  # noqa: F401
 

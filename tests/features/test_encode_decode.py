@@ -13,10 +13,10 @@ from motionkit.features.encode import EncodedMotion, encode_motion, relative_exp
 from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import mirror_motion
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import expmap_to_quat, mean_rotation, quat_angle
 from motionkit.motion.skeleton import MIRROR_JOINTS, Skeleton
+from motionkit.rig.mirror import mirror_motion
 from synthetic_motions import make_cartwheel, make_dance, make_jump, make_walk, placed
 
 MOTIONS = {

@@ -13,8 +13,8 @@ from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import resample
-from motionkit.motion.retarget import retarget_file
 from motionkit.motion.rotations import quat_angle
+from motionkit.rig.retarget import retarget_file
 
 SAMPLE = Path(__file__).parents[2] / "examples" / "data"
 # One clip of each type of the sample: cartwheel, running, walking, jumping, walking backwards.

@@ -33,7 +33,7 @@ from motionkit.data.preprocess import preprocess
 from motionkit.errors import MotionkitError
 from motionkit.metrics.report import evaluate_files
 from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
-from motionkit.motion.mirror import mirror_file
+from motionkit.rig.mirror import mirror_file
 from synthetic_motions import make_walk
 
 # numpy's warnings would reach the user's terminal beside the one line.

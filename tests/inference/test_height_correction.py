@@ -13,8 +13,8 @@ from motionkit.inference import height_correction
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.height_correction import HeightCorrection
 from motionkit.inference.rollout import Noise, Rollout, rollout_motion
-from motionkit.metrics.ground import foot_positions
 from motionkit.models.bundled import load_bundled_model
+from motionkit.motion.floor import foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS

@@ -11,10 +11,10 @@ from click.testing import CliRunner
 
 from motionkit.cli.main import main
 from motionkit.cli.metrics import command
-from motionkit.metrics.loading import load_canonical
 from motionkit.motion.bvh import motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.rig.canonical import load_canonical
 
 from .conftest import swaying
 

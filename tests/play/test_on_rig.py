@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.export.on_rig import read_rig
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig import Rig
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 from motionkit.play.frames import Shown
@@ -23,6 +21,8 @@ from motionkit.play.on_rig import LiveRig, with_rig
 from motionkit.play.recording import file_bytes
 from motionkit.play.requests import parse_request
 from motionkit.play.session import Session
+from motionkit.rig.on_rig import read_rig
+from motionkit.rig.rig import Rig
 from synthetic_rigs import FAMILIES, renamed, walk
 
 FEET = ("LeftFoot", "RightFoot", "LeftToeBase", "RightToeBase")

@@ -22,7 +22,6 @@ import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from motionkit.export.on_rig import read_rig
 from motionkit.inference.character import CharacterStream
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
@@ -34,6 +33,7 @@ from motionkit.play.limits import Limits
 from motionkit.play.live import Live
 from motionkit.play.requests import parse_request
 from motionkit.play.session import Session
+from motionkit.rig.on_rig import read_rig
 from play.conftest import PATIENCE, Running, Web
 from synthetic_rigs import FAMILIES, renamed, walk
 

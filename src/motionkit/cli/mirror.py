@@ -30,7 +30,7 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
     if source.is_dir():
         _mirror_folder(source, target, strict, as_json)
         return
-    from motionkit.motion.mirror import mirror_file
+    from motionkit.rig.mirror import mirror_file
 
     mirror_file(source, target)
     if as_json:
@@ -40,7 +40,7 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
 
 
 def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> None:
-    from motionkit.motion.mirror import mirror_folder
+    from motionkit.rig.mirror import mirror_folder
 
     mirrored: list[dict[str, str]] = []
     failed: list[dict[str, str]] = []

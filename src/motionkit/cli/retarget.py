@@ -22,8 +22,8 @@ from motionkit.cli.synthesis_options import (
 from motionkit.names import counted
 
 if TYPE_CHECKING:
-    from motionkit.motion.retarget import RetargetReport
-    from motionkit.motion.rig import Rig
+    from motionkit.rig.retarget import RetargetReport
+    from motionkit.rig.rig import Rig
 
 _SHOWN_OTHERS = 12  # joints without a canonical joint that are named
 _SURE = 0.9  # below this, or without one of these joints, a conversion shows the whole bone map
@@ -146,7 +146,7 @@ def _read(
     source: Path, source_rig: Path | None, source_map: Path | None, target: Rig | None, scale: float | None
 ) -> tuple[Any, RetargetReport, Rig | None]:
     """The motion of SOURCE, what was found in it, and its rig where that had to be studied."""
-    from motionkit.export.on_rig import read_motion, read_on_any_rig, read_rig
+    from motionkit.rig.on_rig import read_motion, read_on_any_rig, read_rig
 
     if source_rig is not None or source_map is not None:
         known = read_rig(source_rig or source, source_map)
@@ -155,8 +155,8 @@ def _read(
 
 
 def _save_map(path: Path, rig: Rig | None, source: Path) -> None:
-    from motionkit.export.on_rig import read_rig
-    from motionkit.motion.rig_map_file import write_rig_map
+    from motionkit.rig.map_file import write_rig_map
+    from motionkit.rig.on_rig import read_rig
 
     rig = rig or read_rig(source)
     write_rig_map(path, rig.skeleton, rig.joints)

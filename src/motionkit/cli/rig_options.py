@@ -15,7 +15,7 @@ from motionkit.cli.motion_options import HIPS, RootMotion
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
     from motionkit.motion.motion import Motion
-    from motionkit.motion.rig import Rig
+    from motionkit.rig.rig import Rig
 
 _FILE: Any = click.Path(exists=True, dir_okay=False, path_type=Path)
 
@@ -74,14 +74,14 @@ class RigChoice:
         made = self._on_rig(motion, ik, way)
         if self.rig is None:
             return way.applied(made, cyclic), motion
-        from motionkit.export.on_rig import from_rig
+        from motionkit.rig.on_rig import from_rig
 
         return way.applied(made, cyclic), from_rig(made, self.rig)
 
     def _on_rig(self, motion: Motion, ik: bool, way: RootMotion) -> Motion:
         if self.rig is None:
             return motion
-        from motionkit.export.on_rig import on_rig
+        from motionkit.rig.on_rig import on_rig
 
         if way.root == "ground":
             raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
@@ -106,7 +106,7 @@ def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | Non
             raise click.UsageError(f"{name} needs --rig, the file of the rig")
     if rig_path is None:
         return NO_RIG
-    from motionkit.export.on_rig import read_clip, read_rig
+    from motionkit.rig.on_rig import read_clip, read_rig
 
     rig = read_rig(rig_path, map_path)
     clip = None if clip_path is None else read_clip(clip_path, rig)

@@ -205,7 +205,7 @@ def _numbers(where: str, name: str, values: Any, count: int, least: float = -1e5
 
 
 def _pose(where: str, folder: Path, entry: Any, model: MotionModel) -> KeyPose:
-    from motionkit.motion.retarget import retarget_file
+    from motionkit.rig.retarget import retarget_file
 
     known = ("file", "seconds")
     if not isinstance(entry, dict) or not isinstance(entry.get("file"), str) or set(entry) - set(known):

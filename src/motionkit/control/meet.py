@@ -17,13 +17,13 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.control.keys import Key, smoothed_step, travel_direction
 from motionkit.errors import ControlError
-from motionkit.features.contacts import CONTACT_HEIGHTS
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.heading import heading_angles
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS, reference_signal
 from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType
+from motionkit.motion.contacts import CONTACT_HEIGHTS
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion

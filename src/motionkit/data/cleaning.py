@@ -16,7 +16,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array, lower_median, normalized
-from motionkit.motion.kinematics import forward_kinematics
+from motionkit.motion.floor import TOES, floor_shift
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     quat_angle,
@@ -28,13 +28,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
     quat_slerp,
 )
-from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS
-
-# Height in cm of the toe joint (ball of the foot) above the floor while the foot stands: the median over the CMU
-# subjects with a level floor.
-TOE_HEIGHT = STANDING_HEIGHTS[1]
-
-TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
+from motionkit.motion.skeleton import JOINT_NAMES
 
 # Breaks: a jump of the whole body, or of one joint, that the following frames do not continue.
 LEAD_SECONDS = 0.5
@@ -76,13 +70,6 @@ FLIP_SECONDS = 0.25
 FLIP_TURN = math.radians(75.0)
 
 MOST_JUMPS_TOLD = 20
-
-# Stance: toes slower than this, in the lowest well-filled band of heights.
-STANCE_SPEED = 20.0
-STANCE_BAND = 6.0
-STANCE_SHARE = 0.75
-STEP_DOWN = 8.0
-STEP_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -378,52 +365,3 @@ def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
     )
     more = len(frames) - len(told)
     return (*told, f"{more} more jumps left") if more else told
-
-
-def floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
-    """cm to add to the root height so that standing toes are at TOE_HEIGHT, and notes."""
-    legs = max(TOES) + 1  # hips and legs come first
-    skeleton = motion.skeleton
-    _, positions = forward_kinematics(
-        motion.local_rotations[:, :legs],
-        motion.root_positions,
-        skeleton.offsets[:legs],
-        skeleton.parents[:legs],
-    )
-    toes = positions[:, list(TOES)]
-    heights = toes[..., 1]
-    slow = heights[standing_toes(toes, motion.fps)]
-    if len(slow) < 5:
-        lowest = float(np.quantile(heights, 0.02))
-        return TOE_HEIGHT - lowest, ("no stance found; floor set from the lowest toe",)
-    return TOE_HEIGHT - _lowest_band(slow), ()
-
-
-def standing_toes(toes: Array, fps: float) -> Array:
-    """Flags (T, ...): whether toes (T, ..., 3), in cm, stand still."""
-    still: Array = _speeds(toes, fps) < STANCE_SPEED
-    return still
-
-
-def _speeds(places: Array, fps: float) -> Array:
-    """Speeds (T, ...) in cm/s of places (T, ..., 3), by central differences where possible."""
-    if len(places) < 2:
-        return np.zeros(places.shape[:-1], places.dtype)
-    steps = (places[1:] - places[:-1]) * fps
-    both = 0.5 * (steps[1:] + steps[:-1])
-    return np.linalg.norm(np.concatenate([steps[:1], both, steps[-1:]]), axis=-1)
-
-
-def _lowest_band(heights: Array) -> float:
-    """Median of heights (N,) within the lowest band that is nearly as full as the fullest band.
-
-    Feet held still in the air (a raised leg, a handstand) are above it, stray frames below it. If many heights are a
-    whole step lower, the band was a platform, and the lower ones are the floor.
-    """
-    ordered = np.sort(heights)
-    counts = np.searchsorted(ordered, ordered + STANCE_BAND, side="right") - np.arange(len(ordered))
-    first = int(np.flatnonzero(counts >= STANCE_SHARE * counts.max())[0])
-    below = ordered[ordered < ordered[first] - STEP_DOWN]
-    if len(below) >= max(5, STEP_SHARE * len(heights)):
-        return _lowest_band(below)
-    return float(lower_median(ordered[first : first + int(counts[first])]))

@@ -27,9 +27,9 @@ from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
-from motionkit.motion.retarget import RetargetReport, retarget_file
 from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.rig.retarget import RetargetReport, retarget_file
 
 FPS = 60.0
 MIN_FRAMES = 16  # of a labelled stretch

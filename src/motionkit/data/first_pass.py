@@ -24,7 +24,7 @@ from motionkit.files import read_bytes
 from motionkit.motion.bvh_text import MAX_BYTES
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import resample
-from motionkit.motion.retarget import retarget_file
+from motionkit.rig.retarget import retarget_file
 
 FPS = 60.0
 MIN_CLIP_FRAMES = 16

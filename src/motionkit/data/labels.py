@@ -13,8 +13,8 @@ from pathlib import Path
 
 from motionkit.errors import DatasetError
 from motionkit.files import files_below, read_text
-from motionkit.motion.sides import other_side
 from motionkit.names import nfc
+from motionkit.rig.sides import other_side
 
 MAX_FRAME = 10**9
 MAX_NAME = 100

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.cleaning import TOE_HEIGHT, TOES, floor_shift, standing_toes
+from motionkit.motion.floor import TOE_HEIGHT, TOES, floor_shift, standing_toes
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply, quat_normalize, quat_rotate

@@ -11,18 +11,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.cleaning import Limb, floor_shift, mend
+from motionkit.data.cleaning import Limb, mend
 from motionkit.data.smoothing import smooth, smooth_rotations, window_at
-from motionkit.editing.upright import Upright, relative_rotation
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.metrics.report import evaluate_motion
 from motionkit.metrics.smoothness import mean_jerk
+from motionkit.motion.floor import floor_shift
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig_names import RigMap, map_rig
 from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multiply, quat_normalize
 from motionkit.motion.skeleton import JOINT_NAMES
+from motionkit.rig.names import RigMap, map_rig
+from motionkit.rig.upright import Upright, relative_rotation
 
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SIDES = ("Left", "Right")

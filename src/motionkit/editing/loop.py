@@ -13,7 +13,6 @@ import numpy as np
 
 from motionkit.arrays import Array, distances_between
 from motionkit.editing.root_motion import at_origin
-from motionkit.editing.upright import Upright
 from motionkit.errors import MotionkitError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -28,6 +27,7 @@ from motionkit.motion.rotations import (
     rotate_ground,
     wrap_angle,
 )
+from motionkit.rig.upright import Upright
 
 SHORTEST = 0.4  # s; half a step looks like a cycle to no one
 COARSE = 1200  # frames of the first search; the best are sought again at the full rate

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.editing.upright import Upright, relative_rotation
 from motionkit.errors import SkeletonError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -22,6 +21,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.upright import Upright, relative_rotation
 
 ROOT = "Root"  # name of the bone on the floor
 SMOOTHING_SECONDS = 0.25  # of the way: steps sway about it, and the sway stays with the hips

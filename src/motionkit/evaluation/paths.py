@@ -18,11 +18,11 @@ from motionkit.evaluation.rolling import Progress, Walk, roll_paths
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
 from motionkit.evaluation.visible import flips
-from motionkit.features.contacts import foot_contacts
 from motionkit.metrics.leaps import leaps
 from motionkit.metrics.touch import hover_share, planted_share
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
+from motionkit.motion.contacts import foot_contacts
 
 SPEED_SHARE = 0.15  # by which the speed may differ from the asked one
 STANDING_SPEED = 0.15  # m/s; a root slower than this stands

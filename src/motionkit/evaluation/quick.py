@@ -25,8 +25,8 @@ from motionkit.evaluation.rolling import Take, commanded_plans, roll_plans
 from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
 from motionkit.metrics.foot_sliding import average_foot_sliding
-from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.models.model import MotionModel
+from motionkit.motion.floor import floor_height, foot_positions
 
 QUICK_TYPES = EvaluationSettings(seeds=8, accuracy_seconds=6.0, repeats=2)
 # Targets: share of roll-outs that show the type, distance from the path (cm) of walks and of runs, and sliding of

@@ -10,7 +10,8 @@ from motionkit.evaluation.report import Goal, Table
 from motionkit.evaluation.roles import find_roles
 from motionkit.evaluation.rolling import Plan, Progress
 from motionkit.evaluation.trial import Trial
-from motionkit.metrics.ground import STANDING_TOE, TOES, foot_positions, ground_speed
+from motionkit.metrics.ground import STANDING_TOE, TOES, ground_speed
+from motionkit.motion.floor import foot_positions
 
 PART_SECONDS = 2.0
 # A toe slides that is less than so many cm above a standing one and moves faster than so many cm/s.

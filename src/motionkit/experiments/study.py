@@ -11,7 +11,7 @@ from pathlib import Path
 from motionkit.errors import MotionkitError
 from motionkit.experiments.ttest import FORMAT
 from motionkit.files import atomic_write, files_below
-from motionkit.metrics.loading import load_canonical
+from motionkit.rig.canonical import load_canonical
 from motionkit.view.figure_data import Shown
 from motionkit.view.viewer import viewer_page
 

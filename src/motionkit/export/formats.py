@@ -101,6 +101,6 @@ def _read_bvh(path: str | Path) -> Clip:
 
 
 def _read_glb(path: str | Path) -> Clip:
-    from motionkit.export.read_glb import read_glb
+    from motionkit.rig.read_glb import read_glb
 
     return Clip(read_glb(path), Path(path).stem)

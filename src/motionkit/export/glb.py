@@ -13,9 +13,9 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.export.clip import Clip
 from motionkit.export.figure import Figure, joint_translations, make_figure, materials, skin_weights
-from motionkit.export.gltf import INDICES, VERTICES, GltfDocument
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_normalize
+from motionkit.rig.gltf import INDICES, VERTICES, GltfDocument
 
 
 def write_glb(path: str | Path, clip: Clip) -> None:

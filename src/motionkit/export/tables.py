@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.cleaning import floor_shift
 from motionkit.errors import SkeletonError
 from motionkit.export.clip import Clip
-from motionkit.features.contacts import foot_contacts
 from motionkit.files import atomic_write
-from motionkit.metrics.loading import canonical_motion
+from motionkit.motion.contacts import foot_contacts
+from motionkit.motion.floor import floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
+from motionkit.rig.canonical import canonical_motion
 from motionkit.view.figure_data import in_metres
 
 CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)

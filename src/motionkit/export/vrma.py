@@ -14,8 +14,6 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.export.clip import Clip
 from motionkit.export.glb import add_animation, add_joints
-from motionkit.export.gltf import GltfDocument
-from motionkit.metrics.loading import canonical_motion
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -35,6 +33,8 @@ from motionkit.motion.skeleton import (
     canonical_skeleton,
     leg_length,
 )
+from motionkit.rig.canonical import canonical_motion
+from motionkit.rig.gltf import GltfDocument
 from motionkit.view.figure_data import in_metres
 
 EXTENSION = "VRMC_vrm_animation"

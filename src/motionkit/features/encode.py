@@ -8,9 +8,9 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.features.contacts import foot_contacts
 from motionkit.features.heading import heading_angles
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
+from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -68,7 +68,7 @@ def encode_motion(
     """
     if motion.skeleton.names != JOINT_NAMES:
         raise SkeletonError(
-            f"expected the {JOINT_COUNT} canonical joints; map the motion with motionkit.motion.retarget first"
+            f"expected the {JOINT_COUNT} canonical joints; map the motion with motionkit.rig.retarget first"
         )
     if len(motion) < 2:
         raise SkeletonError(f"expected at least 2 frames for velocities, found {len(motion)}")

@@ -81,7 +81,7 @@ def clip_motion(model: MotionModel, path: str | Path | Motion) -> Motion:
 
     Raises MotionkitError if the file cannot be used.
     """
-    from motionkit.motion.retarget import retarget_file
+    from motionkit.rig.retarget import retarget_file
 
     motion = resample(path if isinstance(path, Motion) else retarget_file(path)[0], model.fps)
     if len(motion) < 2:

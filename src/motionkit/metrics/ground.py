@@ -1,4 +1,4 @@
-"""The floor of a clip, and measures of feet against it: foot skate and penetration.
+"""Measures of feet against the floor: foot skate and penetration.
 
 Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up.
 """
@@ -10,48 +10,11 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
-from motionkit.motion.skeleton import FOOT_JOINTS
 
 TOES = (1, 3)  # indices in the four foot joints
-STANCE_SPEED = 30.0  # cm/s; the lowest foot joint stands below this speed
-STANCE_QUANTILE = 0.25  # of the standing heights: low, but robust to a body that sinks now and then
-STANCE_FRAMES = 3  # with fewer standing frames, as in a short run, the lowest frames of all are used
-LOWEST_QUANTILE = 0.05  # of all heights, where no foot stands
 STANDING_TOE = (
     3.5  # cm of standing toe joints above the ground under the soles: median over the CMU recordings
 )
-
-
-def foot_positions(global_positions: Array) -> Array:
-    """The four foot joints (T, 4, 3) of canonical joint positions (T, 23, 3)."""
-    return global_positions[:, list(FOOT_JOINTS)]
-
-
-def floor_height(feet: Array, fps: float = FRAME_RATE) -> float:
-    """Floor height of a clip in cm: the lower quartile of the lowest foot joint's height while it stands still.
-
-    This is the level of the standing joints, not of the soles below them.
-
-    Args:
-        feet: (T, 4, 3) foot joints in cm.
-        fps: frames per second.
-
-    Raises:
-        MotionkitError: there are no frames.
-    """
-    if len(feet) == 0:
-        raise MotionkitError("floor height needs at least 1 frame, found 0")
-    feet = feet.astype(np.float64)
-    foot = feet[..., 1].argmin(axis=1)
-    lowest = feet[np.arange(len(feet)), foot, 1]
-    if len(feet) < 2:
-        return float(lowest[0])
-    moves = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
-    speed = 0.5 * (np.concatenate([moves[:1], moves]) + np.concatenate([moves, moves[-1:]]))
-    still = speed[np.arange(len(feet)), foot] < STANCE_SPEED
-    stands = int(still.sum()) >= STANCE_FRAMES
-    heights, quantile = (lowest[still], STANCE_QUANTILE) if stands else (lowest, LOWEST_QUANTILE)
-    return float(np.sort(heights)[int(quantile * (len(heights) - 1))])
 
 
 def ground_speed(feet: Array) -> Array:

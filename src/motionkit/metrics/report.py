@@ -14,15 +14,8 @@ from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.features.heading import heading_angles
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.foot_sliding import average_foot_sliding, sliding_over_ground
-from motionkit.metrics.ground import (
-    STANDING_TOE,
-    floor_height,
-    foot_positions,
-    foot_skate_ratio,
-    penetration,
-)
+from motionkit.metrics.ground import STANDING_TOE, foot_skate_ratio, penetration
 from motionkit.metrics.leaps import fastest_turn, leaps
-from motionkit.metrics.loading import load_canonical
 from motionkit.metrics.position_error import mean_position_error
 from motionkit.metrics.prediction import (
     position_distance,
@@ -40,10 +33,12 @@ from motionkit.metrics.touch import (
 )
 from motionkit.metrics.trajectory import ground_track, trajectory_distance
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
+from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.rotations import quat_from_yaw, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, leg_length
+from motionkit.rig.canonical import load_canonical
 
 # Unit of each metric that needs a pair, and its value for the ground truth against itself.
 PAIR_METRICS: dict[str, tuple[str, float]] = {

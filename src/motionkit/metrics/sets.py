@@ -13,10 +13,10 @@ from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.features.reference import fit_pose_embedding
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
-from motionkit.metrics.loading import load_canonical
 from motionkit.metrics.report import MetricRow
 from motionkit.metrics.value import FRAME_RATE, MetricValue
 from motionkit.motion.motion import Motion, resample
+from motionkit.rig.canonical import load_canonical
 
 EMBEDDED_IN: dict[str, float | str] = {"features": "pose embedding of the ground truth"}
 

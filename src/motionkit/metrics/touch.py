@@ -9,10 +9,10 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.features.contacts import foot_contacts
 from motionkit.metrics.flight import centre_of_mass, flights, vertical_acceleration
 from motionkit.metrics.ground import TOES
 from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.skeleton import JOINT_NAMES
 
 # A joint this high (cm) above the ground, or lower, may touch it. Recorded toes stand at 3 to 5 cm, ankles at 7 to 10,

@@ -1,1 +1,1 @@
-"""BVH files to Skeleton and Motion and back: rotations, kinematics, retargeting, mirroring, foot IK."""
+"""Rotations, skeletons, motions, BVH text, kinematics, mirror images."""

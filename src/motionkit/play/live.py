@@ -10,7 +10,6 @@ from typing import Any
 
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig import Rig
 from motionkit.play.client import COSTS, Client
 from motionkit.play.frames import Shown, WorldFrame, frame_bytes, frame_text
 from motionkit.play.on_rig import LiveRig
@@ -18,6 +17,7 @@ from motionkit.play.pace import Pacer
 from motionkit.play.recording import Recordings, file_bytes
 from motionkit.play.requests import ProtocolError, Request, parse_request
 from motionkit.play.session import Recorded, Session
+from motionkit.rig.rig import Rig
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
 REST = 3.0  # after slow work such as a reset, the next has to wait this many times as long as it took

@@ -10,11 +10,11 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig import Rig, stance_part
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, STANDING_HEIGHTS, Skeleton, canonical_skeleton
-from motionkit.motion.to_rig import THIGHS, from_body, rig_body, standing_height
 from motionkit.play.frames import Shown, rounded
+from motionkit.rig.rig import Rig, stance_part
+from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
 
 # Median height in cm of ankles in the training recordings while heel and toe are in contact.
 STANDING_ANKLE = 7.6

@@ -27,7 +27,6 @@ from websockets.http11 import Response
 from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig import Rig
 from motionkit.play.client import Client, TooManyMessages
 from motionkit.play.figures import Figures
 from motionkit.play.frames import WorldFrame
@@ -44,6 +43,7 @@ from motionkit.play.page import (
 from motionkit.play.requests import ProtocolError
 from motionkit.play.session import Session
 from motionkit.play.vmc import VmcBody, osc_bundles
+from motionkit.rig.rig import Rig
 from motionkit.view.viewer import page_asset
 
 SOCKET_PATH = "/live"

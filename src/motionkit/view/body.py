@@ -17,8 +17,8 @@ from motionkit.arrays import lower_median
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig_names import RigMap, map_rig, name_part
 from motionkit.motion.rotations import quat_rotate, quat_to_matrix
+from motionkit.rig.names import RigMap, map_rig, name_part
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
 from motionkit.view.flesh import STEP, Chain, Piece, skin
 from motionkit.view.surface import TINTS, Array, Surface, SurfaceBuilder, cross_axes, joined, unit

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import joint_sides
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig_names import map_rig
 from motionkit.motion.rotations import quat_rotate
 from motionkit.motion.skeleton import LEG_TO_STATURE, Skeleton
-from motionkit.motion.up_axis import up_axis, up_turn
+from motionkit.rig.names import map_rig
+from motionkit.rig.sides import joint_sides
+from motionkit.rig.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
 

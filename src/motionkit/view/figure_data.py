@@ -18,15 +18,15 @@ from numpy.typing import NDArray
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError, SkeletonError
-from motionkit.metrics.loading import PLAUSIBLE_LEG
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import joint_sides
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig_names import map_rig
 from motionkit.motion.rotations import matrix_to_quat
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.motion.units import KNOWN_UNITS, LONGEST_LEG, SHORTEST_LEG, guess_scale
-from motionkit.motion.up_axis import turned_world, up_axis, up_name, up_turn
+from motionkit.rig.canonical import PLAUSIBLE_LEG
+from motionkit.rig.names import map_rig
+from motionkit.rig.sides import joint_sides
+from motionkit.rig.units import KNOWN_UNITS, LONGEST_LEG, SHORTEST_LEG, guess_scale
+from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import SHADES

@@ -15,7 +15,6 @@ from functools import cached_property
 import numpy as np
 
 from motionkit.arrays import Array, cross, length, normalized
-from motionkit.motion.rig_names import RigMap
 from motionkit.motion.rotations import (
     matrix_to_quat,
     mean_rotation,
@@ -28,6 +27,7 @@ from motionkit.motion.rotations import (
     quat_to_matrix,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
+from motionkit.rig.names import RigMap
 
 SIDES = ("Left", "Right")
 _CANONICAL = canonical_skeleton()

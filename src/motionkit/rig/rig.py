@@ -14,12 +14,12 @@ from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.bvh_text import read_hierarchy
-from motionkit.motion.rest_pose import SIDES
-from motionkit.motion.rig_map_file import read_rig_map
-from motionkit.motion.rig_names import RigMap
-from motionkit.motion.rig_pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
-from motionkit.motion.units import check_leg
+from motionkit.rig.map_file import read_rig_map
+from motionkit.rig.names import RigMap
+from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
+from motionkit.rig.rest_pose import SIDES
+from motionkit.rig.units import check_leg
 
 # Heights in cm of the canonical body at which toes, or ankles of a rig without toes, can stand. A file whose lowest
 # joints are elsewhere has its floor elsewhere.

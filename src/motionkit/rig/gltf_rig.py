@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 
 from motionkit.arrays import Doubles
-from motionkit.export.gltf import GltfFile
 from motionkit.motion.bvh import POSITION_CHANNELS, ROTATION_ORDER, BvhFile
 from motionkit.motion.bvh_text import MAX_JOINTS, MAX_NAME
 from motionkit.motion.rotations import quat_to_matrix
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.gltf import GltfFile
 
 _FRAME_TIME = 1.0 / 60.0
 # VRM's names of the bones that have a canonical joint, without the side; spine and collars are found between them.

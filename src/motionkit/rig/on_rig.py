@@ -9,18 +9,18 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.export.gltf_rig import read_gltf_rig
-from motionkit.features.contacts import foot_contacts
-from motionkit.metrics.ground import floor_height, foot_positions
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
+from motionkit.motion.contacts import foot_contacts
+from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
-from motionkit.motion.retarget import RetargetReport, retarget
-from motionkit.motion.rig import Rig, make_rig, read_bvh_rig
-from motionkit.motion.rig_map_file import read_rig_map
-from motionkit.motion.rig_names import map_around
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
-from motionkit.motion.to_rig import rig_bvh, to_rig
+from motionkit.rig.gltf_rig import read_gltf_rig
+from motionkit.rig.map_file import read_rig_map
+from motionkit.rig.names import map_around
+from motionkit.rig.retarget import RetargetReport, retarget
+from motionkit.rig.rig import Rig, make_rig, read_bvh_rig
+from motionkit.rig.to_rig import rig_bvh, to_rig
 
 GLTF_ENDINGS = (".glb", ".vrm")
 NO_RIGS = (".vrma", ".gltf", ".fbx", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read

@@ -8,16 +8,16 @@ from functools import cached_property
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.cleaning import floor_shift
 from motionkit.errors import SkeletonError
-from motionkit.features.contacts import foot_contacts
 from motionkit.features.heading import heading_angles
-from motionkit.metrics.loading import canonical_motion
+from motionkit.motion.contacts import foot_contacts
+from motionkit.motion.floor import floor_shift
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
-from motionkit.motion.up_axis import turned_world, up_turn
+from motionkit.rig.canonical import canonical_motion
+from motionkit.rig.up_axis import turned_world, up_turn
 from motionkit.view.figure_data import in_metres
 
 CM_PER_METRE = 100.0

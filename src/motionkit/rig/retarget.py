@@ -16,11 +16,6 @@ from motionkit.arrays import Array, length, lower_median
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, read_bvh
 from motionkit.motion.motion import Motion
-from motionkit.motion.planting import plant_feet
-from motionkit.motion.rest_pose import SIDES, SourceRig
-from motionkit.motion.rig import Rig
-from motionkit.motion.rig_names import RigMap
-from motionkit.motion.rig_pose import RigPose, map_file, median_offsets, pose_notes, study_rig
 from motionkit.motion.rotations import (
     quat_continuous,
     quat_inverse,
@@ -29,7 +24,12 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
-from motionkit.motion.units import check_leg, guess_scale
+from motionkit.rig.names import RigMap
+from motionkit.rig.planting import plant_feet
+from motionkit.rig.pose import RigPose, map_file, median_offsets, pose_notes, study_rig
+from motionkit.rig.rest_pose import SIDES, SourceRig
+from motionkit.rig.rig import Rig
+from motionkit.rig.units import check_leg, guess_scale
 
 _TORSO = ("LowerBack", "Spine", "Spine1", "Neck", "LeftShoulder", "RightShoulder")
 # A source bone shorter than this share of its canonical length is a gap in the rig, not a short bone.

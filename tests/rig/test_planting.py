@@ -10,9 +10,9 @@ from motionkit.arrays import Array
 from motionkit.motion.bvh import BvhFile, motion_to_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.planting import plant_feet
-from motionkit.motion.retarget import retarget
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
+from motionkit.rig.planting import plant_feet
+from motionkit.rig.retarget import retarget
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,10 @@ from motionkit.arrays import Array, cross, length, normalized
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.rest_pose import (
+from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
+from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
+from motionkit.rig.names import RigMap, map_rig
+from motionkit.rig.rest_pose import (
     SIDES,
     SourceRig,
     body_frame,
@@ -23,10 +26,7 @@ from motionkit.motion.rest_pose import (
     stands,
     tiny_length,
 )
-from motionkit.motion.rig_names import RigMap, map_rig
-from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_rotate
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
-from motionkit.motion.up_axis import REST_VOTES, up_name, up_turn, voted_up
+from motionkit.rig.up_axis import REST_VOTES, up_name, up_turn, voted_up
 
 _BACKWARDS = 0.5  # share of a foot's length by which it points backwards in a rig that cannot be
 # Mean cosine between the axes of hips and shoulders, left to right, at which one of them is exchanged.

@@ -10,15 +10,15 @@ import pytest
 
 from motionkit.editing.fix import fix_motion
 from motionkit.editing.root_motion import in_place
-from motionkit.editing.upright import Upright
 from motionkit.export.formats import read_motion
 from motionkit.motion.bvh import motion_to_bvh
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import mirror_motion
 from motionkit.motion.motion import Motion
-from motionkit.motion.retarget import retarget
 from motionkit.motion.rotations import quat_inverse
-from motionkit.motion.up_axis import turned_world, up_axis, up_name, up_turn
+from motionkit.rig.mirror import mirror_motion
+from motionkit.rig.retarget import retarget
+from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
+from motionkit.rig.upright import Upright
 from motionkit.view.figure_data import in_metres
 
 WALK = Path(__file__).resolve().parents[2] / "examples" / "data" / "06_06.bvh"

@@ -13,7 +13,6 @@ import numpy as np
 
 from motionkit.arrays import Array, lerp
 from motionkit.errors import MotionkitError
-from motionkit.export.gltf import GltfFile
 from motionkit.motion.frame_rate import nominal_rate
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
@@ -26,6 +25,7 @@ from motionkit.motion.rotations import (
     quat_slerp,
 )
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.gltf import GltfFile
 
 CM = 100.0
 FPS = 60.0  # of a file that does not say its own and whose keys are not evenly spaced

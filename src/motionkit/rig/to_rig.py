@@ -17,12 +17,12 @@ from motionkit.motion.bvh import BvhFile, motion_to_bvh
 from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rest_pose import SIDES, SourceRig
-from motionkit.motion.retarget import to_local
-from motionkit.motion.rig import STANCE_QUANTILE, Rig, mover, stance_part, top_joint
 from motionkit.motion.rotations import quat_identity, quat_inverse, quat_multiply, quat_normalize, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, leg_length
-from motionkit.motion.up_axis import up_turn
+from motionkit.rig.rest_pose import SIDES, SourceRig
+from motionkit.rig.retarget import to_local
+from motionkit.rig.rig import STANCE_QUANTILE, Rig, mover, stance_part, top_joint
+from motionkit.rig.up_axis import up_turn
 
 THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
 

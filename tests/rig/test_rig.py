@@ -13,15 +13,11 @@ import pytest
 import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.export.on_rig import on_rig, read_clip, read_rig
-from motionkit.features.contacts import foot_contacts
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.bvh_text import read_hierarchy
+from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.retarget import retarget
-from motionkit.motion.rig import Rig, make_rig
-from motionkit.motion.rig_pose import up_turn
 from motionkit.motion.rotations import (
     expmap_to_quat,
     quat_angle,
@@ -31,7 +27,11 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
-from motionkit.motion.to_rig import on_body, rig_bvh, to_rig
+from motionkit.rig.on_rig import on_rig, read_clip, read_rig
+from motionkit.rig.pose import up_turn
+from motionkit.rig.retarget import retarget
+from motionkit.rig.rig import Rig, make_rig
+from motionkit.rig.to_rig import on_body, rig_bvh, to_rig
 from synthetic_motions import make_walk
 from synthetic_rigs import FAMILIES, renamed, turned_rest, walk
 

@@ -12,8 +12,8 @@ from typing import Any
 
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.files import atomic_write, read_text
-from motionkit.motion.rig_names import RigMap, given_map
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.rig.names import RigMap, given_map
 
 _MOST_BYTES = 2**20
 

@@ -16,9 +16,6 @@ from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.retarget import retarget, retarget_file
-from motionkit.motion.rig import read_bvh_rig
-from motionkit.motion.rig_names import map_rig, name_part
 from motionkit.motion.rotations import (
     expmap_to_quat,
     quat_angle,
@@ -29,6 +26,9 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton, mirrored_name
+from motionkit.rig.names import map_rig, name_part
+from motionkit.rig.retarget import retarget, retarget_file
+from motionkit.rig.rig import read_bvh_rig
 from synthetic_rigs import FAMILIES, renamed, turned_rest, walk
 
 

@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.features.contacts import CONTACT_SPEED, foot_contacts
+from motionkit.motion.contacts import CONTACT_SPEED, foot_contacts
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.skeleton import FOOT_JOINTS
 from synthetic_motions import make_idle, make_jump, make_walk

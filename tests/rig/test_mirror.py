@@ -13,16 +13,7 @@ from hypothesis import strategies as st
 from motionkit.errors import MotionkitError, SkeletonError
 from motionkit.motion.bvh import BvhFile, bvh_to_motion, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import (
-    joint_sides,
-    left_right_twins,
-    mirror_bvh,
-    mirror_file,
-    mirror_folder,
-    mirror_motion,
-    mirror_plan,
-    reflect_rotations,
-)
+from motionkit.motion.mirror import reflect_rotations
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
     matrix_to_quat,
@@ -33,6 +24,8 @@ from motionkit.motion.rotations import (
     quat_to_matrix,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, MIRROR_JOINTS, Skeleton, canonical_skeleton
+from motionkit.rig.mirror import mirror_bvh, mirror_file, mirror_folder, mirror_motion, mirror_plan
+from motionkit.rig.sides import joint_sides, left_right_twins
 
 BROKEN = Path(__file__).parents[1] / "broken_bvh"
 ROOT_CHANNELS = ("Xposition", "Yposition", "Zposition", "Zrotation", "Yrotation", "Xrotation")

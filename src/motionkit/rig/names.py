@@ -16,9 +16,9 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
-from motionkit.motion.mirror import joint_sides
-from motionkit.motion.rig_shape import ShapeGuess, limbs_by_shape
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
+from motionkit.rig.shape import ShapeGuess, limbs_by_shape
+from motionkit.rig.sides import joint_sides
 
 # Part to its words, in lower case, without separators and digits. "shoulder", "arm", "hip" and "leg" are separate
 # parts because they are ambiguous.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from motionkit.motion.skeleton import canonical_skeleton, leg_length
-from motionkit.motion.units import KNOWN_UNITS, SHORTEST, TALLEST, guess_scale, stature
+from motionkit.rig.units import KNOWN_UNITS, SHORTEST, TALLEST, guess_scale, stature
 
 
 @pytest.mark.parametrize("unit", KNOWN_UNITS)

@@ -9,11 +9,12 @@ import pytest
 
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.mirror import joint_sides, mirror_motion
 from motionkit.motion.motion import Motion
-from motionkit.motion.rig_names import map_rig
-from motionkit.motion.rig_shape import limbs_by_shape, twins_by_shape
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton
+from motionkit.rig.mirror import mirror_motion
+from motionkit.rig.names import map_rig
+from motionkit.rig.shape import limbs_by_shape, twins_by_shape
+from motionkit.rig.sides import joint_sides
 from synthetic_rigs import FAMILIES, renamed, walk
 
 NAMELESS = {name: f"bone{joint}" for joint, name in enumerate(JOINT_NAMES)}

@@ -1,0 +1,110 @@
+"""The floor of a clip, by where feet stand: the height of standing joints, or the shift that brings them to it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from motionkit.arrays import Array, lower_median
+from motionkit.errors import MotionkitError
+from motionkit.motion.kinematics import forward_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES, STANDING_HEIGHTS
+
+# Height in cm of the toe joint (ball of the foot) above the floor while the foot stands: the median over the CMU
+# subjects with a level floor.
+TOE_HEIGHT = STANDING_HEIGHTS[1]
+TOES = (JOINT_NAMES.index("LeftToeBase"), JOINT_NAMES.index("RightToeBase"))
+
+# floor_height: measured figures of the metrics rest on these.
+STILL_SPEED = 30.0  # cm/s; the lowest foot joint stands below this speed
+STANCE_QUANTILE = 0.25  # of the standing heights: low, but robust to a body that sinks now and then
+STANCE_FRAMES = 3  # with fewer standing frames, as in a short run, the lowest frames of all are used
+LOWEST_QUANTILE = 0.05  # of all heights, where no foot stands
+
+# floor_shift: toes slower than this, in the lowest well-filled band of heights.
+STANCE_SPEED = 20.0
+STANCE_BAND = 6.0
+STANCE_SHARE = 0.75
+STEP_DOWN = 8.0
+STEP_SHARE = 0.1
+
+
+def foot_positions(global_positions: Array) -> Array:
+    """The four foot joints (T, 4, 3) of canonical joint positions (T, 23, 3)."""
+    return global_positions[:, list(FOOT_JOINTS)]
+
+
+def floor_height(feet: Array, fps: float = 60.0) -> float:
+    """Floor height of a clip in cm: the lower quartile of the lowest foot joint's height while it stands still.
+
+    This is the level of the standing joints, not of the soles below them.
+
+    Args:
+        feet: (T, 4, 3) foot joints in cm.
+        fps: frames per second.
+
+    Raises:
+        MotionkitError: there are no frames.
+    """
+    if len(feet) == 0:
+        raise MotionkitError("floor height needs at least 1 frame, found 0")
+    feet = feet.astype(np.float64)
+    foot = feet[..., 1].argmin(axis=1)
+    lowest = feet[np.arange(len(feet)), foot, 1]
+    if len(feet) < 2:
+        return float(lowest[0])
+    moves = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
+    speed = 0.5 * (np.concatenate([moves[:1], moves]) + np.concatenate([moves, moves[-1:]]))
+    still = speed[np.arange(len(feet)), foot] < STILL_SPEED
+    stands = int(still.sum()) >= STANCE_FRAMES
+    heights, quantile = (lowest[still], STANCE_QUANTILE) if stands else (lowest, LOWEST_QUANTILE)
+    return float(np.sort(heights)[int(quantile * (len(heights) - 1))])
+
+
+def floor_shift(motion: Motion) -> tuple[float, tuple[str, ...]]:
+    """cm to add to the root height so that standing toes are at TOE_HEIGHT, and notes."""
+    legs = max(TOES) + 1  # hips and legs come first
+    skeleton = motion.skeleton
+    _, positions = forward_kinematics(
+        motion.local_rotations[:, :legs],
+        motion.root_positions,
+        skeleton.offsets[:legs],
+        skeleton.parents[:legs],
+    )
+    toes = positions[:, list(TOES)]
+    heights = toes[..., 1]
+    slow = heights[standing_toes(toes, motion.fps)]
+    if len(slow) < 5:
+        lowest = float(np.quantile(heights, 0.02))
+        return TOE_HEIGHT - lowest, ("no stance found; floor set from the lowest toe",)
+    return TOE_HEIGHT - _lowest_band(slow), ()
+
+
+def standing_toes(toes: Array, fps: float) -> Array:
+    """Flags (T, ...): whether toes (T, ..., 3), in cm, stand still."""
+    still: Array = speeds(toes, fps) < STANCE_SPEED
+    return still
+
+
+def speeds(places: Array, fps: float) -> Array:
+    """Speeds (T, ...) in cm/s of places (T, ..., 3), by central differences where possible."""
+    if len(places) < 2:
+        return np.zeros(places.shape[:-1], places.dtype)
+    steps = (places[1:] - places[:-1]) * fps
+    both = 0.5 * (steps[1:] + steps[:-1])
+    return np.linalg.norm(np.concatenate([steps[:1], both, steps[-1:]]), axis=-1)
+
+
+def _lowest_band(heights: Array) -> float:
+    """Median of heights (N,) within the lowest band that is nearly as full as the fullest band.
+
+    Feet held still in the air (a raised leg, a handstand) are above it, stray frames below it. If many heights are a
+    whole step lower, the band was a platform, and the lower ones are the floor.
+    """
+    ordered = np.sort(heights)
+    counts = np.searchsorted(ordered, ordered + STANCE_BAND, side="right") - np.arange(len(ordered))
+    first = int(np.flatnonzero(counts >= STANCE_SHARE * counts.max())[0])
+    below = ordered[ordered < ordered[first] - STEP_DOWN]
+    if len(below) >= max(5, STEP_SHARE * len(heights)):
+        return _lowest_band(below)
+    return float(lower_median(ordered[first : first + int(counts[first])]))
