@@ -10,13 +10,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.easing import acceleration_limit
 from motionkit.control.first_steps import FirstSteps
 from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.reference_player import ReferencePlayer
-from motionkit.control.speeds import part_speeds
+from motionkit.control.speeds import acceleration_limit, part_speeds
 from motionkit.control.steering import RUN_SPEED, WALK_SPEED, steered_type, usual_gaits
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError

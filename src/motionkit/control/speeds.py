@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.path import METRE, SPACING, Path2D
 from motionkit.errors import ControlError
+from motionkit.metrics.pace import PACE_SECONDS, ground_acceleration
 from motionkit.models.model import MotionModel
 
 DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
 SLOWEST = 20.0  # cm/s, at least
+# Of the recorded frames of a motion's types are below its limit; the others are outliers, and peaks that held feet add.
+RECORDED_SHARE = 0.997
+USUAL = 3.5  # m/s^2; any body accelerates so hard where it begins to do something else
 SHORT = 0.5  # share of its time in which a performance may not be shown
 
 
@@ -87,3 +91,15 @@ def _recorded(model: MotionModel, kind: str) -> str:
     span = model.speed_range(kind)
     assert span is not None, "only types with recorded speeds have limits"
     return f"{span[0] / METRE:.2f} to {span[1] / METRE:.2f} m/s by its recordings"
+
+
+def acceleration_limit(model: MotionModel, kinds: Iterable[str]) -> float | None:
+    """Acceleration over the ground in m/s^2 that recordings of some types keep below; None without recordings."""
+    shortest = 2 * round(PACE_SECONDS * model.fps)
+    clips = [clip for kind in dict.fromkeys(kinds) for clip in model.types[kind].reference_clips]
+    found = [
+        ground_acceleration(np.insert(clip.ground[:, :2], 1, 0.0, axis=1), model.fps)
+        for clip in clips
+        if len(clip) > shortest
+    ]
+    return max(float(np.quantile(np.concatenate(found), RECORDED_SHARE)), USUAL) if found else None

@@ -10,17 +10,16 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.easing import acceleration_limit, eased_turns, eased_way
-from motionkit.control.flight import come_down, falling_freely
 from motionkit.control.keys import Key, check_length
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
 from motionkit.control.opening import opening
 from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track, whole_performances
+from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
+from motionkit.finish.finish import Finish, finish
 from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
-from motionkit.motion.foot_ik import hold_root, lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
 from motionkit.seeds import check_seed
@@ -193,7 +192,7 @@ def finish_motion(
     most: float | None = None,
     hold: Array | float = 0.0,
 ) -> Motion:
-    """One character of a roll-out as a motion to write: on its skeleton, feet locked, flights falling, at its rate.
+    """One character of a roll-out as a motion to write: finished, on its skeleton, at its rate.
 
     A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
@@ -204,12 +203,9 @@ def finish_motion(
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
-        contacts = rollout.contacts[index]
-        motion = eased_way(hold_root(eased_turns(motion), contacts, hold), most)
-        motion = come_down(lock_feet(motion, contacts))
+        size = leg_length(skeleton) / leg_length(motion.skeleton)
+        motion = finish(motion, rollout.contacts[index], Finish(hold=hold, most=most, size=size))
     motion = on_character(motion, skeleton)
-    if options.ik:
-        motion = falling_freely(motion)
     return motion if options.fps is None else resample(motion, options.fps)
 
 
