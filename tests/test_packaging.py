@@ -68,7 +68,7 @@ def test_a_package_index_sees_no_link_that_leads_nowhere(address: str) -> None:
 
 
 def test_every_version_is_the_packages() -> None:
-    """The version stands in motionkit/__init__.py; what cannot read it there says the same."""
+    """The version stands in motionkit/version.py; what cannot read it there says the same."""
     version = motionkit.__version__
     texts = {
         name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "docs/install.md")
@@ -78,4 +78,6 @@ def test_every_version_is_the_packages() -> None:
     assert re.search(r"^## (\S+)", texts["CHANGELOG.md"], re.MULTILINE)[1] == version  # type: ignore[index]
     assert f"motionkit, version {version}\n" in texts["docs/install.md"]
     assert f'"version": ({version.replace(".", ", ")})' in add_on
-    assert 'version = {attr = "motionkit.__version__"}' in (ROOT / "pyproject.toml").read_text("utf-8")
+    assert 'version = {attr = "motionkit.version.__version__"}' in (ROOT / "pyproject.toml").read_text(
+        "utf-8"
+    )

@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from motionkit.version import __version__
+
 if TYPE_CHECKING:
     from motionkit.api import (
         evaluate,
@@ -47,8 +49,6 @@ if TYPE_CHECKING:
     from motionkit.motion.skeleton import Skeleton, canonical_skeleton
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.view.notebook import show
-
-__version__ = "0.2.0"
 
 # Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
 # Python binds motionkit.metrics to the room as soon as anything imports it.

@@ -24,8 +24,7 @@ from motionkit.inference.step_kernel import StepKernel, kernel_library
 from motionkit.inference.step_weights import pack
 from motionkit.inference.stepping import TorchStep
 from motionkit.models.bundled import load_bundled_model
-from motionkit.models.network import PartTransformer
-from motionkit.models.stream import NetworkStream
+from motionkit.models.network import NetworkStream, PartTransformer
 from motionkit.models.weights import NetworkWeights
 
 FRAMES = 300

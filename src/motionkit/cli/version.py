@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from motionkit import __version__
+from motionkit.version import __version__
 
 
 def version_text() -> str:

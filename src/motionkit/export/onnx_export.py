@@ -18,7 +18,6 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.control.reference_player import last_poses
 from motionkit.control.script import TypePart, plan_controls
@@ -39,6 +38,7 @@ from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.version import __version__
 
 if TYPE_CHECKING:
     from onnx import ModelProto

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from motionkit import __version__
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import PathPart, make_path
 from motionkit.control.steering import steered_type
@@ -27,6 +26,7 @@ from motionkit.play.frames import Shown, WorldFrame
 from motionkit.play.limits import Limits
 from motionkit.play.recording import Recorder
 from motionkit.play.requests import Request
+from motionkit.version import __version__
 
 PROTOCOL = 1
 CONTACT_NAMES = ("left foot", "left toe", "right foot", "right toe")
