@@ -23,7 +23,7 @@ from motionkit.control.script import TypePart, plan_controls
 from motionkit.export.onnx_export import WEIGHTS, OnnxStep, build_graph
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.layout import FEATURE_COUNT
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.inference.start import type_start
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.ground import floor_height, foot_positions

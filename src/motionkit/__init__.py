@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from motionkit.features.encode import encode_motion as encode
     from motionkit.features.layout import column_names
     from motionkit.inference.character import CharacterStream
-    from motionkit.inference.rollout import Noise
+    from motionkit.inference.noise import Noise
     from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
     from motionkit.motion.kinematics import motion_kinematics as kinematics
@@ -86,7 +86,7 @@ _HOMES = {
     "encode": "features.encode:encode_motion",
     "column_names": "features.layout",
     "CharacterStream": "inference.character",
-    "Noise": "inference.rollout",
+    "Noise": "inference.noise",
     "MotionModel": "models.model",
     "write_bvh": "motion.bvh",
     "kinematics": "motion.kinematics:motion_kinematics",

@@ -19,7 +19,7 @@ from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.checkpoint import load_model, read_header
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import write_bvh

@@ -12,7 +12,8 @@ from motionkit.control.synthesize import SynthesisOptions, on_character, synthes
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion
-from motionkit.inference.rollout import Noise, RolloutState
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.models.model import MotionModel
@@ -249,7 +250,7 @@ def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
         state = RolloutState(model, 1, Noise("sample"), seed=5)
         state.start(seed.features[None], seed.contacts[None], weights)
         state.step(asked)
-        made.append(state.normalised.copy())
+        made.append(state.frame.x.copy())
     apart = [abs(each - made[0]).max() for each in made[1:]]
     assert apart[0] > 0.01 and apart[1] == pytest.approx(2.0 * apart[0], rel=1e-2)
 

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from motionkit.inference.pose import PoseDecoder
 
 from motionkit.features.control import ControlLayout, Controls
 from motionkit.features.layout import LAYOUTS
@@ -19,8 +20,7 @@ from motionkit.inference.character import CharacterStream
 from motionkit.inference.foot_lock import FootLock
 from motionkit.inference.frame_kernel import PoseKernel
 from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.pose import PoseDecoder
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack

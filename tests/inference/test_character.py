@@ -13,7 +13,7 @@ from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterFrame, CharacterStream
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.skeleton import PARENTS

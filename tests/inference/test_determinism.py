@@ -21,7 +21,7 @@ from motionkit.inference import rollout as rollout_module
 from motionkit.inference import step_kernel, stepping
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.frame_kernel import frame_library
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.inference.step_kernel import kernel_library
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel

@@ -12,7 +12,8 @@ from motionkit.features.layout import FEATURE_COUNT
 from motionkit.inference import height_correction
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.rollout import Noise, Rollout, rollout_motion
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import Rollout, rollout_motion
 from motionkit.metrics.ground import foot_positions
 from motionkit.models.bundled import load_bundled_model
 from motionkit.motion.kinematics import motion_kinematics

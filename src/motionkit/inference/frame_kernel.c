@@ -7,7 +7,7 @@
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 13; }
+int64_t frame_kernel_version(void) { return 14; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
@@ -212,19 +212,36 @@ static void forward_kinematics(const Pose *p, const Quat *rotations, Vec3 root, 
     for (int64_t j = 0; j < JOINTS; j++) positions[j] = plus(positions[j], root);
 }
 
-/* Raises a body whose rotations put its feet lower than the frame says they are: HeightCorrection in height_correction.py. */
-static void raise_body(const HeightCorrection *f, int64_t row, const float *features, float scale, Vec3 *positions) {
+/* Root-height correction: how far to raise a body whose rotations put its feet, at so many heights, lower than the
+   frame says they are; see height_correction.py. */
+static float rise(const HeightCorrection *f, float before, const float *features, const float *heights) {
     float said = INFINITY, shown = INFINITY;
     for (int i = 0; i < 4; i++) {
         said = fminf(said, features[f->columns[i]] - f->standing[i]);
-        shown = fminf(shown, positions[f->joints[i]].y / scale - f->standing[i]);
+        shown = fminf(shown, heights[i] - f->standing[i]);
     }
     said = fmaxf(said, -f->deepest);
     const float missing = said > shown ? said - shown : 0, low = 1 - clip(shown / f->reach, 0, 1);
     const float doubted = missing / f->doubt, pace = f->pace * low / (1 + doubted * doubted);
-    f->rise[row] += pace * (missing - f->rise[row]);
-    f->rise[row] += f->lift * fmaxf(-f->deepest - shown - f->rise[row], 0);
+    const float risen = before + pace * (missing - before);
+    return risen + f->lift * fmaxf(-f->deepest - shown - risen, 0);
+}
+
+static void raise_body(const HeightCorrection *f, int64_t row, const float *features, float scale, Vec3 *positions) {
+    float heights[4];
+    for (int i = 0; i < 4; i++) heights[i] = positions[f->joints[i]].y / scale;
+    f->rise[row] = rise(f, f->rise[row], features, heights);
     for (int64_t j = 0; j < JOINTS; j++) positions[j].y += scale * f->rise[row];
+}
+
+/* The same for all frames of one character, whose joints are at heights (frames, 23). */
+void rises(const HeightCorrection *f, int64_t frames, int64_t columns, const float *features, const float *heights,
+           float *out) {
+    for (int64_t t = 0; t < frames; t++) {
+        float feet[4];
+        for (int i = 0; i < 4; i++) feet[i] = heights[t * JOINTS + f->joints[i]];
+        out[t] = rise(f, t ? out[t - 1] : *f->rise, features + t * columns, feet);
+    }
 }
 
 void pose_frames(const Pose *p, int64_t rows) {

@@ -18,7 +18,7 @@ from motionkit.control.path import PathPart, make_path
 from motionkit.control.steering import steered_type
 from motionkit.errors import ControlError
 from motionkit.inference.character import CharacterStream, model_first_type
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
