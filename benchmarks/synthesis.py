@@ -136,7 +136,7 @@ def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
         with suppress(ImportError):
             import onnxruntime  # noqa: F401
 
-            out["ONNX Runtime"] = graph(model, folder)
+            out["ONNX Runtime, float32"] = graph(model, folder)
         out["floor: 32-bit weights"], out["floor: 16-bit weights"] = floor(weights, 32), floor(weights, 16)
     return out
 

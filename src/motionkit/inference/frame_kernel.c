@@ -1,8 +1,9 @@
-/* A frame around the network's step for all characters: the loops behind rollout.py and pose.py, see there.
+/* A frame around the network's step for all characters: from the network's Gaussians to a frame (draw_frames), and from
+   a frame to a body (pose_frames). frame_arrays.py and frame_kernel.py say what the arrays are.
 
-   numpy spends a microsecond on every small array it touches, and a frame of one character touches two hundred.
-   Operations come in the order in which numpy does them and are not fused; functions whose results go back into
-   the network are taken in double precision, where both give the same digits. So both ways stay together for good. */
+   tests/oracle does the same in numpy. Operations come in the order in which numpy does them and are not fused;
+   functions whose results go back into the network are taken in double precision, where both give the same digits.
+   So both ways stay together for good. */
 
 #include "frame_kernel.h"
 
@@ -12,6 +13,7 @@ int64_t frame_kernel_version(void) { return 14; }
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
 
+/* Mean plus noise, of which each standard deviation takes its own; then the last movement goes on by a share. */
 static void draw_pose(const Draw *d, int64_t row) {
     const float *mean = d->mean + row * d->gaussian_stride, *sigma = d->log_sigma + row * d->gaussian_stride;
     float *x = d->x + row * d->features, *out = d->denormalised + row * d->features;
@@ -39,7 +41,11 @@ static void take_contacts(const Draw *d, int64_t row) {
         d->seen[row * d->contacts + n] = (float)(1.0 / (exp(-d->logits[row * d->logit_stride + n]) + 1.0));
 }
 
-/* What to add to the turn and the step of the root, so that feet on the ground stay there: standing_move in slip_correction.py. */
+/* What to add to the turn and the step of the root, so that feet on the ground stay there; see
+   slip_correction.py.
+
+   feet, before: the foot joints of a frame and of the one before, each in its heading frame, cm.
+   turn: of the heading since then, radians; step: of the root along x and z of the later heading frame, cm. */
 static void standing_move(const Draw *d, const float (*feet)[3], const float (*before)[3], double turn,
                           const double *step, double *out) {
     const double sine = sin(turn), cosine = cos(turn);
@@ -122,7 +128,8 @@ static void orthonormal(const float *sixd, double *a, double *b) {
     for (int i = 0; i < 3; i++) b[i] /= size;
 }
 
-/* The root's rotation is made a rotation again before the network sees it: RolloutState in rollout.py. */
+/* The root's two matrix columns are made orthonormal before the network sees them, as all that it has learnt from are.
+   Drawn frame by frame they shrink; where one goes through zero, the body turns over in a frame. */
 static void keep_rotation(const Draw *d, int64_t row) {
     if (d->sixd < 0) return;
     float *x = d->x + row * d->features + d->sixd, *features = d->denormalised + row * d->features + d->sixd;

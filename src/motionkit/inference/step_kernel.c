@@ -1,4 +1,4 @@
-/* One frame of the network for some characters: the loops behind inference/step.py, see there and step_weights.py.
+/* One frame of the network for some characters, by the weights of step_weights.py; step_arrays.py has the arrays.
 
    Plain C with the vector extensions of GCC and Clang; no Python header, it is called through ctypes.
    Nearly all time goes into bringing the weights from the cache to the core, so they lie in the order
