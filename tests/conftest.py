@@ -18,9 +18,6 @@ import pytest
 from motionkit.data.dataset import Dataset
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
-from motionkit.inference.frame_kernel import frame_library
-from motionkit.inference.step_kernel import kernel_library
-from motionkit.models.attention_kernel import attention_library
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -86,36 +83,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     ranks = {HERE / name: rank for rank, name in enumerate(LONG_FILES)}
     assert all(path.is_file() for path in ranks), "a file of LONG_FILES is not there"
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
-
-
-# ---- kernels ----
-
-KERNELS = {"step": kernel_library, "frame": frame_library, "attention": attention_library}
-MISSING_KERNELS = [name for name, library in KERNELS.items() if library() is None]
-
-
-def pytest_report_header() -> str:
-    """Whether the tests of the C kernels run, or numpy and torch do all of the work."""
-    if not MISSING_KERNELS:
-        return "C kernels: loaded"
-    names = ", ".join(MISSING_KERNELS)
-    return f"C kernels: NOT LOADED ({names}); numpy and torch do their work, and their tests are skipped"
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say it again at the end where something is missing: -q shows no header."""
-    if MISSING_KERNELS:
-        terminalreporter.write_line(pytest_report_header(), yellow=True)
-
-
-def pytest_sessionstart() -> None:
-    """Fail the run without the C kernels where they are required."""
-    if MISSING_KERNELS and os.environ.get("MOTIONKIT_KERNELS") == "required":
-        pytest.exit(
-            f"the C kernels are not loaded ({', '.join(MISSING_KERNELS)}), and MOTIONKIT_KERNELS=required: "
-            "build them with python setup.py build_ext --inplace",
-            returncode=1,
-        )
 
 
 # ---- fixtures ----

@@ -8,6 +8,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from motionkit.version import __version__
+
 if TYPE_CHECKING:
     from motionkit.api import (
         evaluate,
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
     from motionkit.features.encode import encode_motion as encode
     from motionkit.features.layout import column_names
     from motionkit.inference.character import CharacterStream
-    from motionkit.inference.rollout import Noise
+    from motionkit.inference.noise import Noise
     from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
     from motionkit.motion.kinematics import motion_kinematics as kinematics
@@ -47,8 +49,6 @@ if TYPE_CHECKING:
     from motionkit.rig.mirror import mirror_motion as mirror
     from motionkit.training.presets import fine_tune_options, train_options
     from motionkit.view.notebook import show
-
-__version__ = "0.2.0"
 
 # Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
 # Python binds motionkit.metrics to the room as soon as anything imports it.
@@ -86,7 +86,7 @@ _HOMES = {
     "encode": "features.encode:encode_motion",
     "column_names": "features.layout",
     "CharacterStream": "inference.character",
-    "Noise": "inference.rollout",
+    "Noise": "inference.noise",
     "MotionModel": "models.model",
     "write_bvh": "motion.bvh",
     "kinematics": "motion.kinematics:motion_kinematics",

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from motionkit.evaluation.report import Scoreboard
     from motionkit.evaluation.settings import EvaluationSettings
     from motionkit.export.clip import Clip
-    from motionkit.inference.rollout import Noise
+    from motionkit.inference.noise import Noise
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricSettings
     from motionkit.models.model import MotionModel

@@ -27,7 +27,7 @@ from motionkit.cli.showing import view_option
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.control.synthesize import SynthesisOptions
-    from motionkit.inference.rollout import Noise
+    from motionkit.inference.noise import Noise
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
 
@@ -160,7 +160,7 @@ def words_console(output: Path | None) -> PlainConsole:
 
 def make_noise(kind: str | None, temperature: float | None, model: MotionModel) -> Noise:
     """The Noise of --noise and --temperature for a model."""
-    from motionkit.inference.rollout import Noise, default_noise
+    from motionkit.inference.noise import Noise, default_noise
 
     kind = kind or default_noise(model).kind
     usual = 1.0 if kind == "sample" else 0.05

@@ -20,7 +20,8 @@ from motionkit.control.steering import RUN_SPEED, WALK_SPEED, steered_type, usua
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES, Controls
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.inference.noise import default_noise
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -296,7 +297,7 @@ def follow_path(
     place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * follower.expected_seconds + 3.0) * model.fps)
     state = RolloutState(model, 1, options.noise or default_noise(model), options.seed)
-    state.set_skeletons([body])
+    state.controls.set_skeletons([body])
     state.start(begin.start.features, begin.start.contacts, weights, place, begin.length)
 
     furthest = 0.0

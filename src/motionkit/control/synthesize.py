@@ -17,7 +17,8 @@ from motionkit.control.script import TypePart, crowd_controller, plan_weights, t
 from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
 from motionkit.finish.finish import Finish, finish
-from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
+from motionkit.inference.noise import Noise, default_noise
+from motionkit.inference.rollout import Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
@@ -126,7 +127,7 @@ def synthesize(
     plans = [whole_performances(model, plan, shown) for plan, shown in zip(plans, behind, strict=False)]
     weights = [plan_weights(model, plan) for plan in plans]
     state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
-    state.set_skeletons(bodies)
+    state.controls.set_skeletons(bodies)
     ground = np.concatenate([start.ground for start in starts])
     state.start(
         [start.features[0] for start in starts],
@@ -136,7 +137,9 @@ def synthesize(
         [each.length for each in openings],
     )
     speeds = [each.speed for each in openings]
-    controller = crowd_controller(model, plans, near, behind, options.seed, speeds, lambda: state.features)
+    controller = crowd_controller(
+        model, plans, near, behind, options.seed, speeds, lambda: state.frame.features
+    )
     if options.keys:
         if len(plans) > 1:
             raise ControlError("keys are met by characters with the same types; give one list of types")

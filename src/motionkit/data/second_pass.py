@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 
-from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.data.checking import MAX_TYPES
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
@@ -34,6 +33,7 @@ from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import mean_rotation
 from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skeleton
+from motionkit.version import __version__
 
 
 def write_arrays(

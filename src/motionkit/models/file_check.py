@@ -17,8 +17,8 @@ from motionkit.errors import ModelError
 from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
-from motionkit.models.architectures import PredictorConfig, built_shapes
-from motionkit.models.config import ModelConfig
+from motionkit.models.architectures import built_shapes
+from motionkit.models.config import ModelConfig, PredictorConfig
 from motionkit.models.parts import partition
 from motionkit.models.weights import part_columns
 from motionkit.motion.skeleton import JOINT_COUNT

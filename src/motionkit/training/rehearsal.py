@@ -14,7 +14,8 @@ from motionkit.control.script import TypePart, crowd_controller
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.features.control import Controls
 from motionkit.features.reference import REFERENCE_COUNT
-from motionkit.inference.rollout import Noise, RolloutState, run, start_batch
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import RolloutState, run, start_batch
 from motionkit.models.model import MotionModel
 
 ROLLOUTS, SECONDS = 4, 15.0  # of each type; a performance begins again when it is over

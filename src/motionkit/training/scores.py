@@ -20,7 +20,8 @@ from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.files import safe_name
-from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run, start_batch
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import Rollout, RolloutState, rollout_motion, run, start_batch
 from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import StartPose
