@@ -8,7 +8,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricValue, need
 from motionkit.motion.rotations import quat_angle, quat_to_euler, wrap_angle
 
 EULER_ORDER = "ZYX"  # the order of the CMU files and of motionkit's own files
@@ -49,8 +49,7 @@ def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
     """
     if kind not in ("euler", "geodesic"):
         raise MotionkitError(f"unknown kind of body movement {kind!r}, expected 'euler' or 'geodesic'")
-    if len(local_rotations) < 2:
-        raise MotionkitError(f"body movement needs at least 2 frames, found {len(local_rotations)}")
+    need(len(local_rotations), 2, "body movement needs")
     movement = (euler_movement if kind == "euler" else geodesic_movement)(local_rotations)
     parameters: dict[str, float | str] = {"fps": FRAME_RATE, "joints": float(movement.shape[1])}
     if kind == "euler":

@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.errors import MotionkitError
 from motionkit.metrics.ground import ground_speed
-from motionkit.metrics.value import MetricSettings, MetricValue
+from motionkit.metrics.value import MetricSettings, MetricValue, need
 
 
 def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
@@ -24,8 +23,7 @@ def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | N
         MotionkitError: there are fewer than two frames.
     """
     settings = settings or MetricSettings()
-    if len(feet) < 2:
-        raise MotionkitError(f"average foot sliding needs at least 2 frames, found {len(feet)}")
+    need(len(feet), 2, "average foot sliding needs")
     limits = np.array([settings.foot_height, settings.toe_height] * 2, np.float64)
     exponent = np.clip((feet[1:, :, 1].astype(np.float64) - floor) / limits, 0.0, 1.0)
     sliding = ground_speed(feet) * (2.0 - np.exp2(exponent))

@@ -9,7 +9,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, need
 
 TOES = (1, 3)  # indices in the four foot joints
 STANDING_TOE = (
@@ -37,8 +37,7 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
         MotionkitError: there are fewer than two frames, or no toe ever stands.
     """
     settings = settings or MetricSettings()
-    if len(feet) < 2:
-        raise MotionkitError(f"foot skate needs at least 2 frames, found {len(feet)}")
+    need(len(feet), 2, "foot skate needs")
     toes = feet.astype(np.float64)[:, list(TOES)]
     low = toes[..., 1] - floor < settings.skate_height
     standing = low[1:] & low[:-1]
@@ -65,8 +64,7 @@ def penetration(feet: Array, floor: float) -> tuple[MetricValue, MetricValue]:
     Raises:
         MotionkitError: there are no frames.
     """
-    if len(feet) == 0:
-        raise MotionkitError("penetration needs at least 1 frame, found 0")
+    need(len(feet), 1, "penetration needs")
     depth = np.maximum((floor - feet.astype(np.float64)[..., 1]).max(axis=1), 0.0)
     parameters: dict[str, float | str] = {"floor_cm": floor}
     return (

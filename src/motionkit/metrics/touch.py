@@ -11,7 +11,7 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.flight import centre_of_mass, flights, vertical_acceleration
 from motionkit.metrics.ground import TOES
-from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricValue, need
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.skeleton import JOINT_NAMES
 
@@ -83,8 +83,7 @@ def lowest_points(positions: Array, ground: float = 0.0) -> tuple[MetricValue, .
     Raises:
         MotionkitError: there are no frames.
     """
-    if len(positions) == 0:
-        raise MotionkitError("lowest points need at least 1 frame, found 0")
+    need(len(positions), 1, "lowest points need")
     out = []
     for group, names in GROUPS.items():
         joints = [JOINT_NAMES.index(name) for name in names]
