@@ -12,7 +12,7 @@ from motionkit.data.dataset import Dataset
 from motionkit.data.repeat import FEW_SECONDS
 from motionkit.motion.bvh import write_bvh
 from motionkit.training.presets import train_options
-from motionkit.training.trainer import TrainEvent
+from motionkit.training.report import TrainEvent
 from synthetic_motions import make_walk
 
 LOSSES = {"gauss": 2.0, "total": 3.0}

@@ -111,10 +111,7 @@ def calibrated_noise(
 ) -> dict[str, float]:
     """Return the noise of each type that moves by it alone without references, by the manner of such roll-outs.
 
-    Args:
-        dataset: has the recordings; types without any are left out.
-        frames: length of each roll-out.
-        repeats: roll-outs of each type, with successive seeds.
+    Arguments as for calibrated_gains.
     """
     if not model.uses_references:
         return {}
