@@ -1,4 +1,7 @@
-"""Average foot sliding (AFS): horizontal movement of feet near the ground."""
+"""Average foot sliding (AFS): horizontal movement of feet near the ground.
+
+Feet are as in metrics.ground; settings.foot_height and settings.toe_height are the heights H of the paper.
+"""
 
 from __future__ import annotations
 
@@ -13,11 +16,6 @@ from motionkit.metrics.value import MetricSettings, MetricValue, need
 
 def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
     """AFS in cm per frame (paper, equation AFS): ground speed, weighted from 1 on the floor to 0 at height H.
-
-    Args:
-        feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
-        floor: height of the floor in cm.
-        settings: foot_height and toe_height are the heights H.
 
     Raises:
         MotionkitError: there are fewer than two frames.
@@ -37,10 +35,6 @@ def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | N
 
 def sliding_over_ground(feet: Array, settings: MetricSettings | None = None) -> MetricValue:
     """AFS in cm per frame exactly as the paper has it: heights are those above y = 0, whatever the clip's floor is.
-
-    Args:
-        feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
-        settings: foot_height and toe_height are the heights H.
 
     Raises:
         MotionkitError: there are fewer than two frames.

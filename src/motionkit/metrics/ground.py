@@ -1,6 +1,7 @@
 """Measures of feet against the floor: foot skate and penetration.
 
-Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up.
+Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up, at 60 fps; the floor is the
+height in cm of standing toe joints.
 """
 
 from __future__ import annotations
@@ -28,11 +29,6 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
     Each toe in each frame is a sample. It stands if its height above the floor is below skate_height in this
     frame and the previous one. The paper has no such metric; unlike AFS, feet in the air do not dilute it.
 
-    Args:
-        feet: (T, 4, 3) foot joints in cm, at 60 fps.
-        floor: height of the floor in cm.
-        settings: thresholds skate_height and skate_speed.
-
     Raises:
         MotionkitError: there are fewer than two frames, or no toe ever stands.
     """
@@ -56,10 +52,6 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
 
 def penetration(feet: Array, floor: float) -> tuple[MetricValue, MetricValue]:
     """Depth of the lowest foot joint below the floor in cm: mean over all frames, and maximum.
-
-    Args:
-        feet: (T, 4, 3) foot joints in cm.
-        floor: height of the floor in cm.
 
     Raises:
         MotionkitError: there are no frames.

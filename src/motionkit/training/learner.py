@@ -36,11 +36,12 @@ class Learner:
         self, network: Predictor, dataset: Dataset, options: TrainOptions, processes: Processes
     ) -> None:
         # The losses of part transformers have options, and so are not the network's own.
-        self.module: OwnLosses | TrainingModule = (
+        self.module = (
             TrainingModule(network, dataset, options.losses)
             if isinstance(network, PartTransformer)
             else OwnLosses(network, dataset)
-        ).to_device(processes.device)
+        )
+        self.module.to_device(processes.device)
         self.trainable = processes.shared(self.module)
         # Dropout must differ between processes, weights must not.
         torch.manual_seed(options.seed + 1 + processes.rank)
@@ -82,20 +83,17 @@ class Learner:
         if options != self._loss_options:  # a new stage: a graph of its own
             self._loss_options = options
             self.module.use(options)
-            self._replayed = Replayed(
-                lambda *given: tuple(self._gradients(Batch(*given), options, progress).values())
-            )
+            self._replayed = Replayed(lambda *given: tuple(self._gradients(Batch(*given), progress).values()))
         if not self._replays:
-            return self._gradients(batch, options, progress)
+            return self._gradients(batch, progress)
         values = self._replayed(*vars(batch).values())
         return dict(zip(self._terms, values, strict=True))
 
-    def _gradients(self, batch: Batch, options: LossOptions, progress: float) -> dict[str, Tensor]:
+    def _gradients(self, batch: Batch, progress: float) -> dict[str, Tensor]:
         for each in self.optimizers:
             each.zero_grad(set_to_none=True)
         terms = self.trainable(batch, self.autocast, progress)
-        weights = {} if isinstance(self.module, OwnLosses) else options.weights
-        loss = total_loss(terms, weights) * LOSS_SCALE
+        loss = total_loss(terms, self.module.weights) * LOSS_SCALE
         loss.backward()
         found = {name: value.detach() for name, value in terms.items()}
         found["total"] = loss.detach() / LOSS_SCALE

@@ -12,7 +12,7 @@ from motionkit.models.checkpoint import save_model
 from motionkit.models.model import MotionModel
 from motionkit.training.beginning import Beginning
 from motionkit.training.bundle import bundle_model
-from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_gains, with_noise
+from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_presets
 from motionkit.training.learner import Learner
 from motionkit.training.report import RunReport
 from motionkit.training.scores import TypeScore, score_rollouts
@@ -59,7 +59,8 @@ class Outcome:
         shown = self.options.sampler.controls.reference_dropout < 1.0
         references = shown and network.config.controls == "extended"
         model = bundle_model(network.weights(), self.dataset, card, references, self.beginning.kept)
-        return with_noise(with_gains(model, self.gains), self.noises)
+        model = with_presets(model, "reference_gain", self.gains)
+        return with_presets(model, "noise_alone", self.noises)
 
     def calibrate_and_score(self) -> bool:
         """Find the sampling presets and score roll-outs, if the options ask for scores; say whether either worked."""
