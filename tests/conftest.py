@@ -205,15 +205,15 @@ def tiny_options() -> Callable[..., TrainOptions]:
 @pytest.fixture
 def unscored(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs end without roll-outs for gains and scores, which take longer than all else of a short run."""
-    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", lambda *_: {})
-    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_: {})
+    monkeypatch.setattr("motionkit.training.outcome.score_rollouts", lambda *_: ())
 
 
 @pytest.fixture
 def briefly_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs end with one roll-out of each type at two gains; the whole search takes longer than all else."""
     brief = functools.partial(calibrated_gains, repeats=1, gains=(1.0, 2.0))
-    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", brief)
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", brief)
 
 
 @pytest.fixture(scope="session")

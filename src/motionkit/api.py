@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
     from motionkit.rig.rig import Rig
     from motionkit.training.options import TrainOptions
-    from motionkit.training.trainer import TrainEvent, TrainResult
+    from motionkit.training.report import TrainEvent
+    from motionkit.training.trainer import TrainResult
 
 # Where a run is given neither steps nor minutes: from random weights, and from a model.
 TRAIN_MINUTES, FINE_TUNE_MINUTES = 30.0, 5.0

@@ -76,7 +76,7 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
 
     def counted(run: TrainingRun) -> dict[str, float]:
         out = step(run)
-        steps.append(run.step)
+        steps.append(run.progress.step)
         if len(steps) == 1:
             os.kill(os.getpid(), signal.SIGINT)
         return out
@@ -92,7 +92,7 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
     monkeypatch.setattr(quickstart, "_look", look)
     for place in (
         "data.first_pass.prepare_file", "training.sampler.WindowSampler.make_splices", None,
-        "training.trainer.calibrated_gains", "cli.quickstart._show", "cli.quickstart._judge",
+        "training.outcome.calibrated_gains", "cli.quickstart._show", "cli.quickstart._judge",
     ):  # fmt: skip
         with monkeypatch.context() as patched:
             if place is not None:

@@ -34,8 +34,9 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import SamplingPreset
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton, leg_length
 from motionkit.training.presets import train_options
-from motionkit.training.sampler import LEAST_CUT, ControlSampling, SamplerOptions, WindowSampler
+from motionkit.training.sampler import LEAST_CUT, WindowSampler
 from motionkit.training.trainer import train
+from motionkit.training.windows import ControlSampling, SamplerOptions
 
 SMALL = {"width": 48, "heads": 4, "ffn": 96, "layers": 2, "control_width": 16, "control_embedding": 24}
 

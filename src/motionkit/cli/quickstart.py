@@ -112,7 +112,7 @@ def command(
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
     if device != "auto":  # before the clips are read; torch takes seconds to import
-        from motionkit.training.trainer import resolve_device
+        from motionkit.training.processes import resolve_device
 
         resolve_device(device)
     above = next(folder for folder in (target, *target.absolute().parents) if os.path.lexists(folder))

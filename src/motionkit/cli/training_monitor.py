@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from rich.live import Live
 
     from motionkit.training.options import TrainOptions
-    from motionkit.training.trainer import TrainEvent
+    from motionkit.training.report import TrainEvent
 
 PREVIEW_KINDS = (".html", ".png")
 SHOWN_ROUNDS = 4  # of evaluations in a preview; of more, the first and the last ones

@@ -11,8 +11,8 @@ from motionkit.models.presets import preset
 from motionkit.training.budgets import BUDGETS
 from motionkit.training.losses import LossOptions
 from motionkit.training.options import OptimizerOptions, Stage, TrainOptions, with_changes
-from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
+from motionkit.training.windows import ControlSampling, SamplerOptions
 
 # A run from random weights. At first no prediction is near enough to be an input. To follow reference poses is soon
 # learnt, to move without them is not: for most of the run few windows have them. Feet are to stand where they stood
