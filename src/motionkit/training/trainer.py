@@ -37,6 +37,7 @@ from motionkit.training.losses import Batch, LossOptions, total_loss
 from motionkit.training.objective import OwnLosses, TrainingModule
 from motionkit.training.optimizer import make_optimizers
 from motionkit.training.options import TrainOptions, flat_options
+from motionkit.training.presets import FINE_TUNE_MINUTES, fine_tune_options
 from motionkit.training.rehearsal import keep_types
 from motionkit.training.replay import Replayed
 from motionkit.training.run_state import load_run, run_options, save_run
@@ -84,18 +85,19 @@ class TrainResult:
 
 def train(
     dataset_folder: str | Path | Dataset,
-    output: str | Path,
-    options: TrainOptions,
+    output: str | Path = "model.safetensors",
+    options: TrainOptions | None = None,
     resume: bool = False,
     run_folder: str | Path | None = None,
     device: str = "auto",
     on_event: Callable[[TrainEvent], None] | None = None,
 ) -> TrainResult:
-    """Train on a dataset folder and write one model file.
+    """Train on a dataset folder and write one model file. Needs torch.
 
     Args:
-        dataset_folder: the folder, or a dataset that is open.
-        output: the model file; written at the end and on Ctrl-C.
+        dataset_folder: the folder that preprocess wrote, or a dataset that is open.
+        output: the model file, written at the end and on Ctrl-C; an old one is replaced.
+        options: from train_options; by default the preset tptn for 5 minutes from the bundled model.
         resume: continue from the run folder's checkpoint, with the same losses as a run without a break.
         run_folder: folder for the checkpoint and log.jsonl; output with the ending ".run" by default.
         device: "auto", "cpu", "cuda" or "cuda:1".
@@ -105,6 +107,7 @@ def train(
         DatasetError: if the dataset does not fit the preset.
         ModelError: if the checkpoint is damaged or does not fit the options.
     """
+    options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
     dataset = dataset_folder if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
     run = TrainingRun(dataset, Path(output), options, run_folder, device, on_event)
     if resume:
