@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, model_option, print_json, remark, say
+from motionkit.cli.common import FILE, json_option, model_option, option, print_json, remark, say
 
 
 @click.command("export")
@@ -14,18 +14,15 @@ from motionkit.cli.common import json_option, model_option, print_json, remark, 
     "--onnx",
     "path",
     required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="ONNX file to write; a JSON file beside it describes its inputs and outputs.",
 )
 @model_option
-@click.option(
-    "--character", default="default", show_default=True, help="Body whose joints the graph computes."
-)
-@click.option(
+@option("--character", default="default", help="Body whose joints the graph computes.")
+@option(
     "--weights",
     type=click.Choice(["float32", "int8"]),
     default="float32",
-    show_default=True,
     help="Number format of the layers; int8 is smaller (a third) and faster, but less exact; some engines lack it.",
 )
 @json_option
@@ -47,7 +44,7 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
         raise click.UsageError(f"--onnx {path}: expected a name that ends in .onnx")
     check = export_onnx(open_model(model_path), path, character, weights)
     if as_json:
-        result: dict = {"file": str(path), "metadata": str(beside)}
+        result: dict = {"file": path, "metadata": beside}
         if check is not None:
             result |= {
                 "frames": check.frames,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.cli.common import stderr_console
+from motionkit.names import duration
 
 if TYPE_CHECKING:
     from rich.live import Live
@@ -48,14 +49,13 @@ class TrainingMonitor:
         """
         self.losses = losses
         self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
-        self.preview, self.samples = preview, samples
+        self.preview = Preview(preview, samples) if preview else None
         self.first_process = os.environ.get("RANK", "0") == "0"
         self.console = stderr_console()
         self.live: Live | None = None
         self.began: tuple[int, float] | None = (
             None  # step and seconds of the first event: a run may be resumed
         )
-        self.rounds: list[tuple[int, list[Path]]] = []
         self.prepared = -1
         self.stopping = ""
 
@@ -78,8 +78,8 @@ class TrainingMonitor:
     def __call__(self, event: TrainEvent) -> None:
         while self.warnings:
             self.console.print(f"warning: {self.warnings.pop(0)}")
-        if event.kind == "score" and self.preview is not None:
-            self._grow(event)
+        if event.kind == "score" and self.preview and (fault := self.preview.grow(event.step)):
+            self.console.print(fault)
         if self.quiet:
             return
         if event.kind == "stop":
@@ -132,29 +132,37 @@ class TrainingMonitor:
             lines.append(", ".join(f"{name} {value:.2f}" for name, value in event.losses.items()))
         return Group(*lines, *([self.stopping] if self.stopping else []))
 
-    def _grow(self, event: TrainEvent) -> None:
-        """Write the preview anew: the roll-outs of every evaluation, after the recordings."""
-        from motionkit.api import write_view
+
+class Preview:
+    """A page or sheet that grows with every evaluation: the roll-outs of each, after the recordings."""
+
+    def __init__(self, file: Path, samples: Path) -> None:
+        self.file, self.samples = file, samples
+        self.rounds: list[tuple[int, list[Path]]] = []
+
+    def grow(self, step: int) -> str:
+        """Write it anew with the samples of a step; returns what went wrong."""
         from motionkit.errors import MotionkitError
         from motionkit.motion.bvh import bvh_to_motion, read_bvh
+        from motionkit.view.write import write_view
 
-        assert self.preview is not None
         kept = self.samples.parent / "preview"
         try:
             kept.mkdir(parents=True, exist_ok=True)
             copies = []
             for made in sorted(self.samples.glob("*-predicted.bvh")):
-                copy = kept / f"{made.stem.removesuffix('-predicted')}-step-{event.step}.bvh"
+                copy = kept / f"{made.stem.removesuffix('-predicted')}-step-{step}.bvh"
                 copy.write_bytes(made.read_bytes())
                 copies.append(copy)
-            self.rounds.append((event.step, copies))
+            self.rounds.append((step, copies))
             shown = self.rounds[:1] + self.rounds[1:][1 - SHOWN_ROUNDS :]
             files = [file for _, made in shown for file in made] + sorted(self.samples.glob("*-true.bvh"))
             files.sort(key=_type_and_step)
             motions = [bvh_to_motion(read_bvh(file)) for file in files]
-            write_view(self.preview, *motions, names=[file.stem for file in files])
+            write_view(self.file, *motions, names=[file.stem for file in files])
         except (MotionkitError, OSError) as error:
-            self.console.print(f"the preview failed, the run continues: {error}")
+            return f"the preview failed, the run continues: {error}"
+        return ""
 
 
 def _type_and_step(file: Path) -> tuple[str, int]:
@@ -165,13 +173,6 @@ def _type_and_step(file: Path) -> tuple[str, int]:
     return kind, int(step)
 
 
-def duration(seconds: float) -> str:
-    """Seconds in words: "40 s", "4 min", "2.5 h"."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
-
 def _bar(share: float) -> str:
     done = round(_BAR * min(max(share, 0.0), 1.0))
     return "━" * done + "╺" * (_BAR - done)
@@ -179,17 +180,18 @@ def _bar(share: float) -> str:
 
 def score_table(event: TrainEvent) -> Any:
     """The scores of roll-outs as a table."""
-    from rich.table import Table
+    from motionkit.cli.console import make_table
 
-    table = Table(title=f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)")
-    for name in ("type", "joint speed", "pose distance cm", "slide", "root height cm"):
-        table.add_column(name, justify="left" if name == "type" else "right")
-    for score in event.scores:
-        table.add_row(
+    rows = [
+        (
             score.type,
             f"{score.joint_speed:.2f}",
             f"{score.pose_distance:.1f}",
             f"{score.slide:.2f}",
             f"{score.height[0]:.0f} to {score.height[1]:.0f}",
         )
-    return table
+        for score in event.scores
+    ]
+    columns = ("type", "joint speed", "pose distance cm", "slide", "root height cm")
+    title = f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)"
+    return make_table(columns, rows, title=title)
