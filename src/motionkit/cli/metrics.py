@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -34,11 +32,7 @@ if TYPE_CHECKING:
 
     from motionkit.metrics.pairs import PairResult
     from motionkit.metrics.report import MetricReport, MetricRow
-    from motionkit.metrics.value import MetricValue
 
-CSV_COLUMNS = (
-    "ground_truth", "generated", "frames", "metric", "unit", "value", "ground_truth_value", "ratio", "reason",
-)  # fmt: skip
 # Columns of the table of many pairs; the table of means, --csv and --json hold all metrics.
 _OF_EACH = {
     True: ("afs", "jerk", "ssim-window", "mpjpe", "path-mean"),
@@ -198,7 +192,7 @@ def command(
             results = _measured(pairs, measuring, show)
         _tell_many(results, measuring.of_sets(results), lonely, as_json, as_csv)
         return
-    from motionkit.metrics.pairs import PairResult
+    from motionkit.metrics.pairs import PairResult, csv_text
 
     report = measuring.evaluate(ground_truth, generated)
     page = _view(ground_truth, generated, measuring.rates, as_json or as_csv) if view else None
@@ -207,7 +201,7 @@ def command(
         print_json({**result.as_dict(), **({"view": page} if page else {})})
         return
     if as_csv:
-        _print_csv([result])
+        click.echo(csv_text([result]), nl=False)
     else:
         _print_table(report, generated is not None)
     if page:
@@ -234,20 +228,12 @@ def _tell_many(
     as_csv: bool,
 ) -> None:
     """Print all pairs, alone and as sets; raises MotionkitError at the end if any failed."""
-    from motionkit.metrics.pairs import mean_rows
+    from motionkit.metrics.pairs import csv_text, pairs_as_dict
 
     if as_json:
-        means = {row.id: {k: v for k, v in asdict(row).items() if k != "id"} for row in mean_rows(results)}
-        print_json(
-            {
-                "pairs": [result.as_dict() for result in results],
-                "mean": means,
-                "sets": [row.as_dict() for row in sets],
-                "without_partner": lonely,
-            }
-        )
+        print_json(pairs_as_dict(results, sets) | {"without_partner": lonely})
     elif as_csv:
-        _print_csv(results, sets)
+        click.echo(csv_text(results, sets), nl=False)
     else:
         for line in _tables([result for result in results if result.report], sets):
             stdout_console().print(line)
@@ -260,27 +246,6 @@ def _tell_many(
         raise MotionkitError(
             f"{len(failed)} of {len(results)} not measured, {len(lonely)} files without a partner"
         )
-
-
-def _print_csv(results: Sequence[PairResult], sets: Sequence[MetricRow] = ()) -> None:
-    """Print one row per metric and pair, for spreadsheets and data frames; those of sets name no files."""
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(CSV_COLUMNS)
-    for result in results:
-        if result.report is None:
-            continue
-        names = visible(result.ground_truth), "" if result.generated is None else visible(result.generated)
-        for row in result.report.rows:
-            writer.writerow([*names, result.report.frames, *_csv_values(row)])
-    for row in sets:
-        writer.writerow(["", "", "", *_csv_values(row)])
-    click.echo(text.getvalue(), nl=False)
-
-
-def _csv_values(row: MetricRow) -> tuple:
-    truth = None if row.ground_truth is None else row.ground_truth.value
-    return row.id, row.motion.unit, row.motion.value, truth, row.ratio, row.motion.reason
 
 
 def _tables(measured: Sequence[PairResult], sets: Sequence[MetricRow]) -> Iterator[str | Table]:
@@ -351,33 +316,11 @@ def _print_table(report: MetricReport, paired: bool) -> None:
     console.print(make_table(columns, rows, (0, len(columns) - 1)))
     console.print()
     console.print(f"{report.frames} frames at {report.fps:g} fps")
-    for note in _remarks(report):
+    for note in report.remarks():
         console.print(f"note: {note}")
-    for line in _thresholds(report):
+    for line in report.thresholds():
         console.print(line, style="dim")
 
 
 def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.3f}"
-
-
-def _remarks(report: MetricReport) -> list[str]:
-    notes = list(report.notes)
-    for row in report.rows:
-        values: list[MetricValue] = [value for value in (row.motion, row.ground_truth) if value is not None]
-        notes += [f"{value.id}: {value.reason}" for value in values if value.reason]
-    return list(dict.fromkeys(notes))
-
-
-def _thresholds(report: MetricReport) -> list[str]:
-    """One line per metric with thresholds; the floor of each clip has its own row instead."""
-    lines = []
-    for row in report.rows:
-        words = [
-            f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
-            for key, value in row.motion.parameters.items()
-            if key != "floor_cm"
-        ]
-        if words:
-            lines.append(f"{row.id}: {', '.join(words)}")
-    return lines

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from motionkit.training.options import TrainOptions
     from motionkit.training.trainer import TrainEvent
+    from motionkit.view.preview import Preview
 
 PREVIEW_KINDS = (".html", ".png")
-SHOWN_ROUNDS = 4  # of evaluations in a preview; of more, the first and the last ones
 _BAR = 30  # columns
 
 
@@ -49,7 +49,11 @@ class TrainingMonitor:
         """
         self.losses = losses
         self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
-        self.preview = Preview(preview, samples) if preview else None
+        self.preview: Preview | None = None
+        if preview is not None:
+            from motionkit.view.preview import Preview
+
+            self.preview = Preview(preview, samples)
         self.first_process = os.environ.get("RANK", "0") == "0"
         self.console = stderr_console()
         self.live: Live | None = None
@@ -131,46 +135,6 @@ class TrainingMonitor:
         if self.losses:
             lines.append(", ".join(f"{name} {value:.2f}" for name, value in event.losses.items()))
         return Group(*lines, *([self.stopping] if self.stopping else []))
-
-
-class Preview:
-    """A page or sheet that grows with every evaluation: the roll-outs of each, after the recordings."""
-
-    def __init__(self, file: Path, samples: Path) -> None:
-        self.file, self.samples = file, samples
-        self.rounds: list[tuple[int, list[Path]]] = []
-
-    def grow(self, step: int) -> str:
-        """Write it anew with the samples of a step; returns what went wrong."""
-        from motionkit.errors import MotionkitError
-        from motionkit.motion.bvh import bvh_to_motion, read_bvh
-        from motionkit.view.write import write_view
-
-        kept = self.samples.parent / "preview"
-        try:
-            kept.mkdir(parents=True, exist_ok=True)
-            copies = []
-            for made in sorted(self.samples.glob("*-predicted.bvh")):
-                copy = kept / f"{made.stem.removesuffix('-predicted')}-step-{step}.bvh"
-                copy.write_bytes(made.read_bytes())
-                copies.append(copy)
-            self.rounds.append((step, copies))
-            shown = self.rounds[:1] + self.rounds[1:][1 - SHOWN_ROUNDS :]
-            files = [file for _, made in shown for file in made] + sorted(self.samples.glob("*-true.bvh"))
-            files.sort(key=_type_and_step)
-            motions = [bvh_to_motion(read_bvh(file)) for file in files]
-            write_view(self.file, *motions, names=[file.stem for file in files])
-        except (MotionkitError, OSError) as error:
-            return f"the preview failed, the run continues: {error}"
-        return ""
-
-
-def _type_and_step(file: Path) -> tuple[str, int]:
-    """Files of one type after each other: the recording, then the roll-outs by step."""
-    if file.stem.endswith("-true"):
-        return file.stem.removesuffix("-true"), -1
-    kind, _, step = file.stem.rpartition("-step-")
-    return kind, int(step)
 
 
 def _bar(share: float) -> str:
