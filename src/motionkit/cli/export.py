@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, model_option, print_json, remark, say
+from motionkit.cli.common import FILE, json_option, model_option, option, print_json, remark, say
 
 
 @click.command("export")
@@ -14,13 +14,11 @@ from motionkit.cli.common import json_option, model_option, print_json, remark, 
     "--onnx",
     "path",
     required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="ONNX file to write; a JSON file beside it describes its inputs and outputs.",
 )
 @model_option
-@click.option(
-    "--character", default="default", show_default=True, help="Body whose joints the graph computes."
-)
+@option("--character", default="default", help="Body whose joints the graph computes.")
 @json_option
 def command(path: Path, model_path: Path | None, character: str, as_json: bool) -> None:
     """Write a model as an ONNX graph that computes one frame.
@@ -39,7 +37,7 @@ def command(path: Path, model_path: Path | None, character: str, as_json: bool) 
         raise click.UsageError(f"--onnx {path}: expected a name that ends in .onnx")
     check = export_onnx(open_model(model_path), path, character)
     if as_json:
-        result: dict = {"file": str(path), "metadata": str(beside)}
+        result: dict = {"file": path, "metadata": beside}
         if check is not None:
             result |= {
                 "frames": check.frames,

@@ -128,6 +128,25 @@ class MetricReport:
             "notes": list(self.notes),
         }
 
+    def remarks(self) -> list[str]:
+        """The notes, and why metrics could not be measured."""
+        values = [value for row in self.rows for value in (row.motion, row.ground_truth) if value is not None]
+        reasons = [f"{value.id}: {value.reason}" for value in values if value.reason]
+        return list(dict.fromkeys([*self.notes, *reasons]))
+
+    def thresholds(self) -> list[str]:
+        """One line per metric with thresholds; the floor of each clip has its own row instead."""
+        lines = []
+        for row in self.rows:
+            words = [
+                f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
+                for key, value in row.motion.parameters.items()
+                if key != "floor_cm"
+            ]
+            if words:
+                lines.append(f"{row.id}: {', '.join(words)}")
+        return lines
+
 
 def evaluate_motion(
     motion: Motion,

@@ -52,6 +52,10 @@ PAPER: dict[str, Any] = {
     "scheduled_sampling": ScheduledSamplingOptions(share=0.0),
 }
 
+# Where a run is given neither steps nor minutes: from random weights, and from a model.
+TRAIN_MINUTES, FINE_TUNE_MINUTES = 30.0, 5.0
+KEPT_SHARE = 0.5  # of the windows of a run that keeps the types that its model knew
+
 # From a trained model: a small step, short averages, and few splices, since minutes are all there is.
 FINE_TUNE: dict[str, Any] = {"method": "adamw", "rate": 5e-4, "warmup": 50, "ema": 0.99, "splices": 400}
 

@@ -19,6 +19,7 @@ from motionkit.training.beginning import begin
 from motionkit.training.learner import Learner
 from motionkit.training.options import TrainOptions
 from motionkit.training.outcome import Outcome
+from motionkit.training.presets import FINE_TUNE_MINUTES, fine_tune_options
 from motionkit.training.processes import Processes
 from motionkit.training.progress import Progress, beside_the_paper
 from motionkit.training.report import RunReport, TrainEvent
@@ -42,21 +43,29 @@ class TrainResult:
 
 def train(
     dataset_folder: str | Path | Dataset,
-    output: str | Path,
-    options: TrainOptions,
+    output: str | Path = "model.safetensors",
+    options: TrainOptions | None = None,
     resume: bool = False,
     run_folder: str | Path | None = None,
     device: str = "auto",
     on_event: Callable[[TrainEvent], None] | None = None,
 ) -> TrainResult:
-    """Train on a dataset folder, or an open dataset, and write one model file; arguments as for motionkit.train.
+    """Train on a dataset folder and write one model file. Needs torch.
 
-    A run that resumes has the same losses as one without a break. Of several processes the first writes and tells.
+    Args:
+        dataset_folder: the folder that preprocess wrote, or a dataset that is open.
+        output: the model file, written at the end and on Ctrl-C; an old one is replaced.
+        options: from train_options; by default the preset tptn for 5 minutes from the bundled model.
+        resume: continue from the run folder's checkpoint, with the same losses as a run without a break.
+        run_folder: folder for the checkpoint and log.jsonl; output with the ending ".run" by default.
+        device: "auto", "cpu", "cuda" or "cuda:1".
+        on_event: called with each report, in the first process only.
 
     Raises:
         DatasetError: if the dataset does not fit the preset.
         ModelError: if the checkpoint is damaged or does not fit the options.
     """
+    options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
     dataset = dataset_folder if isinstance(dataset_folder, Dataset) else Dataset(dataset_folder)
     run = TrainingRun(dataset, Path(output), options, run_folder, device, on_event)
     if resume:
