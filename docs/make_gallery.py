@@ -87,7 +87,7 @@ def make_gallery(folder: Path) -> None:
     rig: dict[str, Any] = {}
     for loop in every:
         shown = _make(loop)
-        rig = rig or rig_data(in_metres(shown.motion)[0])
+        rig = rig or rig_data(in_metres(shown.motion).motion)
         data = {name: value for name, value in figure_data(shown).items() if rig.get(name) != value}
         (scripts / f"{loop.key}.js").write_text(
             f"loopData({json.dumps(loop.key)}, {_text(data)});\n", "utf-8"

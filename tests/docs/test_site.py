@@ -15,6 +15,7 @@ import pytest
 import motionkit
 from motionkit.cli.main import cli
 from motionkit.models.bundled import load_bundled_model
+from synthetic_motions import make_walk
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
@@ -90,6 +91,18 @@ def test_the_gallery_has_a_command_for_every_type(monkeypatch: pytest.MonkeyPatc
         command.make_context(name, words)
     page = gallery._page(loops)
     assert all(f"motionkit {loop.words}</pre>" in page for loop in loops)
+
+
+def test_the_gallery_is_written(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    gallery = module("make_gallery")
+    made = [gallery.Loop("Walk", "Types", "synthesize --types walking:0.5"), gallery.loops()[-1]]
+    monkeypatch.setattr(gallery, "loops", lambda: made)
+    monkeypatch.setattr(gallery, "_make", lambda loop: gallery.Shown(loop.name, make_walk(20)))
+    gallery.make_gallery(tmp_path)
+    scripts = tmp_path / "static" / "gallery"
+    assert all(f'data-loop="{loop.key}"' in (tmp_path / "gallery.md").read_text("utf-8") for loop in made)
+    assert "loopData(" in (scripts / f"{made[1].key}.js").read_text("utf-8")
+    assert '"joints":["Hips"' in (scripts / "player.js").read_text("utf-8").split("RIG = ")[1]
 
 
 def test_a_loop_is_what_its_command_makes() -> None:
