@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import re
 import shlex
 import subprocess
 import sys
@@ -31,6 +32,21 @@ def module(name: str) -> ModuleType:
     return loaded
 
 
+def pages() -> list[Path]:
+    """The pages of the site that are not generated."""
+    return [path for path in DOCS.glob("[a-z]*.md") if path.name not in module("conf").REPOSITORY_PAGES]
+
+
+def test_the_menu_has_every_page_once() -> None:
+    pytest.importorskip("latex2mathml")
+    conf = module("conf")
+    menu = conf.menu(conf.site_links((DOCS / "index.md").read_text("utf-8")))
+    listed = re.findall(r"^[\w/-]+$", menu, re.MULTILINE)
+    generated = [f"_generated/{name.removesuffix('.md')}" for name in conf.MADE_BY.values()]
+    assert sorted(listed) == sorted([*generated, *(path.stem for path in pages() if path.stem != "index")])
+    assert menu.count(":caption: ") == 6
+
+
 def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     for needed in ("sphinx", "myst_parser", "furo", "latex2mathml"):
         pytest.importorskip(needed)
@@ -49,8 +65,8 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
         [sys.executable, *words, "-d", str(tmp_path / "trees")], capture_output=True, text=True, timeout=170
     )
     assert done.returncode == 0, done.stderr
-    pages = {path.stem for path in tmp_path.glob("*.html")}
-    assert {path.stem for path in DOCS.glob("[a-z]*.md")} <= pages
+    written = {path.stem for path in tmp_path.glob("*.html")} - {"genindex", "search", "py-modindex"}
+    assert written == {path.stem for path in pages()}
     api = (tmp_path / "_generated" / "api.html").read_text("utf-8")
     assert all(f'id="motionkit.{name}"' in api for name in motionkit.__all__ if name != "__version__")
     assert "http://" not in (tmp_path / "_static" / "site.css").read_text("utf-8")
@@ -67,13 +83,21 @@ def test_the_site_has_the_demo_itself_in_place_of_its_picture() -> None:
         assert ("<iframe" in source[0]) is shown and ("demo.png" in source[0]) is not shown
 
 
-def test_links_of_the_site() -> None:
+def test_links_of_the_site(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("latex2mathml")
     conf = module("conf")
-    text = "[a](../CONTRIBUTING.md) [b](../src/motionkit/api.py) [c](live.md#safety) [d](https://x.org) ![e](live.png)"
-    expected = "[a](_generated/contributing.md) b [c](live.md#safety) [d](https://x.org) ![e](live.png)"
-    assert conf.site_links(text, DOCS, "") == expected
+    kept = "[c](live.md#safety) ![e](live.png)"
+    text = f"[a](../CONTRIBUTING.md) [api.py](../src/motionkit/api.py) [b](scoreboard.md) {kept}"
+    assert conf.site_links(text) == f"a `src/motionkit/api.py` b {kept}"
     assert (
-        conf.site_links("[l](docs/live.md) [r](README.md)", ROOT, "../") == "[l](../live.md) [r](../index.md)"
+        conf.site_links("[live.md](live.md) [d](https://x.org)")
+        == "[Steer it live](live.md) [d](https://x.org)"
+    )
+    monkeypatch.setattr(conf, "REPOSITORY", "https://example.org/m")
+    there = "https://example.org/m/blob/main"
+    assert conf.site_links(text) == (
+        f"[a]({there}/CONTRIBUTING.md) [`src/motionkit/api.py`]({there}/src/motionkit/api.py) "
+        f"[b]({there}/docs/scoreboard.md) {kept}"
     )
 
 

@@ -130,10 +130,10 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path | None = None) -
             sheet = sheet_name(each["model"])
             if (beside / sheet).exists():
                 parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
-        if each.get("note"):
-            parts.append(f"{each['note']}\n")
         held = sum(facts["holds"] for facts in each["rollouts"])
         parts.append(f"{held} of {len(each['rollouts'])} roll-outs of {each['model']} hold.\n")
+        if each.get("note"):
+            parts.append(f"{each['note']}\n")
     return parts
 
 
