@@ -48,6 +48,12 @@ def test_the_table_of_types_is_up_to_date() -> None:
     )
 
 
+def test_the_offsets_of_the_skeleton_are_measured(capsys: pytest.CaptureFixture[str]) -> None:
+    script("measure_offsets").main([str(ROOT / "examples" / "data")])
+    subjects, difference = re.findall(r"[\d.]+", capsys.readouterr().out)
+    assert int(subjects) > 5 and float(difference) < 3.0
+
+
 def test_figures_of_another_scoreboard(make_readme: ModuleType) -> None:
     shares = {"walking": 1.0, "balance": 0.95, "jumping-r": 0.85}
     said = "1 are shown every time, balance 19 times, jumping-r 17 times"

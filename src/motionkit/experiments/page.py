@@ -60,12 +60,11 @@ trajectory where it lies on the ground, and test sequences that are mirror image
 
 SCENES = """## The paper's figures 1 and 5 to 9
 
-`motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). The paper gives its
-paths as pictures alone: types and shapes are those of the paper, lengths are chosen to suit the recordings, so the
-distances are of like paths and not of the same. Each distance is the mean over frames from the root's place on the
-ground to the nearest point of the path, ± the standard deviation over seeds. Feet are not held; in the paper they are
-unless it says otherwise, as it does of figure 9. The shipped model uses its reference poses. `python
-docs/make_scenes.py` draws the pictures below.
+`motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). Types and shapes are
+those of the paper; it gives its paths as pictures alone, so lengths are chosen to suit the recordings. Each distance is
+the mean over frames from the root's place on the ground to the nearest point of the path, ± the standard deviation over
+seeds. Feet are not locked; in the paper they are, except in figure 9. The shipped model uses its reference poses.
+`python docs/make_scenes.py` draws the pictures.
 """
 
 
@@ -104,15 +103,12 @@ def scene_cell(scene: dict[str, Any]) -> str:
 LONG = """## Long roll-outs
 
 Twenty seconds from 30 initial frames of test clips (the paper's section 5.2): types are given, the trajectory is the
-network's own prediction, fed back, and frames are drawn at full sigma. Each roll-out is measured in four parts: the
-distance of its poses to the nearest pose in the training clips of the type (root mean square over joints, in the
-heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
-those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
-recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five
-seconds of its type in the training clips. `motionkit experiment long MODEL` makes them, and `motionkit train
-datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 200 --trajectory-drift 0.15 --from-scratch` a
-model for it, of all types. The paper has noise on the frames and says nothing of its control signals (section 4.3).
-The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
+network's own prediction, fed back, and frames are drawn at full sigma. A roll-out holds where, in each of four parts,
+its poses are at most {apart:g} times as far from the nearest pose in the training clips of the type as the held-out
+recording is, its feet swing about their mean place under the body between half and {apart:g} times as far, and it goes
+no faster than the fastest five seconds of its type in the training clips. `motionkit experiment long MODEL` makes them,
+and `motionkit train datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 200 --trajectory-drift 0.15
+--from-scratch` a model for it, of all types. Networks of D_L know no dance (`--type`).
 """
 
 
@@ -140,11 +136,9 @@ def long_section(models: Sequence[dict[str, Any]], beside: Path | None = None) -
 BODIES = """## Skeleton control
 
 The control signal c^s holds the joints of the performer's body in its rest pose (paper section 3). Here one recording
-is continued with the bodies of {count} performers in that signal, and with the same initial frames, types, trajectory
-and seeds. The network predicts joint positions beside rotations, so what it takes the body to be is measured in
-them, after the initial frames have left its receptive field; steps are the largest distance between the ankles in a
-second. Beside it stand the performer's own recordings of the type, all in cm. `motionkit experiment bodies MODEL` makes
-the table.
+is continued with the bodies of {count} performers in that signal, all else equal. What the network takes the body to be
+is measured in the joint positions that it predicts, in cm, after the initial frames have left its receptive field;
+steps are the largest distance between the ankles in a second. `motionkit experiment bodies MODEL` makes the table.
 """
 
 
