@@ -86,6 +86,7 @@ def test_the_site_has_the_demo_itself_in_place_of_its_picture() -> None:
 def test_links_of_the_site(monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("latex2mathml")
     conf = module("conf")
+    monkeypatch.setattr(conf, "REPOSITORY", "")
     kept = "[c](live.md#safety) ![e](live.png)"
     text = f"[a](../CONTRIBUTING.md) [api.py](../src/motionkit/api.py) [b](scoreboard.md) {kept}"
     assert conf.site_links(text) == f"a `src/motionkit/api.py` b {kept}"
