@@ -2,7 +2,7 @@
 
 Takes a canonical motion and returns the repaired motion and a report. Every detector compares a frame with its
 neighbours, so that kicks, flips and cartwheels, which are fast for several frames in a row, are left alone.
-docs/cleaning.md has the measurements behind the constants.
+docs/dataset.md has the measurements behind the constants.
 """
 
 from __future__ import annotations
