@@ -19,9 +19,12 @@ import pytest
 
 import motionkit as mk
 from motionkit.arrays import Array, Floats
-from motionkit.control.reference_player import drawn_evenly
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.errors import ModelError, MotionkitError
+from motionkit.evaluation.body import body_of
+from motionkit.evaluation.detectors import DETECTORS, detection_windows
 from motionkit.export.onnx_export import every_control
+from motionkit.export.page_tracks import type_tracks
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterStream, model_first_type
 from motionkit.inference.step import NetworkStep
@@ -31,6 +34,7 @@ from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import Variant
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
 from motionkit.play.demo import write_demo
 from view.conftest import PATIENCE, drawn
 
@@ -207,26 +211,62 @@ def test_the_page_makes_the_frames_of_numpy(page: Page) -> None:
     assert np.mean(places < 1e-3) > 0.95 and places.max() < 0.02
 
 
-def test_python_draws_the_same_clips(page: Page) -> None:
-    import random
-
-    draws = page.evaluate(
-        """(seed) => {
-          const player = motionkit.link.world.characters.values().next().value.driver.player;
-          const random = new player.random.constructor(seed), some = Array.from({ length: 900 }, (_, n) => n);
-          Object.assign(player, { choice: seed, draws: 0 });
-          const places = some.slice(0, 50).map(() => player.place([5, 1, 90, 40]));
-          return [random.random(), random.sample(some, 200), random.sample(some, 24),
-                  random.sample(some.slice(0, 30), 24), random.below(1), places];
+def test_a_track_is_what_a_reference_player_shows(page: Page) -> None:
+    """Poses, phases and where recordings go, to the steps that the file keeps; at its end a track leads back."""
+    model = load_bundled_model()
+    shown = page.evaluate(
+        """(name) => {
+          const { player, model } = motionkit.link.world.characters.values().next().value.driver;
+          const one = new player.constructor(model, 1), type = model.types.findIndex((type) => type.name === name);
+          one.begin(type);
+          const frames = Array.from({ length: one.track.frames + 1 }, () => one.next());
+          return frames.map(({ reference, phase, trajectory }) => [...reference, phase, ...trajectory]);
         }""",
-        12345,
+        "cartwheel",
     )
-    expected = random.Random(12345)
-    assert draws == [
-        expected.random(), expected.sample(range(900), 200), expected.sample(range(900), 24),
-        expected.sample(range(30), 24), expected._randbelow(1),
-        [drawn_evenly([5, 1, 90, 40], 12345, number) for number in range(1, 51)],
-    ]  # fmt: skip
+    made, player = np.array(shown), ReferencePlayer(model, 1)
+    player.begin("cartwheel")
+    asked = player.play(60)
+    expected = np.concatenate([asked.reference, asked.phase[:, None], asked.trajectory], axis=1)
+    apart = np.abs(made[:60] - expected)
+    assert apart[:, :73].max() < 1e-3 and apart[:, 73:].max() < 0.2
+    assert np.array_equal(made[-1], made[0])
+    assert np.abs(np.diff(made[:, :72], axis=0)).max() < 1.5 * np.abs(np.diff(asked.reference, axis=0)).max()
+
+
+def test_every_type_with_recordings_has_tracks_and_seeds_differ() -> None:
+    model = load_bundled_model()
+    for name, kind in model.types.items():
+        tracks = type_tracks(model, name)
+        assert bool(tracks) == (bool(kind.reference_clips) and not kind.stands)
+        poses = {track.poses[:60].tobytes() for track in tracks}
+        assert len(poses) >= min(len(tracks), 2)
+        assert all(bool(track.performance) == kind.has_phase for track in tracks)
+
+
+@pytest.mark.parametrize("kind", ["cartwheel", "backflip", "punching", "running"])
+def test_the_page_shows_what_is_asked_for(page: Page, kind: str) -> None:
+    """The detectors of evaluation find it in what seeds of the page make."""
+    model = load_bundled_model()
+    speed = 300.0 if kind == "running" else 0.0
+    made = page.evaluate(
+        """([kind, speed]) => [3, 11, 25].map((seed) => {
+          const { world } = motionkit.link, again = new world.constructor(world.kernel, seed), frames = [];
+          for (let frame = 0; frame < 200; frame++) {
+            if (frame === 20 && speed) again.obey({ do: "wish", velocity: [0, speed], facing: null, type: kind });
+            else if (frame === 20) again.obey({ do: "perform", type: kind });
+            const one = again.step().shown.get(1);
+            frames.push([...one.root, ...one.rotations]);
+          }
+          return frames;
+        })""",
+        [kind, speed],
+    )
+    for frames in np.array(made, np.float32):
+        rotations = frames[20:, 3:].reshape(-1, 23, 4)
+        body = body_of(Motion(model.character("default"), rotations, frames[20:, :3], model.fps))
+        windows = detection_windows(body, min(DETECTORS[kind].window, 2.0))
+        assert any(DETECTORS[kind].shows(window) for window in windows)
 
 
 def test_the_noise_of_the_page_is_normal(page: Page) -> None:

@@ -52,10 +52,11 @@ class KernelImage:
 
     Attributes:
         shared: what all characters share, at BASE.
-        own: what a character has of its own, as it is before its start; addresses count from its beginning.
+        own: what a character has of its own, after the frames of a start pose; addresses count from its beginning.
         moved: places in own of pointers into own.
         addresses: where the program is, and in own the structs and arrays that a page reads and writes.
         fields: where in its struct a number is that a page writes; and position_bytes of one slot of the rings.
+        slot: of the rings that the last frame of the start pose is in.
     """
 
     shared: bytes
@@ -63,6 +64,7 @@ class KernelImage:
     moved: tuple[int, ...]
     addresses: dict[str, int]
     fields: dict[str, int]
+    slot: int
 
 
 def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
@@ -75,6 +77,9 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
     stream = CharacterStream(model, 1, noise, compiled=False)
     network, feet, rises = stream.state.network, stream.feet, stream.height_correction
     assert isinstance(network, NetworkStep) and feet is not None
+    if network.kernel is None:  # whose channels of a head lie side by side
+        turn = np.arange(network.config.width).reshape(network.config.heads, -1).T.ravel()
+        network.keys[:], network.values[:] = network.keys[..., turn], network.values[..., turn]
     fresh = np.zeros_like(stream.state.normalised)
     controls = np.zeros((1, model.controls.size), np.float32)
     posed = [np.zeros((1, *n), np.float32) for n in ((JOINT_COUNT, 4), (3,), (JOINT_COUNT, 3))]
@@ -85,13 +90,12 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
     step = program.frame_words(network, controls)
     own: dict[str, NDArray[Any]] = {
         "recent": network.recent, "keys": network.keys, "values": network.values, "filled": network.filled,
-        "controls": controls, "out": network.out, "logits": network.contacts_out, "fresh": fresh,
+        "last": network.before, "controls": controls, "out": network.out, "logits": network.contacts_out,
+        "fresh": fresh,
         "noise": drawn.noise.first, "smooth": drawn.noise.second, "velocity_blend": drawn.blend.velocity_blend,
         "slip_correction": drawn.blend.slip_correction, "before": drawn.blend.before,
         **vars(made), **dict(zip(("rotations", "root", "positions"), posed, strict=True)),
     }  # fmt: skip
-    for array in own.values():
-        array[:] = 0  # the stream has been started
     own |= {f"feet_{name}": array for name, array in vars(feet).items()} | {"rise": rises.rise}
     writer = _Writer()
     writer.share(*program.kept, program.position, *drawn.scaling, drawn.blend.columns)
@@ -111,7 +115,12 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         "temperature": _narrow(type(draw)).temperature.offset,
     }
     return KernelImage(
-        bytes(writer.shared.data), bytes(writer.own.data), tuple(writer.moved), addresses, fields
+        bytes(writer.shared.data),
+        bytes(writer.own.data),
+        tuple(writer.moved),
+        addresses,
+        fields,
+        network.slot,
     )
 
 
