@@ -142,7 +142,6 @@ def test_all_ways_make_the_same_frames(way: str, positions: float, features: flo
 @pytest.mark.parametrize(
     ("way", "near"),
     [
-        ("torch, stream", 0.02),
         pytest.param("C, float32", 0.02, marks=KERNELS),
         pytest.param("C, 16 bits", 2.0, marks=KERNELS),
     ],
