@@ -8,7 +8,14 @@ import { build } from "esbuild";
 
 const here = dirname(fileURLToPath(import.meta.url));
 const out = join(here, "..", "src", "motionkit", "assets", "web");
-const PAGES = { play: ["play"], view: ["view"], demo: ["play", "demo"] }; // and the folders of their styles
+const DEMO_HEAD = `<meta name="description" content="A person who walks, runs, dances and turns cartwheels as you ask, made by a small neural network in this page.">
+<meta http-equiv="Content-Security-Policy" content="default-src 'none'; script-src 'unsafe-inline' 'wasm-unsafe-eval'; style-src 'unsafe-inline'; connect-src 'self'; img-src data: blob:; worker-src 'self'; base-uri 'none'; form-action 'none'">
+`;
+const DEMO_BODY = `<noscript><div class="notice">This page needs JavaScript: it runs the model.</div></noscript>
+<script type="application/json" id="data">__DATA__</script>
+`;
+// The folder of a page's HTML and style, and what only this page has in its head and body.
+const PAGES = { play: ["play", "", ""], view: ["view", "", ""], demo: ["play", DEMO_HEAD, DEMO_BODY] };
 
 /** The hash of everything a bundle is made of; tests/view/test_web_assets.py computes the same. */
 function sourceHash() {
@@ -37,12 +44,12 @@ async function page(name) {
     return result.outputFiles[0].text.trim();
   };
   const script = (await bundle("main.js")).replaceAll("</script", "<\\/script");
-  const sheets = ["lib/theme.css", ...PAGES[name].map((folder) => `${folder}/style.css`)];
-  const style = sheets.map((sheet) => readFileSync(join(here, "src", sheet), "utf8")).join("");
-  const parts = { __SOURCE__: sourceHash(), __STYLE__: style, __SCRIPT__: script };
+  const [folder, head, body] = PAGES[name];
+  const source = (file) => readFileSync(join(here, "src", file), "utf8");
+  const parts = { __SOURCE__: sourceHash(), __STYLE__: source("lib/theme.css") + source(`${folder}/style.css`), __SCRIPT__: script, __NAME__: name };
   const notice = "<!-- Contains three.js, MIT licence, copyright 2010-2026 three.js authors -->\n";
-  const html = readFileSync(join(here, "src", name, "index.html"), "utf8").replace("<head>\n", `<head>\n${notice}`);
-  return html.replace(/__(SOURCE|STYLE|SCRIPT)__/g, (mark) => parts[mark]);
+  const html = source(`${folder}/index.html`).replace("<head>\n", `<head>\n${notice}`).replace("__HEAD__", head).replace("__BODY__", body);
+  return html.replace(/__(SOURCE|STYLE|SCRIPT|NAME)__/g, (mark) => parts[mark]);
 }
 
 if (!existsSync(join(here, "node_modules"))) throw new Error("run `npm ci` first");

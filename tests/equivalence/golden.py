@@ -36,15 +36,15 @@ def positions(motion: Motion) -> np.ndarray:
 
 
 def synthesized(types: str, **options: object) -> np.ndarray:
-    """Positions of one or more synthesized characters, one after another."""
+    """Positions of one or more synthesized characters."""
     made = synthesize(load_bundled_model(), parse_types(types), SynthesisOptions(**({"ik": False} | options)))  # type: ignore[arg-type]
-    return np.concatenate([positions(one.motion) for one in made.motions])
+    return np.stack([positions(one.motion) for one in made.motions])
 
 
 def followed(shape: str, types: list[str], speed: float | None = None) -> np.ndarray:
     """Positions of a character along a named shape."""
     path = shape_path(shape, 3.0, types, speed)
-    return positions(follow_path(load_bundled_model(), path, SynthesisOptions(seed=5, ik=True)).motion)
+    return positions(follow_path(load_bundled_model(), path, SynthesisOptions(seed=5, ik=True)).motion)[None]
 
 
 def driven() -> np.ndarray:
@@ -66,7 +66,7 @@ def driven() -> np.ndarray:
         shown = characters.step(together([d(frame, ground[i : i + 1]) for i, d in enumerate(drivers)]))
         if frame % EVERY == 0:
             kept.append(np.asarray(shown.positions))
-    return np.concatenate(kept)
+    return np.stack(kept, axis=1)
 
 
 def features(folder: Path) -> np.ndarray:
@@ -76,6 +76,7 @@ def features(folder: Path) -> np.ndarray:
     return np.concatenate([np.asarray(dataset.read(clip).features)[::97] for clip in dataset.clips])
 
 
+# Positions (characters, kept frames, 23, 3) in cm.
 CASES: dict[str, Callable[[], np.ndarray]] = {
     "gaits": lambda: synthesized("running:3,cartwheel:3,walking:3", seed=1, ik=True),
     "dances": lambda: synthesized("dance-salsa:4,dance-modern:4", seed=2, ik=True),

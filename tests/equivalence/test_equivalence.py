@@ -1,9 +1,10 @@
-"""Every way of making a frame makes the same motion: one table, over all controls together, in closed loop.
+"""Every way of making a frame makes the same motion: one table, over all controls together.
 
-Each way goes on from its own frames for 300 frames in which types blend, trajectories come and go, phases run,
-references are shown with their gain or not at all, correlated noise is drawn, and the root-slip correction is on, in
-part, and off. Random networks of all shapes are compared in tests/inference/test_step.py and in
-tests/models/test_streaming.py.
+Types blend, trajectories come and go, phases run, references are shown with their gain or not at all, correlated noise
+is drawn, and the root-slip correction is on, in part, and off. A closed loop makes more of the last bits, by how much
+depends on the machine. So each frame is made from the one that numpy has made before it, and the network's memory is
+each way's own; closed loops are compared over a stretch, and by where they go. Random networks of all shapes are
+compared in tests/inference/test_step.py and in tests/models/test_streaming.py.
 """
 
 from __future__ import annotations
@@ -54,11 +55,12 @@ class WholeStep(TorchStep):
 
 @dataclass(frozen=True, eq=False)
 class Made:
-    """Joints (T, 23, 3) in cm, normalised features (T, 276) and contacts (T, 4)."""
+    """Joints (T, 23, 3) in cm, normalised features (T, 276), contacts (T, 4), and what each frame went on from."""
 
     positions: np.ndarray
     features: np.ndarray
     contacts: np.ndarray
+    begun: list[list[np.ndarray]]
 
 
 def _numpy() -> NetworkStep:
@@ -80,9 +82,15 @@ WAYS: dict[str, tuple[Callable[[], NetworkStep | TorchStep], bool]] = {
 }
 
 
+STATE = ("x", "before", "contacts", "ground")  # of a frame, from which the next one goes on
+
+
 @cache
-def made(way: str) -> Made:
-    """What a way makes of every_control, from the first type's start pose."""
+def made(way: str, closed: bool = False) -> Made:
+    """What a way makes of every_control, from the first type's start pose.
+
+    closed: from its own frames; else each frame goes on from where numpy was before it.
+    """
     model = load_bundled_model()
     step, compiled = WAYS[way]
     stream = CharacterStream(model, 1, Noise(temperature=0.2), seed=3, ik=False)
@@ -90,33 +98,34 @@ def made(way: str) -> Made:
         pose_in_numpy(stream)
     stream.state.network = step()
     stream.reset(0, type=model_first_type(model))
-    positions, features, contacts = [], [], []
-    for asked in every_control(model, FRAMES):
+    state = [getattr(stream.state.frame, name) for name in STATE]
+    led = None if closed or way == "numpy" else made("numpy").begun
+    positions, features, contacts, begun = [], [], [], []
+    for number, asked in enumerate(every_control(model, FRAMES)):
+        if led is not None:
+            for mine, its in zip(state, led[number], strict=True):
+                mine[:] = its
+        begun.append([values.copy() for values in state])
         frame = stream.step(asked)
         positions.append(frame.positions[0])
         contacts.append(frame.contacts[0])
         features.append(stream.state.frame.x[0].copy())
-    return Made(np.stack(positions), np.stack(features), np.stack(contacts))
+    return Made(np.stack(positions), np.stack(features), np.stack(contacts), begun)
 
 
-# Largest distance of a joint (cm), of a normalised feature and of a contact, between two ways.
+# Of a frame: largest distance of a joint from numpy's (cm), of a normalised feature and of a contact.
 TABLE = [
-    ("torch, stream", "torch, forward", 0.005, 1e-4, 1e-4),
-    ("numpy", "torch, stream", 0.005, 1e-4, 1e-4),
-    ("numpy", "torch, forward", 0.005, 1e-4, 1e-4),
-    ("numpy, C frame", "numpy", 0.005, 1e-4, 1e-4),
-    ("C, float32", "numpy", 0.005, 1e-4, 1e-4),
-    # The first second of this script magnifies differences of rounding; the test below says that they die down.
-    ("C, 16 bits", "C, float32", 3.0, 0.3, 0.1),
-    ("C, 16 bits", "torch, forward", 3.0, 0.3, 0.1),
+    ("torch, forward", 2e-4, 2e-5, 2e-5),
+    ("torch, stream", 2e-4, 2e-5, 2e-5),
+    pytest.param("numpy, C frame", 2e-4, 2e-5, 2e-5),
+    pytest.param("C, float32", 2e-4, 2e-5, 2e-5),
+    pytest.param("C, 16 bits", 0.01, 4e-3, 2e-3),
 ]
 
 
-@pytest.mark.parametrize(("way", "other", "positions", "features", "contacts"), TABLE)
-def test_all_ways_make_the_same_motion(
-    way: str, other: str, positions: float, features: float, contacts: float
-) -> None:
-    ours, theirs = made(way), made(other)
+@pytest.mark.parametrize(("way", "positions", "features", "contacts"), TABLE)
+def test_all_ways_make_the_same_frames(way: str, positions: float, features: float, contacts: float) -> None:
+    ours, theirs = made(way), made("numpy")
     apart = [
         float(np.linalg.norm(ours.positions - theirs.positions, axis=-1).max()),
         float(np.abs(ours.features - theirs.features).max()),
@@ -124,23 +133,43 @@ def test_all_ways_make_the_same_motion(
     ]
     assert all(
         found < allowed for found, allowed in zip(apart, (positions, features, contacts), strict=True)
-    ), (way, other, apart)
+    ), (way, apart)
 
 
-def test_16_bits_come_back_to_the_same_motion() -> None:
-    """Positions hold what was walked meanwhile, features do not."""
-    ours, theirs = made("C, 16 bits"), made("C, float32")
-    assert float(np.abs(ours.features - theirs.features)[FRAMES // 2 :].max()) < 0.02
-    assert float(np.abs(ours.contacts - theirs.contacts)[FRAMES // 2 :].max()) < 0.01
+@pytest.mark.parametrize(
+    ("way", "near"),
+    [
+        pytest.param("C, float32", 0.02),
+        pytest.param("C, 16 bits", 2.0),
+    ],
+)
+def test_closed_loops_go_the_same_way(way: str, near: float) -> None:
+    """Places over a second; then how far the hips went, how much the joints moved, and features come back."""
+    ours, theirs = made(way, closed=True), made("numpy")
+    assert np.abs(ours.positions - theirs.positions)[:60].max() < near
+    for a, b in zip(_amounts(ours), _amounts(theirs), strict=True):
+        assert a == pytest.approx(b, rel=0.02)
+    assert float(np.abs(ours.features - theirs.features)[FRAMES // 2 :].max()) < 0.05
+    assert float(np.abs(ours.contacts - theirs.contacts)[FRAMES // 2 :].max()) < 0.05
+
+
+def _amounts(one: Made) -> tuple[float, float]:
+    """The way of the hips over the ground (cm), and the mean way of a joint beside them."""
+    hips = one.positions[:, :1]
+    ways = np.linalg.norm(np.diff(hips[..., [0, 2]], axis=0), axis=-1).sum()
+    return float(ways), float(
+        np.linalg.norm(np.diff(one.positions - hips, axis=0), axis=-1).sum(axis=0).mean()
+    )
 
 
 def test_the_graph_makes_the_motion_of_c() -> None:
+    """In closed loop, but no longer than every control takes to change."""
     pytest.importorskip("onnxruntime")
     onnx_export = pytest.importorskip("motionkit.export.onnx_export")
     model = load_bundled_model()
     graph = onnx_export.build_graph(model).SerializeToString()
-    check = check_export(model, graph, "default", FRAMES)
-    assert check.positions < 0.005 and check.features < 1e-4
+    check = check_export(model, graph, "default", 120)
+    assert check.positions < 0.02 and check.features < 1e-3
 
 
 def test_every_control_is_among_them() -> None:

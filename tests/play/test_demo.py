@@ -19,10 +19,13 @@ import pytest
 
 import motionkit as mk
 from motionkit.arrays import Array, Floats
-from motionkit.control.drive import Driver, Wish
-from motionkit.control.path import PathPart, make_path
-from motionkit.control.reference_player import drawn_evenly
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.errors import ModelError, MotionkitError
+from motionkit.evaluation.body import body_of
+from motionkit.evaluation.detectors import DETECTORS, detection_windows
+from motionkit.export.onnx_export import every_control
+from motionkit.export.page_tracks import type_tracks
+from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterStream, model_first_type
 from motionkit.inference.step_arrays import TILE
 from motionkit.inference.step_kernel import StepProgram
@@ -31,6 +34,7 @@ from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import Variant
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
 from motionkit.play.demo import write_demo
 from oracle.characters import pose_in_numpy
 from oracle.step import numpy_step
@@ -39,7 +43,7 @@ from view.conftest import PATIENCE, drawn
 if TYPE_CHECKING:
     from playwright.sync_api import Page
 
-FRAMES = 600
+FRAMES = 300
 START = "motionkit.own?.root && motionkit.link.world.frame > 5"
 
 
@@ -137,66 +141,42 @@ def stored_weights(weights: StepWeights) -> StepWeights:
     )
 
 
-PATH = [{"points": [[0, 0], [60, 90], [0, 190], [-90, 150]], "type": "walking"}]
-# A stop within a walk, a dance that finds its way among recordings, a cartwheel, a run at a speed.
-TYPES_ON_A_PATH = [
-    {"points": [[0, 0], [30, 80]], "type": "walking", "stop": 0.6},
-    {"points": [[40, 150]], "type": "walking"},
-    {"points": [[0, 210], [-60, 230]], "type": "dance-salsa"},
-    {"points": [[-90, 280], [-90, 480]], "type": "cartwheel"},
-    {"points": [[0, 900]], "type": "running", "speed": 250},
-]
-# Frame, and what is asked for from then on.
-THERE_AND_BACK = [
-    {"points": [[0.0, 0.0], [0.0, 300.0], [0.0, 0.0]], "type": "walking", "stop": 1.0},
-    {"points": [[0.0, -300.0]], "type": "cartwheel"},
-]
-ASKED: dict[str, list[tuple[int, str, Any]]] = {
-    "wishes": [
-        (0, "path", PATH),
-        (170, "wish", {"velocity": [210, -180], "facing": None, "type": None}),
-        (240, "perform", ["cartwheel", 7]),
-        (380, "wish", {"velocity": None, "facing": None, "type": "dance-salsa"}),
-        (460, "perform", ["punching", 3]),
-        (560, "wish", {"velocity": [0, 0], "facing": 1.5, "type": None}),
-    ],
-    "starts": [
-        (0, "wish", {"velocity": [0, 0], "facing": None, "type": None}),
-        (60, "wish", {"velocity": [90, 90], "facing": None, "type": None}),
-        (190, "wish", {"velocity": [0, 0], "facing": None, "type": None}),
-        (290, "wish", {"velocity": [0, -100], "facing": 0, "type": None}),
-        (400, "wish", {"velocity": [0, 0], "facing": None, "type": None}),
-        (480, "wish", {"velocity": [-120, 300], "facing": None, "type": None}),
-    ],
-    "types on a path": [
-        (20, "path", TYPES_ON_A_PATH),
-        (520, "wish", {"velocity": [60, -40], "facing": None, "type": "dance-indian"}),
-    ],
-    "there and back": [(20, "path", THERE_AND_BACK)],
-}
-IN_THE_PAGE = """([noise, asked, frames, choice]) => {
-  const { world } = motionkit.link, { body, driver } = world.characters.values().next().value;
-  const numbers = new Float32Array(Uint8Array.from(atob(noise), (letter) => letter.charCodeAt(0)).buffer);
-  let at = 0;
+STATE = (
+    "_x",
+    "_before",
+    "_contacts",
+    "_ground",
+)  # of a RolloutState, as x, before, contacts and place of the page's
+IN_THE_PAGE = """([noise, states, asked]) => {
+  const { world } = motionkit.link, { body } = world.characters.values().next().value;
+  const floats = (text) => new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
+  const [numbers, led] = [floats(noise), floats(states)], out = [];
+  let [at, from] = [0, 0];
   const one = new body.constructor(world.kernel, 19, (out) => out.set(numbers.subarray(at, (at += out.length))));
   one.start([0, 0, 0]);
-  const wishes = new driver.constructor(world.model, choice), out = [];
-  for (let frame = 0; frame < frames; frame++) {
-    for (const [when, what, how] of asked) {
-      if (when !== frame) continue;
-      if (what === "path") wishes.follow(how);
-      else if (what === "wish") wishes.set(how);
-      else wishes.perform(...how);
-    }
-    one.step(wishes.controls(frame, one.ground));
-    out.push(...one.positions);
+  for (const controls of asked) {
+    for (const values of [one.x, one.before, one.contacts, one.place]) values.set(led.subarray(from, (from += values.length)));
+    one.step(controls);
+    out.push(...one.x, ...one.contacts, ...one.positions);
   }
   return out;
-}"""
+}"""  # noqa: E501
 
 
-def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int) -> Array:
-    """Joint positions (T, 23, 3) of what is asked of a Driver, in numpy alone."""
+def for_the_page(asked: Controls) -> dict[str, Any]:
+    """Controls of one character as the page's are."""
+    return {
+        "weights": asked.type_weights[0].tolist(),
+        "trajectory": asked.trajectory[0].tolist() if asked.trajectory_mask[0] else None,
+        "phase": float(asked.phase[0]),
+        "reference": asked.reference[0].tolist(),
+        "gain": float(asked.reference_gain[0]),
+        "slip": float(asked.slip_correction[0]),
+    }
+
+
+def in_numpy(noise: Floats, script: list[Controls]) -> tuple[Array, Array]:
+    """State (T, N) before each frame of a script, and what is made (T, 276 + 4 + 69), in numpy alone."""
     model = load_bundled_model()
     stream = CharacterStream(model, 1)
     pose_in_numpy(stream)
@@ -206,56 +186,90 @@ def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int)
     kind = model_first_type(model)
     start = stream.model.types[kind].start_poses[0]
     stream.state.start(start.features[None], start.contacts[None], stream._weights(kind))
-    driver, places = Driver(model, kind, choice=choice), []
-    for frame in range(FRAMES):
-        for _, what, how in (each for each in asked if each[0] == frame):
-            if what == "path":
-                parts = [PathPart(**{**part, "points": np.array(part["points"])}) for part in how]
-                driver.set_wish(Wish(path=make_path(parts)))
-            elif what == "wish":
-                velocity = None if how["velocity"] is None else tuple(how["velocity"])
-                driver.set_wish(Wish(velocity, how["facing"], how["type"]))
-            else:
-                driver.perform(how[0], choice=how[1])
-        places.append(stream.step(driver(frame, stream.ground)).positions[0])
-    return np.stack(places)
+    states, frames = [], []
+    for asked in script:
+        states.append(np.concatenate([getattr(stream.state, name)[0] for name in STATE]))
+        shown = stream.step(asked)
+        parts = (stream.state.normalised[0], shown.contacts[0], shown.positions[0].ravel())
+        frames.append(np.concatenate(parts))
+    return np.stack(states), np.stack(frames)
 
 
-@pytest.mark.parametrize(
-    ("asked", "choice", "seed"),
-    [("wishes", 0, 8), ("starts", 3, 4), ("types on a path", 5, 1), ("there and back", 2, 4)],
-)
-def test_the_page_makes_the_motion_of_numpy(page: Page, asked: str, choice: int, seed: int) -> None:
-    noise = np.random.default_rng(seed).standard_normal((FRAMES + 1, 276), np.float32)
-    words = base64.b64encode(noise.astype("<f4").tobytes()).decode()
-    told = [words, [list(each) for each in ASKED[asked]], FRAMES, choice]
-    made = np.array(page.evaluate(IN_THE_PAGE, told)).reshape(FRAMES, 23, 3)
-    expected = made_in_numpy(noise, ASKED[asked], choice)
-    apart = np.linalg.norm(made - expected, axis=-1).max(axis=-1)
-    assert np.ptp(expected[:, 0], axis=0).max() > 300.0, "it goes somewhere"
-    assert apart.max() < 1e-3, f"{apart.max()} cm, first at frame {np.flatnonzero(apart > 1e-3)[0]}"
+def as_text(numbers: Array) -> str:
+    """The bytes of numbers for the page."""
+    return base64.b64encode(numbers.astype("<f4").tobytes()).decode()
 
 
-def test_python_draws_the_same_clips(page: Page) -> None:
-    import random
+def test_the_page_makes_the_frames_of_numpy(page: Page) -> None:
+    """Each from the frame that numpy has made before it: a closed loop carries the last bits on."""
+    noise = np.random.default_rng(8).standard_normal((FRAMES + 1, 276), np.float32)
+    script = every_control(load_bundled_model(), FRAMES)
+    states, expected = in_numpy(noise, script)
+    made = page.evaluate(IN_THE_PAGE, [as_text(noise), as_text(states), [*map(for_the_page, script)]])
+    apart = np.abs(np.array(made).reshape(FRAMES, -1) - expected)
+    assert np.ptp(expected[:, 280], axis=0) > 100.0, "it goes somewhere"
+    assert apart[:, :280].max() < 3e-5
+    # Where a leg is stretched out flat, the height of its hip is a root of nearly zero, which keeps few digits.
+    places = apart[:, 280:].max(axis=1)
+    assert np.mean(places < 1e-3) > 0.95 and places.max() < 0.02
 
-    draws = page.evaluate(
-        """(seed) => {
-          const player = motionkit.link.world.characters.values().next().value.driver.player;
-          const random = new player.random.constructor(seed), some = Array.from({ length: 900 }, (_, n) => n);
-          Object.assign(player, { choice: seed, draws: 0 });
-          const places = some.slice(0, 50).map(() => player.place([5, 1, 90, 40]));
-          return [random.random(), random.sample(some, 200), random.sample(some, 24),
-                  random.sample(some.slice(0, 30), 24), random.below(1), places];
+
+def test_a_track_is_what_a_reference_player_shows(page: Page) -> None:
+    """Poses, phases and where recordings go, to the steps that the file keeps; at its end a track leads back."""
+    model = load_bundled_model()
+    shown = page.evaluate(
+        """(name) => {
+          const { player, model } = motionkit.link.world.characters.values().next().value.driver;
+          const one = new player.constructor(model, 1), type = model.types.findIndex((type) => type.name === name);
+          one.begin(type);
+          const frames = Array.from({ length: one.track.frames + 1 }, () => one.next());
+          return frames.map(({ reference, phase, trajectory }) => [...reference, phase, ...trajectory]);
         }""",
-        12345,
+        "cartwheel",
     )
-    expected = random.Random(12345)
-    assert draws == [
-        expected.random(), expected.sample(range(900), 200), expected.sample(range(900), 24),
-        expected.sample(range(30), 24), expected._randbelow(1),
-        [drawn_evenly([5, 1, 90, 40], 12345, number) for number in range(1, 51)],
-    ]  # fmt: skip
+    made, player = np.array(shown), ReferencePlayer(model, 1)
+    player.begin("cartwheel")
+    asked = player.play(60)
+    expected = np.concatenate([asked.reference, asked.phase[:, None], asked.trajectory], axis=1)
+    apart = np.abs(made[:60] - expected)
+    assert apart[:, :73].max() < 1e-3 and apart[:, 73:].max() < 0.2
+    assert np.array_equal(made[-1], made[0])
+    assert np.abs(np.diff(made[:, :72], axis=0)).max() < 1.5 * np.abs(np.diff(asked.reference, axis=0)).max()
+
+
+def test_every_type_with_recordings_has_tracks_and_seeds_differ() -> None:
+    model = load_bundled_model()
+    for name, kind in model.types.items():
+        tracks = type_tracks(model, name)
+        assert bool(tracks) == (bool(kind.reference_clips) and not kind.stands)
+        poses = {track.poses[:60].tobytes() for track in tracks}
+        assert len(poses) >= min(len(tracks), 2)
+        assert all(bool(track.performance) == kind.has_phase for track in tracks)
+
+
+@pytest.mark.parametrize("kind", ["cartwheel", "backflip", "punching", "running"])
+def test_the_page_shows_what_is_asked_for(page: Page, kind: str) -> None:
+    """The detectors of evaluation find it in what seeds of the page make."""
+    model = load_bundled_model()
+    speed = 300.0 if kind == "running" else 0.0
+    made = page.evaluate(
+        """([kind, speed]) => [3, 11, 25].map((seed) => {
+          const { world } = motionkit.link, again = new world.constructor(world.kernel, seed), frames = [];
+          for (let frame = 0; frame < 200; frame++) {
+            if (frame === 20 && speed) again.obey({ do: "wish", velocity: [0, speed], facing: null, type: kind });
+            else if (frame === 20) again.obey({ do: "perform", type: kind });
+            const one = again.step().shown.get(1);
+            frames.push([...one.root, ...one.rotations]);
+          }
+          return frames;
+        })""",
+        [kind, speed],
+    )
+    for frames in np.array(made, np.float32):
+        rotations = frames[20:, 3:].reshape(-1, 23, 4)
+        body = body_of(Motion(model.character("default"), rotations, frames[20:, :3], model.fps))
+        windows = detection_windows(body, min(DETECTORS[kind].window, 2.0))
+        assert any(DETECTORS[kind].shows(window) for window in windows)
 
 
 def test_the_noise_of_the_page_is_normal(page: Page) -> None:

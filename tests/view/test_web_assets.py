@@ -11,7 +11,7 @@ import pytest
 from motionkit.view.viewer import page_asset
 
 WEB = Path(__file__).resolve().parents[2] / "web"
-PAGES = [path.name for path in sorted((WEB / "src").iterdir()) if (path / "index.html").exists()]
+PAGES = [path.parent.name for path in sorted((WEB / "src").glob("*/main.js"))]
 
 
 def source_hash() -> str:

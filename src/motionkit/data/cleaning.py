@@ -216,7 +216,8 @@ def _tail(angles: Array, distances: Array, fps: float) -> int:
     """Number of frames to cut at the end, from the steps in reverse order."""
     edge = min(max(3, round(BREAKS.edge_seconds * fps)), len(angles) // 2)
     coarse = max(1.0, 60.0 / fps)
-    tail = max(_last_true(_breaks(distances, coarse * BREAKS.root, edge)), _edge_breaks(angles, edge, coarse))
+    root = _breaks(distances, coarse * BREAKS.root, edge)
+    tail = max(_last_true(root), _edge_breaks(angles, edge, coarse))
     return tail + _frozen(angles[tail:], distances[tail:])
 
 

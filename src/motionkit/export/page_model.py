@@ -1,9 +1,9 @@
 """A model as the one file that a page in a browser runs (web/src/demo): the memory of the C kernels, and what is
 around them.
 
-The file is a header in JSON, its length as 4 bytes before it, and arrays, deflated one by one. Before that their bytes
-are sorted: the lowest ones of all numbers, then the next ones. Poses and places of reference clips are columns, and
-differences from frame to frame of floats whose bits are taken for whole numbers. Both make them smaller.
+The file is a header in JSON, its length as 4 bytes before it, and arrays, deflated one by one. Before that the lower
+bytes of all their 16-bit words are put first, then the higher ones. Poses and places of tracks are columns of
+differences from frame to frame, in steps of STEP. Both make them smaller.
 """
 
 from __future__ import annotations
@@ -11,26 +11,25 @@ from __future__ import annotations
 import json
 import struct
 import zlib
-from collections import Counter
 from typing import Any
 
 import numpy as np
 
-from motionkit.arrays import Array, spans
-from motionkit.control.motion_index import MotionIndex
-from motionkit.control.reference_player import ReferencePlayer, few_clips
+from motionkit.arrays import Array
+from motionkit.export.page_tracks import Track, type_tracks
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.features.reference import EMBEDDING_COUNT
 from motionkit.inference.character import model_first_type
 from motionkit.inference.kernel_image import BASE, KernelImage, kernel_image
 from motionkit.inference.noise import Noise
-from motionkit.inference.start import type_start
 from motionkit.inference.step_weights import pack
 from motionkit.models.config import ModelConfig
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionType, ReferenceClip
-from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.bvh import bvh_hierarchy
 
-FORMAT = "motionkit-page-2"
+FORMAT = "motionkit-page-3"
+COLUMNS = {"poses": EMBEDDING_COUNT, "ground": 3}
+STEP = 2.0**-10  # of poses, whose numbers have about unit size, of cm and of radians
 
 
 def page_model(model: MotionModel) -> bytes:
@@ -42,29 +41,29 @@ def page_model(model: MotionModel) -> bytes:
     image = kernel_image(model, Noise())
     arrays: dict[str, dict[str, Any]] = {}
     body = bytearray()
-    clips = _shown_clips(model)
-    floats = {
-        **_frame_arrays(model),
-        "phases": _joined([clip.phases for clip in clips if _phased(clip)], 1),
-    }
+    tracks = {name: type_tracks(model, name) for name in model.types}
+    every = [track for some in tracks.values() for track in some]
+    floats = {**_frame_arrays(model), "phases": np.concatenate([np.zeros(0), *(t.phases for t in every)])}
     stored: dict[str, tuple[str, bytes]] = {
         "shared": ("u1", _sorted_bytes(image.shared)),
         "own": ("u1", _sorted_bytes(image.own)),
-        "poses": ("d2", _differences(_joined([clip.poses for clip in clips], 24), 2)),
-        "ground": ("d4", _differences(_joined([clip.ground for clip in clips], 3), 4)),
+        "poses": ("steps", _differences([track.poses for track in every], COLUMNS["poses"])),
+        "ground": ("steps", _differences(_end_to_end([track.ground for track in every]), COLUMNS["ground"])),
         **{name: ("f4", _sorted_bytes(array.astype("<f4").tobytes())) for name, array in floats.items()},
     }
     for name, (kind, data) in stored.items():
         packed = zlib.compress(data, 9)
-        arrays[name] = {"type": kind, "bytes": len(data), "from": len(body), "to": len(body) + len(packed)}
+        places = {"from": len(body), "to": len(body) + len(packed)}
+        arrays[name] = {"type": kind, "columns": COLUMNS.get(name, 1), **places}
         body += packed
-    header = json.dumps({**_header(model, image), "arrays": arrays}, separators=(",", ":")).encode()
+    header = json.dumps(
+        {**_header(model, image), "types": _types(model, tracks), "arrays": arrays}, separators=(",", ":")
+    ).encode()
     return struct.pack("<I", len(header)) + header + bytes(body)
 
 
 def _frame_arrays(model: MotionModel) -> dict[str, Array]:
     """What a page needs around the kernels of a frame."""
-    start = type_start(model, model_first_type(model))
     references = model.reference_map
     momentum = pack(model.network).momentum
     presets = [model.presets(name) for name in ("noise_scale", "velocity_blend", "slip_correction")]
@@ -76,17 +75,16 @@ def _frame_arrays(model: MotionModel) -> dict[str, Array]:
         "reference_gains": references.gains,
         "reference_matrix": references.matrix,
         "reference_constant": references.constant,
-        "start": model.scaling.normalize(start.features[0]),
-        "start_contacts": start.contacts[0],
     }
 
 
 def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
-    layout, kind, config = model.controls, model_first_type(model), model.config
+    layout, config = model.controls, model.config
     assert isinstance(config, ModelConfig)  # the kernels run no other
     return {
         "format": FORMAT,
         "fps": model.fps,
+        "step": STEP,
         "features": FEATURE_COUNT,
         "contacts": CONTACT_COUNT,
         "window": config.window,
@@ -104,28 +102,27 @@ def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
             "reference": layout.reference.start,
             "gain": layout.reference_gain,
         },
-        "start": {"type": kind, "phase_frames": model.phase_seconds(kind) * model.fps},
-        "types": _types(model),
-        "skeleton": _skeleton(model.character("default")),
+        "start": model_first_type(model),
+        "slot": image.slot,
+        "bvh": dict(zip(("hierarchy", "order"), bvh_hierarchy(model.character("default")), strict=True)),
     }
 
 
-def _skeleton(skeleton: Skeleton) -> dict[str, Any]:
-    return {
-        "joints": list(skeleton.names),
-        "parents": list(skeleton.parents),
-        "offsets": skeleton.offsets.tolist(),
-        "ends": {str(joint): list(end) for joint, end in skeleton.end_sites.items()},
-    }
-
-
-def _types(model: MotionModel) -> list[dict[str, Any]]:
-    """Every type with its reference clips, which count on through the arrays in the same order."""
-    player, rows = ReferencePlayer(model), Counter[str]()
-    out = []
+def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str, Any]]:
+    """Every type with its tracks, which count on through the arrays in the same order."""
+    out, at = [], 0
     for name, kind in model.types.items():
-        gait, player.kind = kind.gait, name
-        clips = _clip_entries(_clips(kind, model.fps), player, rows)
+        gait, entries = kind.gait, []
+        for track in tracks[name]:
+            entries.append(
+                {
+                    "from": at,
+                    "frames": len(track),
+                    "performance": track.performance,
+                    "speed": round(track.speed, 1),
+                }
+            )
+            at += len(track)
         out.append(
             {
                 "name": name,
@@ -134,74 +131,30 @@ def _types(model: MotionModel) -> list[dict[str, Any]]:
                 "steered": kind.steered,
                 "speeds": model.speed_range(name),
                 "performed": kind.performed,
-                "phased": kind.has_phase,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,
-                "clips": [] if kind.steered else clips,
-                "first": clips if kind.steered else [],
+                "tracks": entries,
             }
         )
     return out
 
 
-def _clip_entries(
-    clips: tuple[ReferenceClip, ...], player: ReferencePlayer, rows: Counter[str]
-) -> list[dict[str, Any]]:
-    """The clips of a type: where their rows begin in the arrays, and which frames may be entered.
-
-    rows counts those of the clips before in each array, and is moved on.
-    """
-    if not clips:
-        return []
-    entries = {id(clip): frames for clip, frames in player.entry_frames(clips)}
-    index = MotionIndex(clips)
-    out = []
-    for clip, first in zip(clips, index.first, strict=True):
-        entered = np.zeros(len(clip), bool)
-        entered[entries.get(id(clip), [])] = True
-        out.append(
-            {
-                "frames": len(clip),
-                "rows": len(clip.poses),
-                "poses": rows["poses"],
-                "phases": rows["phases"] if _phased(clip) else None,
-                "ground": rows["ground"],
-                "performed": clip.performed,
-                "entries": spans(entered),
-                "pace": clip.pace,
-                "moves": spans(index.moves[first : first + len(clip)]),
-            }
-        )
-        rows.update(poses=len(clip.poses), phases=len(clip) * _phased(clip), ground=len(clip))
+def _end_to_end(tracks: list[Array]) -> list[Array]:
+    """Tracks (L, 3) over the ground, each from the place on where the one before ends: only ways count."""
+    out: list[Array] = []
+    for track in tracks:
+        out.append(track + np.append(out[-1][-1, :2], 0.0) if out else track)
     return out
 
 
-def _clips(kind: MotionType, fps: float) -> tuple[ReferenceClip, ...]:
-    """The reference clips of a type that a page shows: gaits are steered without, but for their first steps."""
-    if kind.steered:
-        return few_clips(kind.reference_clips, fps) if kind.goes else ()
-    return kind.reference_clips
+def _differences(tracks: list[Array], columns: int) -> bytes:
+    """Rows (L, columns) of tracks as whole numbers of steps: column by column what each differs from that before."""
+    rows = np.concatenate([np.zeros((0, columns)), *tracks])
+    steps = np.diff(np.rint(rows.T / STEP), axis=1, prepend=0.0)
+    assert steps.size == 0 or np.abs(steps).max() < 2**15
+    return _sorted_bytes(steps.astype("<i2").tobytes())
 
 
-def _shown_clips(model: MotionModel) -> list[ReferenceClip]:
-    return [clip for kind in model.types.values() for clip in _clips(kind, model.fps)]
-
-
-def _phased(clip: ReferenceClip) -> bool:
-    return bool((clip.phases >= 0.0).any())
-
-
-def _joined(arrays: list[Array], columns: int) -> Array:
-    return np.concatenate(arrays) if arrays else np.zeros((0, columns), np.float32)
-
-
-def _differences(values: Array, width: int) -> bytes:
-    """Rows as floats of 2 or 4 bytes, column by column: the difference of their bits from those before, sorted."""
-    bits = np.ascontiguousarray(values.astype(f"<f{width}").T).view(f"<u{width}").astype(np.int64)
-    steps = np.diff(bits, axis=1, prepend=0) & ((1 << 8 * width) - 1)
-    return _sorted_bytes(steps.astype(f"<u{width}").tobytes(), width)
-
-
-def _sorted_bytes(data: bytes, width: int = 2) -> bytes:
-    """The first bytes of all numbers of so many bytes, then the second ones, and so on."""
-    rows = np.frombuffer(data + bytes(-len(data) % width), np.uint8).reshape(-1, width)
+def _sorted_bytes(data: bytes) -> bytes:
+    """The lower bytes of all words of 16 bits, then the higher ones."""
+    rows = np.frombuffer(data + bytes(len(data) % 2), np.uint8).reshape(-1, 2)
     return rows.T.tobytes()

@@ -50,10 +50,11 @@ class KernelImage:
 
     Attributes:
         shared: what all characters share, at BASE.
-        own: what a character has of its own, as it is before its start; addresses count from its beginning.
+        own: what a character has of its own, after the frames of a start pose; addresses count from its beginning.
         moved: places in own of pointers into own.
         addresses: where the program is, and in own the structs and arrays that a page reads and writes.
         fields: where in its struct a number is that a page writes; and position_bytes of one slot of the rings.
+        slot: of the rings that the last frame of the start pose is in.
     """
 
     shared: bytes
@@ -61,6 +62,7 @@ class KernelImage:
     moved: tuple[int, ...]
     addresses: dict[str, int]
     fields: dict[str, int]
+    slot: int
 
 
 def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
@@ -83,11 +85,9 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         "controls": arrays.controls, "out": arrays.out, "logits": arrays.contacts_out,
         "fresh": drawn.noise.fresh, "noise": drawn.noise.first, "smooth": drawn.noise.second,
         "velocity_blend": presets.velocity_blend, "slip_correction": presets.slip_correction,
-        "before": frame.before, "x": frame.x, "contacts": frame.contacts, "features": frame.features,
-        "ground": frame.ground, **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
+        "before": frame.before, "last": network.before, "x": frame.x, "contacts": frame.contacts,
+        "features": frame.features, "ground": frame.ground, **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
     }  # fmt: skip
-    for array in own.values():
-        array[:] = 0  # the stream has been started
     own |= {f"feet_{name}": array for name, array in body.feet.arrays.items()} | {"rise": body.rise}
     writer = _Writer()
     writer.share(*program.kept, program.position, drawn.space.mean, drawn.space.std, drawn.space.blended)
@@ -107,7 +107,12 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         "temperature": _narrow(type(draw)).temperature.offset,
     }
     return KernelImage(
-        bytes(writer.shared.data), bytes(writer.own.data), tuple(writer.moved), addresses, fields
+        bytes(writer.shared.data),
+        bytes(writer.own.data),
+        tuple(writer.moved),
+        addresses,
+        fields,
+        network.slot,
     )
 
 

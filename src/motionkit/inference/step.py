@@ -22,14 +22,14 @@ class NetworkStep:
         self.arrays = StepArrays.of(kernel.weights, batch)
         self.mean, self.log_sigma = self.arrays.mean, self.arrays.log_sigma
         self.contact_logits = self.arrays.contact_logits
-        self._before = np.zeros((batch, FEATURE_COUNT), np.float32)
-        self._slot = kernel.weights.config.window - 1  # place in the rings of the last frame
+        self.before = np.zeros((batch, FEATURE_COUNT), np.float32)
+        self.slot = kernel.weights.config.window - 1  # place in the rings of the last frame
         self._run = kernel.bind(self.arrays)
 
     @property
     def bytes_per_character(self) -> int:
         """Memory of the state of one character."""
-        state = (self.arrays.keys, self.arrays.values, self.arrays.recent, self._before)
+        state = (self.arrays.keys, self.arrays.values, self.arrays.recent, self.before)
         return sum(array.nbytes for array in state) // self.batch
 
     def alone(self) -> NetworkStep:
@@ -43,22 +43,22 @@ class NetworkStep:
             run from its first place, so a character's last digits depend on where in it a frame is.
         """
         self.arrays.forget()
-        self._slot = (-1 - coming) % self.kernel.weights.config.window
+        self.slot = (-1 - coming) % self.kernel.weights.config.window
 
     def adopt(self, row: int, other: object) -> None:
         """Put the only character of another step, which has seen frames of its own, in place of one of these."""
         assert isinstance(other, NetworkStep) and other.batch == 1
-        self.arrays.adopt(row, other.arrays, self._slot - other._slot)
-        self._before[row] = other._before[0]
+        self.arrays.adopt(row, other.arrays, self.slot - other.slot)
+        self.before[row] = other.before[0]
 
     def step(self, x: Floats, contacts: Floats, controls: Floats) -> None:
         """Take in a frame and predict the next: x (B, 276) normalised, contacts (B, 4), controls (B, C)."""
         self.arrays.take_in(x, contacts, controls)
-        self._slot = (self._slot + 1) % self.kernel.weights.config.window
-        self._run(self._slot)
+        self.slot = (self.slot + 1) % self.kernel.weights.config.window
+        self._run(self.slot)
         momentum = self.kernel.weights.momentum
         if momentum is not None:
             first = self.arrays.filled == 1
-            self._before[first] = x[first]  # nothing has moved yet at the first frame
-            self.mean += momentum * (x - self._before)
-            self._before[:] = x
+            self.before[first] = x[first]  # nothing has moved yet at the first frame
+            self.mean += momentum * (x - self.before)
+            self.before[:] = x

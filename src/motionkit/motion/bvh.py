@@ -195,11 +195,22 @@ def write_bvh(path: str | Path, motion: Motion | BvhFile, scale: float = 1.0) ->
         bvh = _scaled_file(bvh, scale)
     bvh = _depth_first(bvh)
     _check_numbers(path, bvh)
-    hierarchy = bvh.hierarchy or "\n".join(["HIERARCHY", *_hierarchy_lines(bvh)]) + "\n"
     with atomic_write(path) as file:
-        file.write(hierarchy)
+        file.write(bvh.hierarchy or _hierarchy_text(bvh))
         file.write(f"MOTION\nFrames: {bvh.values.shape[0]}\nFrame Time: {bvh.frame_time:.9g}\n")
         np.savetxt(file, bvh.values, fmt="%.6f", delimiter=" ")
+
+
+def bvh_hierarchy(skeleton: Skeleton) -> tuple[str, list[int]]:
+    """The HIERARCHY of the files of a skeleton's motions, and the joints in the order of their channels."""
+    still = np.zeros((1, len(skeleton), 4), np.float32)
+    still[..., 0] = 1.0
+    bvh = _depth_first(motion_to_bvh(Motion(skeleton, still, np.zeros((1, 3), np.float32), 60.0)))
+    return _hierarchy_text(bvh), [skeleton.names.index(name) for name in bvh.skeleton.names]
+
+
+def _hierarchy_text(bvh: BvhFile) -> str:
+    return "\n".join(["HIERARCHY", *_hierarchy_lines(bvh)]) + "\n"
 
 
 def _check_numbers(path: str | Path, bvh: BvhFile) -> None:

@@ -1,43 +1,20 @@
-// A recording as a BVH file, with the joints, the channels and the digits that motionkit writes (motion/bvh.py).
+// A recording as a BVH file, with the digits that motionkit writes (motion/bvh.py), which has made its hierarchy.
 
 const DEGREES = 180 / Math.PI;
-const POSITIONS = ["Xposition", "Yposition", "Zposition"];
-const ROTATIONS = ["Zrotation", "Yrotation", "Xrotation"];
 
-/** @param {{joints: string[], parents: number[], offsets: number[][], ends: object}} skeleton in cm @param {{root: Float32Array, rotations: Float32Array}[]} frames */
-export function bvhText(skeleton, frames, fps) {
-  const order = depthFirst(skeleton.parents);
-  const lines = ["HIERARCHY", ...hierarchy(skeleton, 0, ""), "MOTION", `Frames: ${frames.length}`];
-  lines.push(`Frame Time: ${Number((1 / fps).toPrecision(9))}`);
-  const angles = skeleton.joints.map(() => [0, 0, 0]);
-  frames.forEach(({ root, rotations }, frame) => {
+/** @param {{hierarchy: string, order: number[]}} bvh joints in the order of their channels @param {{root: Float32Array, rotations: Float32Array}[]} frames in cm */
+export function bvhText({ hierarchy, order }, frames, fps) {
+  const lines = ["MOTION", `Frames: ${frames.length}`, `Frame Time: ${Number((1 / fps).toPrecision(9))}`];
+  const angles = order.map(() => null);
+  for (const { root, rotations } of frames) {
     const numbers = [...root];
     for (const joint of order) {
-      angles[joint] = eulers(rotations.subarray(4 * joint, 4 * joint + 4), frame ? angles[joint] : null);
+      angles[joint] = eulers(rotations.subarray(4 * joint, 4 * joint + 4), angles[joint]);
       numbers.push(...angles[joint].map((angle) => angle * DEGREES));
     }
     lines.push(numbers.map((number) => number.toFixed(6)).join(" "));
-  });
-  return `${lines.join("\n")}\n`;
-}
-
-function depthFirst(parents, joint = 0) {
-  return [joint, ...children(parents, joint).flatMap((child) => depthFirst(parents, child))];
-}
-
-const children = (parents, joint) => parents.flatMap((parent, child) => (parent === joint ? [child] : []));
-
-function hierarchy(skeleton, joint, tab) {
-  const { joints, parents, offsets, ends } = skeleton;
-  const offset = (numbers) => `OFFSET ${numbers.map((number) => number.toFixed(6)).join(" ")}`;
-  const channels = joint ? ROTATIONS : [...POSITIONS, ...ROTATIONS];
-  const below = children(parents, joint).flatMap((child) => hierarchy(skeleton, child, `${tab}\t`));
-  const end = ends[joint] ?? (below.length ? null : [0, 0, 0]);
-  if (end) below.push(`${tab}\tEnd Site`, `${tab}\t{`, `${tab}\t\t${offset(end)}`, `${tab}\t}`);
-  return [
-    `${tab}${joint ? "JOINT" : "ROOT"} ${joints[joint]}`, `${tab}{`, `${tab}\t${offset(offsets[joint])}`,
-    `${tab}\tCHANNELS ${channels.length} ${channels.join(" ")}`, ...below, `${tab}}`,
-  ];
+  }
+  return `${hierarchy}${lines.join("\n")}\n`;
 }
 
 // Angles about Z, Y and X of a quaternion; of two equivalent triples, the one nearer to that of the frame before.

@@ -1,21 +1,19 @@
 // A user's wishes as the controls of every frame: Python's Driver (control/drive.py).
 
 import { free, typeNumber } from "./kernel.js";
-import { Follower, Path } from "./path.js";
-import { Player } from "./player.js";
+import { Follower } from "./path.js";
+import { FirstSteps, Player } from "./player.js";
 import { STANDS_BELOW, Springs, nearestWish, stands, steeredType } from "./springs.js";
-import { FirstSteps } from "./steps.js";
-import { SpeedTrim } from "./trim.js";
 
-const [BLEND, AFTER_EVENT, DEFAULT_SECONDS] = [12, 10, 2];
+const [BLEND, DEFAULT_SECONDS] = [12, 2]; // frames; of a performance of a type that has no length of its own
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
 
 export class Driver {
   /** @param {object} model of readModel @param {number} choice picks among recordings */
   constructor(model, choice = 0) {
-    const type = typeNumber(model, model.start.type);
+    const type = typeNumber(model, model.start);
     Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
-    Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice), trim: new SpeedTrim(model) });
+    Object.assign(this, { follower: null, performance: null, waiting: null, firstSteps: new FirstSteps(model, choice) });
     this.weights = free(model, type).weights;
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
   }
@@ -27,10 +25,10 @@ export class Driver {
     this.follower = null;
   }
 
-  /** Follows a path of parts as Path takes them; at its end the character stands. */
-  follow(parts) {
-    parts.forEach(({ type }) => this.#known(type));
-    this.follower = new Follower(this.model, new Path(parts), this.choice);
+  /** Follows a path as Follower takes it; at its end the character stands. */
+  follow(path) {
+    this.#known(path.type);
+    this.follower = new Follower(this.model, path, this.choice);
     this.wish = NOTHING;
   }
 
@@ -38,11 +36,6 @@ export class Driver {
   perform(type, choice = 0, seconds = DEFAULT_SECONDS) {
     this.#known(type);
     this.waiting = [typeNumber(this.model, type), seconds, choice];
-  }
-
-  /** The share of the path that lies behind, null where none is followed. */
-  get following() {
-    return this.follower && Math.min(1, this.follower.arc / Math.max(this.follower.path.length - 2, 2));
   }
 
   /** Controls of a frame, which counts up by one at each call, for a body at [x, z, heading]. */
@@ -62,20 +55,16 @@ export class Driver {
     this.performance = null;
     const { model } = this;
     const held = this.wish.type === null ? -1 : typeNumber(model, this.wish.type);
-    if (!this.waiting && !this.follower && held >= 0 && model.types[held].seconds) this.waiting = [held, DEFAULT_SECONDS, this.choice];
+    if (!this.waiting && !this.follower && held >= 0 && model.types[held].seconds) this.waiting = [held, DEFAULT_SECONDS, frame];
     if (!this.waiting) return;
     const [type, seconds, choice] = this.waiting;
     this.waiting = null;
     const player = new Player(model, choice);
-    player.begin(type, null, Math.hypot(...this.springs.velocity));
-    let length = Math.round(model.types[type].seconds * model.fps);
-    if (!model.types[type].performed) {
-      const event = player.eventFrames();
-      length = event ? event + AFTER_EVENT : 0;
-    }
+    player.begin(type, Math.hypot(...this.springs.velocity));
+    const length = player.track?.performance || Math.max(1, Math.round((model.types[type].seconds || seconds) * model.fps));
     // Weights cross the middle of their blend as the first frame is due, as they do in training.
     const begins = over && over.type === type ? frame : frame + BLEND / 2;
-    this.performance = { type, begins, controls: player.play(Math.max(1, length || Math.round(seconds * model.fps))) };
+    this.performance = { type, begins, controls: Array.from({ length }, () => player.next()) };
   }
 
   #steer() {
@@ -86,14 +75,12 @@ export class Driver {
     let { facing } = wish;
     if (facing === null && Math.hypot(...velocity) >= STANDS_BELOW) facing = Math.atan2(...velocity) - (model.types[kind].gait?.facing ?? 0);
     const [nearest, turned] = nearestWish(model.types[kind], velocity, facing);
-    const asks = this.trim.asks(kind, nearest, this.springs.measured);
-    const slip = this.springs.settled(asks);
-    const trajectory = this.springs.trajectory(asks, turned);
+    const slip = this.springs.settled(nearest);
+    const trajectory = this.springs.trajectory(nearest, turned);
     if (!model.types[kind].steered) return this.#recorded(kind, trajectory);
     this.played = -1;
-    if (this.#goesFromStanding(kind)) this.firstSteps.begin(kind);
-    const asked = { ...free(model, kind), trajectory, slip };
-    return [kind, this.firstSteps.takes(kind) ? this.firstSteps.reference(asked, trajectory) : asked];
+    if (this.#goesFromStanding(kind)) this.firstSteps.begin(kind, Math.hypot(...nearest));
+    return [kind, this.firstSteps.shown(kind, { ...free(model, kind), trajectory, slip })];
   }
 
   // Whether this frame is the first of a gait after standing.
@@ -104,9 +91,9 @@ export class Driver {
 
   // A type with its reference clips, for as long as it is wished.
   #recorded(kind, trajectory = null) {
-    if (kind !== this.played) this.player.begin(kind, null, Math.hypot(...this.springs.velocity));
+    if (kind !== this.played) this.player.begin(kind, Math.hypot(...(trajectory ? this.wish.velocity : this.springs.velocity)));
     this.played = kind;
-    const [asked] = this.player.play(1, trajectory);
+    const asked = this.player.next(trajectory);
     return [kind, trajectory ? asked : { ...asked, trajectory: null }];
   }
 

@@ -45,7 +45,7 @@ export class Character {
     this.filled = floats("filled", 1, BigInt64Array);
     this.controls = floats("controls", controls.size);
     this.mean = floats("out", 2 * features);
-    for (const name of ["x", "before", "fresh", "noise", "smooth"]) this[name] = floats(name, features);
+    for (const name of ["x", "before", "last", "fresh", "noise", "smooth"]) this[name] = floats(name, features);
     for (const name of ["velocity_blend", "slip_correction", "feet_hold"]) this[name] = floats(name, 1);
     this.contacts = floats("contacts", contacts);
     this.place = floats("ground", 3);
@@ -54,32 +54,16 @@ export class Character {
     this.root = floats("root", 3);
     this.positions = floats("positions", 69);
     this.words = new DataView(kernel.run.memory.buffer, this.at);
-    this.last = new Float32Array(features); // what the network saw before
     this.noiseSize = null;
   }
 
   /** Stands anew at a place [x, z, heading] in cm and radians, after the frames of the model's start pose. */
   start(place) {
     const { kernel, model } = this;
-    kernel.bytes(this.at, kernel.size).fill(0);
     kernel.bytes(this.at).set(model.arrays.own);
     for (const offset of model.moved) this.words.setUint32(offset, this.words.getUint32(offset, true) + this.at, true);
     if (this.noiseSize !== null) this.temperature = this.noiseSize;
-    const { start, start_contacts } = model.arrays;
-    const { features, contacts } = model;
-    const frames = start.length / features;
-    const { type, phase_frames } = model.start;
-    this.slot = (model.window - (frames % model.window)) % model.window;
-    for (let t = 0; t < frames; t++) {
-      this.before.set(this.x);
-      this.x.set(start.subarray(t * features, (t + 1) * features));
-      this.contacts.set(start_contacts.subarray(t * contacts, (t + 1) * contacts));
-      if (t === 0) this.before.set(this.x);
-      if (t === frames - 1) break;
-      const asked = free(model, typeNumber(model, type));
-      this.#ask(phase_frames > 0 ? { ...asked, phase: (t / phase_frames) % 1 } : asked);
-      this.#step();
-    }
+    this.slot = model.slot;
     this.place.set(place);
     this.normals(this.noise);
     this.smooth.set(this.noise);
@@ -154,7 +138,6 @@ export class Character {
     words.setBigInt64(addresses.frame + fields.slot, BigInt(this.slot), true);
     words.setUint32(addresses.frame + fields.position, addresses.position + this.slot * fields.position_bytes, true);
     kernel.run.step(addresses.program, this.at + addresses.frame, 0n, 1n, kernel.scratch);
-    if (this.filled[0] === 1n) last.set(x); // nothing has moved yet at the first frame
     const { momentum } = model.arrays;
     for (let n = 0; n < x.length; n++) mean[n] += momentum[n] * (x[n] - last[n]);
     last.set(x);
@@ -175,4 +158,21 @@ export function typeNumber(model, name) {
 
 function roundUp(value, step) {
   return Math.ceil(value / step) * step;
+}
+
+/** A function that fills arrays with standard normal numbers by a seed: mulberry32, and the Box-Muller transform. */
+export function normals(seed) {
+  let state = Math.imul(seed, 0x9e3779b9);
+  const uniform = () => {
+    state = (state + 0x6d2b79f5) | 0;
+    let bits = Math.imul(state ^ (state >>> 15), state | 1);
+    bits ^= bits + Math.imul(bits ^ (bits >>> 7), bits | 61);
+    return ((bits ^ (bits >>> 14)) >>> 0) / 2 ** 32;
+  };
+  return (out) => {
+    for (let n = 0; n < out.length; n += 2) {
+      const [size, angle] = [Math.sqrt(-2 * Math.log(1 - uniform())), 2 * Math.PI * uniform()];
+      out.set([size * Math.cos(angle), size * Math.sin(angle)].slice(0, out.length - n), n);
+    }
+  };
 }

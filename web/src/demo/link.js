@@ -122,8 +122,8 @@ export class LocalLink {
     one.recorded = on ? [] : null;
     this.#changed();
     if (on || !recorded?.length) return;
-    const { fps, skeleton } = this.model;
-    const url = addressOf(bvhText(skeleton, recorded, fps));
+    const { fps, bvh } = this.model;
+    const url = addressOf(bvhText(bvh, recorded, fps));
     const others = { glb: async (figure) => addressOf(await glbBytes(figure, recorded, fps)) };
     this.listeners.event({ event: "recorded", character, url, format: "bvh", others, seconds: recorded.length / fps });
   }

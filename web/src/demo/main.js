@@ -8,6 +8,7 @@ import { readModel } from "./model.js";
 import { addressOf, readAddress } from "./share.js";
 import { MOST } from "./world.js";
 
+document.getElementById("figures").hidden = true;
 const notice = document.getElementById("notice");
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 

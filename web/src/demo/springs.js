@@ -31,6 +31,12 @@ function travel(away, velocity, y, t) {
   return (away * (1 - fade) + push * ((1 - fade) / y - t * fade)) / y;
 }
 
+/** A vector [x, z] turned about Y. */
+export function turned(angle, x, z) {
+  const [sine, cosine] = [Math.sin(angle), Math.cos(angle)];
+  return [cosine * x + sine * z, cosine * z - sine * x];
+}
+
 /** Whether a type is standing still. */
 export function stands({ steered, gait }) {
   return steered && gait !== null && gait.speed < STANDS_BELOW;
@@ -102,8 +108,7 @@ export class Springs {
     const [xs, zs] = [0, 1].map((axis) => this.#places(axis, goal[axis], anchor));
     const turns = this.#turns(wanted, heading);
     this.#advance(goal, wanted);
-    const [sine, cosine] = [Math.sin(heading), Math.cos(heading)];
-    const places = xs.flatMap((ahead, n) => [cosine * ahead - sine * zs[n], sine * ahead + cosine * zs[n]]);
+    const places = xs.flatMap((ahead, n) => turned(-heading, ahead, zs[n]));
     return Float32Array.from([...places, ...turns.flatMap((turn) => [Math.sin(turn), Math.cos(turn)])]);
   }
 

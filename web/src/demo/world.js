@@ -2,9 +2,8 @@
 //
 // Everything that is asked goes through obey, at a frame: the same seed and the same requests make the same world again.
 
-import { Character } from "./kernel.js";
+import { Character, normals } from "./kernel.js";
 import { Driver } from "./driver.js";
-import { normals } from "./random.js";
 import { steeredType } from "./springs.js";
 
 const BETWEEN = 120; // cm between the places of characters
@@ -30,8 +29,8 @@ export class World {
     if (asked.do === "add") this.#add();
     else if (asked.do === "wish") one.driver.set(asked);
     else if (asked.do === "perform") one.driver.perform(asked.type, this.frame, asked.seconds);
-    else if (asked.do === "path") one.driver.follow(this.#parts(asked, one.body.ground));
-    else if (asked.do === "stroll") one.driver.follow(this.#parts({ points: figureEight(250, 12) }, one.body.ground));
+    else if (asked.do === "path") one.driver.follow(this.#path(asked, one.body.ground));
+    else if (asked.do === "stroll") one.driver.follow(this.#path({ points: figureEight(250, 12) }, one.body.ground));
     else if (asked.do === "noise") one.body.temperature = one.temperature = asked.temperature;
     else if (asked.do === "reset") this.#start(one);
     else if (asked.do === "remove") this.characters.delete(number);
@@ -46,10 +45,10 @@ export class World {
     const arrived = [];
     for (const [number, one] of this.characters) {
       const { body, driver } = one;
-      const followed = driver.following !== null;
+      const followed = driver.follower;
       body.step(driver.controls(this.frame, body.ground));
       if (!Number.isFinite(body.positions[0])) this.#start(one);
-      if (followed && driver.following === null) arrived.push(number);
+      if (followed && !driver.follower) arrived.push(number);
       const [root, rotations] = [body.root.slice(), body.rotations.slice()];
       one.recorded?.push({ root, rotations });
       shown.set(number, {
@@ -67,14 +66,12 @@ export class World {
     return { shown, arrived };
   }
 
-  // The path that is asked for, of a body at [x, z]: a way to where it begins, and a part up to each stop.
-  #parts({ points, type = null, speed = null, stops = [] }, [x, z]) {
+  // The path that is asked for, of a body at [x, z], with a way to where it begins.
+  #path({ points, type = null, speed = null, stops = [] }, [x, z]) {
     const { model } = this;
     const kind = type ?? model.types[steeredType(model, [0, speed ?? 100], null)].name;
-    const all = Math.hypot(points[0][0] - x, points[0][1] - z) > JOINS_WITHIN ? [[x, z], ...points] : points;
-    const ends = stops.map(([at, stop]) => [at + all.length - points.length, stop]);
-    if (ends.at(-1)?.[0] !== all.length - 1) ends.push([all.length - 1, 0]);
-    return ends.map(([end, stop], n) => ({ points: all.slice(n ? ends[n - 1][0] + 1 : 0, end + 1), type: kind, speed, stop }));
+    const way = Math.hypot(points[0][0] - x, points[0][1] - z) > JOINS_WITHIN ? [[x, z]] : [];
+    return { points: [...way, ...points], type: kind, speed, stops: stops.map(([at, seconds]) => [at + way.length, seconds]) };
   }
 
   #add() {

@@ -1,0 +1,116 @@
+"""What reference players would show of each type, made ready for a page: tracks that it only plays.
+
+A track is what one player shows from its beginning on: the pose 5 frames ahead of each frame, the phase, and where the
+recordings go. It ends with a bridge, which leads back to its first frame, so that it may be played on and on.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from motionkit.arrays import Array, lerp
+from motionkit.control.momentum import ground_speeds
+from motionkit.control.reference_player import LONGEST_BLEND, ReferencePlayer
+from motionkit.features.reference import EMBEDDING_COUNT, PAUSE
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionType
+from motionkit.motion.rotations import rotate_ground
+
+SECONDS = 12.0  # of a track that is neither a performance nor strikes or jumps
+STRIKES_SECONDS = 5.0  # of a track of those
+STEPS_SECONDS = 1.5  # of the first steps of a gait
+TRACKS, STRIKE_TRACKS = 6, 12  # of a type: seeds differ by them
+AFTER_EVENT = 10  # frames that follow the last strike or jump
+
+
+@dataclass(frozen=True, eq=False)
+class Track:
+    """L frames of a type.
+
+    Attributes:
+        poses: (L, 24) pose embeddings 5 frames ahead of each frame.
+        phases: (L,) negative outside of performances, strikes and jumps.
+        ground: (L, 3) root x, z (cm) and heading (radians) from the origin on.
+        bridge: frames at the end that lead back to the first.
+        performance: frames that it takes to be shown once, to shortly after the first strike or jump; 0 if it lasts.
+        speed: in cm/s, at which it is entered.
+    """
+
+    poses: Array
+    phases: Array
+    ground: Array
+    bridge: int
+    performance: int
+    speed: float
+
+    def __len__(self) -> int:
+        return len(self.ground)
+
+
+def type_tracks(model: MotionModel, name: str) -> list[Track]:
+    """The tracks of a type, none where no recordings are shown; of gaits, their first steps."""
+    kind = model.types[name]
+    if not kind.reference_clips or kind.stands or not model.uses_references:
+        return []
+    if kind.performed:
+        count = len(kind.reference_clips)
+    else:
+        count = STRIKE_TRACKS if kind.has_phase or kind.steered else TRACKS
+    return [_track(model, name, choice) for choice in range(count)]
+
+
+def _track(model: MotionModel, name: str, choice: int) -> Track:
+    kind, player = model.types[name], ReferencePlayer(model, choice)
+    player.begin(name)
+    assert player.clip is not None
+    performance = player.event_frames() + (0 if kind.performed else AFTER_EVENT) if kind.has_phase else 0
+    poses, phases, steps = [], [], []
+    for _ in range(_frames(kind, model.fps, len(player.clip))):
+        asked = player.play(1)
+        poses.append(asked.reference[0, :EMBEDDING_COUNT])
+        phases.append(asked.phase[0])
+        steps.append(_step(player.clip.ground, max(player.at - 1, 0)))
+    length = len(poses)
+    if kind.has_phase and not kind.performed:  # the last strike is whole
+        ends = np.flatnonzero(np.diff(np.array(phases) >= 0.0, append=False)) + 1 + AFTER_EVENT
+        length = int(max(ends[ends <= length], default=length))
+    bridge = PAUSE if kind.has_phase else LONGEST_BLEND
+    share = np.arange(1, bridge + 1, dtype=np.float32)[:, None] / (bridge + 1)
+    poses_there, steps_there = np.stack(poses[:length]), np.stack(steps[:length])
+    poses_back = lerp(poses_there[-1], poses_there[0], share)
+    ground = _walked(np.concatenate([steps_there, lerp(steps_there[-1], steps_there[0], share)]))
+    return Track(
+        np.concatenate([poses_there, poses_back]),
+        np.concatenate([phases[:length], np.full(bridge, -1.0)]).astype(np.float32),
+        ground,
+        bridge,
+        performance,
+        float(ground_speeds(ground, model.fps)[: 1 if kind.has_phase else length].mean()),
+    )
+
+
+def _frames(kind: MotionType, fps: float, clip: int) -> int:
+    """How long a track of a type is, without its bridge; a performance is one clip."""
+    if kind.performed:
+        return clip
+    if kind.steered:
+        return round(STEPS_SECONDS * fps)
+    return round((STRIKES_SECONDS if kind.has_phase else SECONDS) * fps)
+
+
+def _step(ground: Array, at: int) -> Array:
+    """Where a recording goes from a frame to the next, as its heading sees it: x, z and turn (3,); its last goes on."""
+    at = min(at, len(ground) - 2)
+    turn = ground[at + 1, 2] - ground[at, 2]
+    return np.append(rotate_ground(-ground[at, 2], ground[at + 1, :2] - ground[at, :2]), turn)
+
+
+def _walked(steps: Array) -> Array:
+    """Places x, z and headings (L, 3) from the origin on, of steps (L, 3) that lead from each to the next."""
+    out = np.zeros((len(steps) + 1, 3), np.float64)
+    for n, (x, z, turn) in enumerate(steps):
+        out[n + 1, :2] = out[n, :2] + rotate_ground(out[n, 2], np.array([x, z]))
+        out[n + 1, 2] = out[n, 2] + turn
+    return out[:-1].astype(np.float32)
