@@ -225,7 +225,7 @@ def _edge_breaks(angles: Array, edge: int, coarse: float) -> int:
     """Number of frames before the last break of a joint within the first steps (T - 1, J)."""
     joints = _breaks(angles, coarse * BREAKS.joint, edge)
     joints[2:, list(TOES)] = False  # toes jitter; cut only the outermost frames for them
-    return _last_true(joints.any(axis=1))
+    return _last_true(np.asarray(joints.any(axis=1)))
 
 
 def _breaks(steps: Array, least: float, window: int) -> Array:
