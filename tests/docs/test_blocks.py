@@ -121,8 +121,6 @@ def test_blocks_run(page: Path, workplace: Path, monkeypatch: pytest.MonkeyPatch
                 run_command(words)
         elif language == "python" and "127.0.0.1" not in text:
             text = text.replace(
-                'mk.train_options("tptn", minutes=60)', 'mk.train_options("tiny", steps=2, splices=4)'
-            ).replace(
                 'mk.fine_tune_options("tptn", minutes=5)',
                 'mk.fine_tune_options("tptn", steps=2, splices=4, batch=2)',
             )
