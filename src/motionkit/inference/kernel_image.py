@@ -86,7 +86,8 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         "fresh": drawn.noise.fresh, "noise": drawn.noise.first, "smooth": drawn.noise.second,
         "velocity_blend": presets.velocity_blend, "slip_correction": presets.slip_correction,
         "before": frame.before, "last": network.before, "x": frame.x, "contacts": frame.contacts,
-        "features": frame.features, "ground": frame.ground, **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
+        "features": frame.features, "ground": frame.ground,
+        **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
     }  # fmt: skip
     own |= {f"feet_{name}": array for name, array in body.feet.arrays.items()} | {"rise": body.rise}
     writer = _Writer()
