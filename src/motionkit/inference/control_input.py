@@ -36,7 +36,8 @@ class ControlInput:
 
     def __init__(self, model: MotionModel, batch: int) -> None:
         self.model = model
-        self.vectors = np.zeros((batch, model.controls.size), np.float32)
+        self._layout, self._references = model.controls, model.reference_map  # made anew at each call
+        self.vectors = np.zeros((batch, self._layout.size), np.float32)
         self.presets = PresetArrays.of(batch)
         self.type_presets = np.stack([model.presets(name) for name in PRESETS], axis=1)
         self.skeletons = np.zeros((batch, 0), np.float32)
@@ -56,7 +57,7 @@ class ControlInput:
         presets.velocity_blend[:], presets.slip_correction[:] = shares[:, 1:2], shares[:, 2:]
         presets.slip_correction[:, 0] *= asked.slip_correction
         self.vectors[:] = control_vector(
-            model.controls, self.skeletons, asked, x, model.trajectory_scaling, model.reference_map
+            self._layout, self.skeletons, asked, x, model.trajectory_scaling, self._references
         )
         return self.vectors
 
