@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from motionkit.api import (
-        evaluate,
         follow_path,
         load_model,
         measure,
@@ -39,6 +38,7 @@ if TYPE_CHECKING:
     from motionkit.features.layout import column_names
     from motionkit.inference.character import CharacterStream
     from motionkit.inference.rollout import Noise
+    from motionkit.lab.scoreboard.board import evaluate
     from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
     from motionkit.motion.kinematics import motion_kinematics as kinematics
@@ -53,7 +53,7 @@ __version__ = "0.2.0"
 # Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
 # Python binds motionkit.metrics to the room as soon as anything imports it.
 _HOMES = {
-    "evaluate": "api",
+    "evaluate": "lab.scoreboard.board",
     "follow_path": "api",
     "load_model": "api",
     "measure": "api",

@@ -21,8 +21,6 @@ if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.data.options import PreprocessOptions
     from motionkit.data.preprocess import PreprocessReport
-    from motionkit.evaluation.report import Scoreboard
-    from motionkit.evaluation.settings import EvaluationSettings
     from motionkit.export.clip import Clip
     from motionkit.inference.rollout import Noise
     from motionkit.metrics.report import MetricReport
@@ -350,30 +348,3 @@ def train(
 
     options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
     return trainer.train(dataset, output, options, resume, run_folder, device, on_event)
-
-
-def evaluate(
-    dataset: str | Path,
-    *,
-    model: MotionModel | None = None,
-    only: Sequence[str] = (),
-    settings: EvaluationSettings | None = None,
-    jobs: int = 1,
-) -> Scoreboard:
-    """The scoreboard of a model against the recordings of a dataset folder (docs/evaluation.md).
-
-    Args:
-        model: the bundled model by default.
-        only: names of the sections to measure; all by default.
-        settings: how much is measured, on which split, with or without reference recordings; the test split, 20
-            roll-outs of each type by default.
-        jobs: processes that roll out; the result does not depend on them.
-
-    Raises:
-        ControlError: for an unknown section.
-        DatasetError: for a folder that is no dataset, or does not fit the model.
-    """
-    from motionkit.data.dataset import Dataset
-    from motionkit.evaluation.scoreboard import evaluate_model
-
-    return evaluate_model(model or load_model(), Dataset(dataset), settings, only, jobs=jobs)

@@ -19,7 +19,8 @@ from motionkit.cli.synthesis_options import make_noise, noise_options, reference
 
 if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
-    from motionkit.evaluation.report import Scoreboard, Table
+    from motionkit.lab.scoreboard.report import Scoreboard
+    from motionkit.tables import Table
 
 
 @click.command("evaluate")
@@ -108,10 +109,9 @@ def command(
 
     from motionkit.data.dataset import Dataset
     from motionkit.errors import ControlError
-    from motionkit.evaluation.quick import QUICK_TYPES
-    from motionkit.evaluation.scoreboard import evaluate_model
-    from motionkit.evaluation.settings import QUICK, EvaluationSettings
     from motionkit.files import atomic_write, check_outputs
+    from motionkit.lab.scoreboard.board import evaluate_model
+    from motionkit.lab.scoreboard.settings import QUICK, QUICK_TYPES, EvaluationSettings
     from motionkit.models.bundled import open_model
 
     basis = QUICK if quick else EvaluationSettings()
@@ -177,7 +177,7 @@ def _print(board: Scoreboard, console: PlainConsole) -> None:
 def _print_table(table: Table, console: PlainConsole) -> None:
     from rich.table import Table as RichTable
 
-    from motionkit.evaluation.report import show
+    from motionkit.tables import show
 
     shown = RichTable(title=table.title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for column in table.columns:

@@ -29,10 +29,10 @@ from motionkit.names import counted
 
 if TYPE_CHECKING:
     from motionkit.data.dataset import Dataset
-    from motionkit.evaluation.quick import TypeVerdict
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
     from motionkit.training.options import TrainOptions
+    from motionkit.training.verdict.types import TypeVerdict
 
 SHOWN_SECONDS = 5.0  # of each type, on page and sheet
 ROLL_OUT_SECONDS = 6.0  # of those that find the reference gains
@@ -353,10 +353,10 @@ def _straight_ahead(motion: Motion) -> Motion:
 
 
 def _judge(model: MotionModel, dataset: Dataset, folder: Path) -> list[TypeVerdict]:
-    from motionkit.evaluation.judge import Judge
-    from motionkit.evaluation.quick import QUICK_TYPES, quick_verdicts, verdict_page
-    from motionkit.evaluation.real import RealMotion
     from motionkit.files import atomic_write
+    from motionkit.training.verdict.judge import Judge
+    from motionkit.training.verdict.real import RealMotion
+    from motionkit.training.verdict.types import QUICK_TYPES, quick_verdicts, verdict_page
 
     with progress_bar() as bar:
         task = bar.add_task("judging", total=100)

@@ -33,7 +33,7 @@ set_option = click.option(
     default="D_L",
     show_default=True,
     type=click.Choice(SETS),
-    help="Data set (motionkit/experiments/datasets.py).",
+    help="Data set (motionkit/lab/paper/datasets.py).",
 )
 
 

@@ -49,7 +49,7 @@ def scenes_command(
     printed beside the paper's. Without NAMES, when all scenes are made, distances are also written to a file named
     after the model, from which `experiment tables` takes them. Feet are not held (--no-ik), as in the paper's figures.
     """
-    from motionkit.experiments.scenes import chosen_scenes, make_scene, scene_facts
+    from motionkit.lab.paper.scenes import chosen_scenes, make_scene, scene_facts
     from motionkit.models.bundled import open_model
     from motionkit.motion.bvh import write_bvh
     from motionkit.view.strobe import write_strobe
@@ -116,7 +116,7 @@ def long_command(
     """
     needs_torch()
     from motionkit.data.dataset import Dataset
-    from motionkit.experiments.long_rollouts import (
+    from motionkit.lab.paper.long_rollouts import (
         LONG_HEADER,
         check_layout,
         long_rollout,
@@ -171,7 +171,7 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
     """
     needs_torch()
     from motionkit.data.dataset import Dataset
-    from motionkit.experiments.bodies import BODIES_HEADER, bodies_row, show_bodies
+    from motionkit.lab.paper.bodies import BODIES_HEADER, bodies_row, show_bodies
     from motionkit.models.checkpoint import load_model
 
     model, dataset = load_model(model_path), Dataset(data)

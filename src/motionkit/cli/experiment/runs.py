@@ -29,8 +29,8 @@ from motionkit.errors import MotionkitError
 from motionkit.names import counted
 
 if TYPE_CHECKING:
-    from motionkit.experiments.runs import Plan
-    from motionkit.experiments.variants import Variant
+    from motionkit.lab.paper.runs import Plan
+    from motionkit.lab.paper.variants import Variant
 
 
 @click.command("list")
@@ -47,10 +47,10 @@ def list_command(
 ) -> None:
     """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
     needs_torch()
-    from motionkit.experiments.datasets import select
-    from motionkit.experiments.model_results import made_from
-    from motionkit.experiments.runs import Plan
-    from motionkit.experiments.variants import VARIANTS, parameters
+    from motionkit.lab.paper.datasets import select
+    from motionkit.lab.paper.model_results import made_from
+    from motionkit.lab.paper.runs import Plan
+    from motionkit.lab.paper.variants import VARIANTS, parameters
 
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
     asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
@@ -95,7 +95,7 @@ def list_command(
 
 def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None, faults: list[str]) -> bool:
     """Whether a run has a result that `experiment run` takes as done; why one does not count is added to faults."""
-    from motionkit.experiments.runs import is_done
+    from motionkit.lab.paper.runs import is_done
 
     try:
         return is_done(plan, each, seed, made)
@@ -106,7 +106,7 @@ def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None, f
 
 def _usual_minutes(plan: Plan) -> dict[str, float]:
     """Minutes that runs of this folder took here; files that are no results are left out."""
-    from motionkit.experiments.runs import read_result
+    from motionkit.lab.paper.runs import read_result
 
     minutes = {}
     for path in (plan.results / plan.folder).glob("*.json"):
@@ -157,10 +157,10 @@ def run_command(
     The first seed of everything comes first.
     """
     needs_torch()
-    from motionkit.experiments.datasets import select
-    from motionkit.experiments.model_results import made_from
-    from motionkit.experiments.runs import Plan, check_writable, is_done, run_all
-    from motionkit.experiments.variants import chosen
+    from motionkit.lab.paper.datasets import select
+    from motionkit.lab.paper.model_results import made_from
+    from motionkit.lab.paper.runs import Plan, check_writable, is_done, run_all
+    from motionkit.lab.paper.variants import chosen
 
     variants = [each for each in chosen(names) if each.runs_at(budget)]
     plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames, device)
@@ -206,8 +206,8 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
     Test sequences that are mirror images of training clips are left out, since the model has seen them. Results of
     before are written over, also those of another number of --frames.
     """
-    from motionkit.experiments.datasets import select
-    from motionkit.experiments.shipped import run_shipped
+    from motionkit.lab.paper.datasets import select
+    from motionkit.lab.paper.shipped import run_shipped
     from motionkit.models.bundled import BUNDLED, open_model
 
     dataset = select(data, selection)

@@ -1,0 +1,248 @@
+"""Long roll-outs from 30 initial frames (paper section 5.2): whether a network holds without a given trajectory.
+
+Types are given; the trajectory is the network's own prediction, fed back. A roll-out falls apart where its poses leave
+those of the recordings.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.dataset import Dataset
+from motionkit.data.phases import type_stretches
+from motionkit.errors import ControlError, DatasetError, MotionkitError
+from motionkit.features.control import Controls
+from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.lab.paper.datasets import is_dance
+from motionkit.lab.paper.protocol import TestSequence, decoded
+from motionkit.models.model import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import FOOT_JOINTS
+
+INITIAL = 30  # frames
+SPANS = 4  # a roll-out is measured in so many parts
+NEAREST = 20_000  # training frames of a type to compare with, at most
+LONG_HEADER = (
+    "type", "seed", "cm from recordings", "held out", "swing (cm)", "recorded", "cm/s", "recorded", "at most", "holds",
+)  # fmt: skip
+CHUNK = 200  # frames that are compared at a time
+# Of the recording that was held out: a roll-out that is further from the training clips than this many times its
+# distance, or whose feet swing this many times more or less, has fallen apart; so has one that goes faster than any
+# part of a training stretch of its type that is as long.
+APART = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class LongRollout:
+    """A roll-out of one type: its motion, and what was measured in each part of it."""
+
+    type: str
+    motion: Motion
+    facts: dict[str, Any]
+
+
+def long_types(dataset: Dataset, asked: Sequence[str] = ()) -> list[str]:
+    """Return the types to roll out: those asked for, else walking, running and the dance with the longest test stretch.
+
+    Raises:
+        DatasetError: if one of them has no test clip.
+    """
+    counts: dict[str, int] = {}
+    for clip in dataset.select("test"):
+        for start, end, number in type_stretches(dataset.clip_types(clip)):
+            kind = dataset.types[number]
+            counts[kind] = max(counts.get(kind, 0), end - start)
+    dances = sorted((kind for kind in counts if is_dance(kind)), key=lambda k: (-counts[k], k))
+    kinds = list(asked) or ["walking", "running", *dances[:1]]
+    lacking = [kind for kind in kinds if counts.get(kind, 0) < INITIAL]
+    if lacking or not (asked or dances):
+        raise DatasetError(
+            f"{dataset.folder}: no test clip of {', '.join(lacking) or 'a dance'} to begin from"
+        )
+    return kinds
+
+
+def types_known(model: MotionModel, kinds: Sequence[str], asked: bool) -> list[str]:
+    """Return those of the types that a model knows.
+
+    Raises:
+        ControlError: it does not know one of them that was asked for, or none.
+    """
+    if asked:
+        for kind in kinds:
+            model.type_id(kind)
+    known = [kind for kind in kinds if kind in model.types]
+    if not known:
+        raise ControlError(f"the model knows none of {', '.join(kinds)}; choose others with --type")
+    return known
+
+
+def check_layout(dataset: Dataset, model: MotionModel) -> None:
+    """Check that a dataset has the features that a model was trained on. Raises DatasetError if not."""
+    dataset.check_layout(model.config.layout, "the model needs")
+    if dataset.fps != model.fps:
+        raise DatasetError(
+            f"{dataset.folder}: {dataset.fps:g} frames a second, but the model needs {model.fps:g}: run preprocess "
+            f"with --fps {model.fps:g}"
+        )
+
+
+def beginning(dataset: Dataset, kind: str) -> TestSequence:
+    """Return the first INITIAL frames of the longest stretch of a type in the test clips, and the frames after them."""
+    best: tuple[int, TestSequence] | None = None
+    for clip in dataset.select("test"):
+        for start, end, number in type_stretches(dataset.clip_types(clip)):
+            frames = end - start
+            if dataset.types[number] == kind and frames >= INITIAL and (best is None or frames > best[0]):
+                stretch = replace(clip, start=clip.start + start, frames=frames)
+                data = dataset.read(stretch)
+                best = frames, TestSequence(stretch, data, INITIAL, frames - INITIAL, kind)
+    assert best is not None, "long_types() found one"
+    return best[1]
+
+
+def long_rollout(
+    model: MotionModel,
+    dataset: Dataset,
+    kind: str,
+    seconds: float,
+    seed: int,
+    progress: Callable[[float], None],
+) -> LongRollout:
+    """Roll out a type from INITIAL recorded frames, and compare its poses with those of the training clips.
+
+    Raises:
+        MotionkitError: the model is not one of tptn-paper's kind, which predict their trajectory.
+        DatasetError: the dataset has other features than the model.
+    """
+    if not model.plain:
+        raise MotionkitError("long roll-outs are for models that feed their own trajectory back (tptn-paper)")
+    check_layout(dataset, model)
+    sequence = beginning(dataset, kind)
+    frames = round(seconds * model.fps)
+    state = RolloutState(model, 1, default_noise(model), seed)
+    state.set_skeletons([dataset.skeleton(sequence.clip)])
+    weights = np.zeros((1, len(model.types)), np.float32)
+    weights[0, model.type_id(kind)] = 1.0
+    asked, data = Controls.of_types(weights), sequence.data
+    state.start(
+        data.features[None, :INITIAL],
+        data.contacts[None, :INITIAL],
+        weights,
+        data.ground[INITIAL - 1 : INITIAL],
+    )
+    rolled = run(state, frames, lambda t, ground: asked, lambda frame: progress(frame / frames))
+    features = rolled.features[0]
+    motion = decoded(dataset, sequence, features)
+    library = _poses(dataset, kind)
+    made = _distances(features[:, dataset.layout.blocks["joint_positions"]], library)
+    held = data.features[INITIAL:, dataset.layout.blocks["joint_positions"]]
+    real = float(_distances(held, library).mean()) if len(held) else math.nan
+    parts = np.array_split(np.arange(frames), SPANS)
+    apart = [float(made[part].mean()) for part in parts]
+    recorded = decoded(dataset, sequence, data.features[INITIAL:])
+    after = np.arange(len(held))
+    feet = [
+        i
+        for i, column in enumerate(dataset.layout.columns)
+        if column.block == "joint_positions" and column.joint in FOOT_JOINTS
+    ]
+    swings = [_swing(features[part][:, feet]) for part in parts]
+    swing = _swing(data.features[INITIAL:, feet])
+    speeds, fastest = [_speed(motion, part) for part in parts], fastest_recorded(dataset, kind, len(parts[0]))
+    facts = {
+        "type": kind,
+        "clip": sequence.clip.name,
+        "seed": seed,
+        "seconds": seconds,
+        "distance": [float(f"{d:.4g}") for d in apart],
+        "distance-recorded": float(f"{real:.4g}"),
+        "swing": swings,
+        "swing-recorded": swing,
+        "speed": speeds,
+        "speed-recorded": _speed(recorded, after),
+        "speed-fastest": fastest,
+        "holds": max(apart) < APART * real
+        and all(swing / APART < s < swing * APART for s in swings)
+        and max(speeds) <= fastest,
+    }
+    return LongRollout(kind, motion, facts)
+
+
+def _poses(dataset: Dataset, kind: str) -> Array:
+    """Joint positions (N, D) of the training frames of a type, thinned out evenly to NEAREST."""
+    number, rows = dataset.types.index(kind), []
+    for clip in dataset.select("train"):
+        data = dataset.read(clip)
+        rows.append(data.features[data.types == number][:, dataset.layout.blocks["joint_positions"]])
+    poses = np.concatenate(rows)
+    return poses[:: -(-len(poses) // NEAREST)]
+
+
+def _distances(poses: Array, library: Array) -> Array:
+    """Distance (T,) of each pose to the nearest of a library: the root mean square over joints, in cm."""
+    joints = library.shape[1] / 3.0
+    squares = np.square(library.astype(np.float64)).sum(axis=1)
+    out = []
+    for start in range(0, len(poses), CHUNK):
+        part = poses[start : start + CHUNK].astype(np.float64)
+        cross = np.square(part).sum(axis=1)[:, None] + squares - 2.0 * part @ library.T.astype(np.float64)
+        out.append(np.sqrt(np.maximum(cross.min(axis=1), 0.0) / joints))
+    return np.concatenate(out)
+
+
+def _swing(feet: Array) -> float:
+    """How far feet (T, D) swing about their mean place, cm: trembling hardly counts, steps do."""
+    spread = feet.astype(np.float64).var(axis=0).sum() / len(FOOT_JOINTS)
+    return float(f"{math.sqrt(spread):.4g}")
+
+
+def _speed(motion: Motion, frames: Array) -> float:
+    """Mean speed of the root over the ground in cm/s."""
+    way = np.diff(motion.root_positions[frames][:, [0, 2]].astype(np.float64), axis=0)
+    return float(f"{np.linalg.norm(way, axis=1).mean() * motion.fps:.4g}")
+
+
+def fastest_recorded(dataset: Dataset, kind: str, frames: int) -> float:
+    """Mean speed over the ground, in cm/s, of the fastest frames in a row of a type in the training clips.
+
+    Shorter stretches count as a whole if they last a second.
+    """
+    number, speeds = dataset.types.index(kind), [0.0]
+    for clip in dataset.select("train"):
+        data = dataset.read(clip)
+        for start, end, shown in type_stretches(data.types):
+            if shown == number and end - start >= dataset.fps:
+                steps = np.linalg.norm(np.diff(data.ground[start:end, :2].astype(np.float64), axis=0), axis=1)
+                way, count = np.pad(steps.cumsum(), (1, 0)), min(len(steps), frames - 1)
+                speeds.append(float((way[count:] - way[:-count]).max()) / count * dataset.fps)
+    return float(f"{max(speeds):.4g}")
+
+
+def long_row(facts: dict[str, Any]) -> tuple[str, ...]:
+    """Return the cells of a roll-out in a table, under LONG_HEADER."""
+    distances = ", ".join(f"{d:.1f}" for d in facts["distance"])
+    moves, speeds = (", ".join(f"{v:.0f}" for v in facts[key]) for key in ("swing", "speed"))
+    return (
+        facts["type"],
+        f"{facts['seed']}",
+        distances,
+        f"{facts['distance-recorded']:.1f}",
+        moves,
+        f"{facts['swing-recorded']:.0f}",
+        speeds,
+        f"{facts['speed-recorded']:.0f}",
+        f"{facts['speed-fastest']:.0f}",
+        "yes" if facts["holds"] else "no",
+    )
+
+
+def sheet_name(model: str) -> str:
+    """Return the file name of a model's contact sheet beside docs/experiments.md."""
+    return f"long-{model}.png"
