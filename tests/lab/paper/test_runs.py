@@ -14,12 +14,13 @@ from motionkit.cli.experiment.options import SETS
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.errors import DatasetError, MotionkitError
+from motionkit.lab.held_out import held_out, recorded_motion
 from motionkit.lab.paper import runs
 from motionkit.lab.paper.datasets import SELECTIONS, Selection, is_dance, select
 from motionkit.lab.paper.model_results import made_from
-from motionkit.lab.paper.protocol import METRICS, sequences_of
+from motionkit.lab.paper.protocol import METRICS
 from motionkit.lab.paper.runs import Plan, is_done, read_results, result_file, run_one
-from motionkit.lab.paper.shipped import features_after, recorded_motion, run_shipped
+from motionkit.lab.paper.shipped import features_after, run_shipped
 from motionkit.lab.paper.tables import tables
 from motionkit.lab.paper.variants import GROUPS, VARIANTS, Variant, chosen, parameters, variant
 from motionkit.models.bundled import BUNDLED, open_model
@@ -203,7 +204,7 @@ def test_a_training_set_has_no_test_sequence(paper_folder: Path, monkeypatch: py
     train, test = dataset.select("train"), dataset.select("test")
     assert train and test and not any(clip.mirrored for clip in train)
     assert not {(c.name, c.mirrored) for c in train} & {(c.name, c.mirrored) for c in test}
-    assert all(s.frames >= 30 and s.initial in (30, 87) for s in sequences_of(dataset, 100))
+    assert all(s.frames >= 30 and s.initial in (30, 87) for s in held_out(dataset, 100))
     with pytest.raises(DatasetError, match="unknown data set 'none'"):
         select(paper_folder, "none")
     monkeypatch.setitem(SELECTIONS, "empty", Selection("empty", "nothing", lambda dataset: ([], [])))
@@ -292,9 +293,9 @@ def test_types_without_a_test_clip_are_tested_on_a_mirror_image(paper_folder: Pa
 
 def test_recorded_motion_has_the_features_of_the_recording(paper_folder: Path) -> None:
     dataset = select(paper_folder, "all")
-    sequence = sequences_of(dataset, 30)[0]
+    sequence = held_out(dataset, 30)[0]
     first, end = sequence.initial, sequence.initial + sequence.frames
-    motion = recorded_motion(dataset, sequence)
+    motion = recorded_motion(dataset, sequence, dataset.skeleton(sequence.clip))
     made = features_after(dataset, motion.cut(first - 1, first), motion.cut(first, end))
     blocks = dataset.layout.blocks
     # The heading is smoothed over time, so it differs by a few thousandths of a radian near the ends.

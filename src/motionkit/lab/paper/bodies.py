@@ -16,9 +16,10 @@ from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.lab.held_out import continued
 from motionkit.lab.paper.long_rollouts import INITIAL, beginning, check_layout
-from motionkit.lab.paper.protocol import TestSequence, sequence_controls
+from motionkit.lab.paper.protocol import sequence_controls
+from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton, leg_length
 
@@ -98,35 +99,17 @@ def show_bodies(
     sequence = beginning(dataset, kind)
     if sequence.frames < FORGOTTEN + LEAST:
         raise DatasetError(f"{sequence.clip.name}: expected {INITIAL + FORGOTTEN + LEAST} frames of {kind}")
+    asked, frames = sequence_controls(dataset, sequence, model), min(sequence.frames, MADE)
     out: list[dict[str, Any]] = []
     for name, body in chosen.items():
         made = []
         for seed in range(seeds):
-            rolled = _rolled(model, dataset, sequence, _body(dataset, body), seed)
+            rolled = continued(model, sequence, _body(dataset, body), asked, frames, seed)
             made.append(measures(dataset, rolled[FORGOTTEN:]))
             progress((len(out) + len(made) / seeds) / len(chosen))
-        mean = {key: float(f"{np.mean([each[key] for each in made]):.4g}") for key in MEASURES}
+        mean = {key: rounded(float(np.mean([each[key] for each in made]))) for key in MEASURES}
         out.append({"performer": name, "recorded": recorded_measures(dataset, body, kind), "made": mean})
     return out
-
-
-def _rolled(
-    model: MotionModel, dataset: Dataset, sequence: TestSequence, skeleton: Skeleton, seed: int
-) -> Array:
-    """Features (T, 276) that follow the first INITIAL frames of a sequence with another body in c^s."""
-    asked, data = sequence_controls(dataset, sequence, model), sequence.data
-    state = RolloutState(model, 1, default_noise(model), seed)
-    state.set_skeletons([skeleton])
-    state.start(
-        data.features[None, :INITIAL],
-        data.contacts[None, :INITIAL],
-        asked.type_weights[:1],
-        data.ground[INITIAL - 1 : INITIAL],
-        controls=lambda t, ground: asked.at(slice(t, t + 1)),
-    )
-    first = INITIAL - 1
-    frames = min(sequence.frames, MADE)
-    return run(state, frames, lambda t, ground: asked.at(slice(first + t, first + t + 1))).features[0]
 
 
 def measures(dataset: Dataset, features: Array) -> dict[str, float]:
@@ -149,7 +132,7 @@ def measures(dataset: Dataset, features: Array) -> dict[str, float]:
     apart = np.linalg.norm((left - right)[:, [0, 2]], axis=-1)
     seconds = max(1, round(len(apart) / dataset.fps))
     out["step"] = float(np.mean([part.max() for part in np.array_split(apart, seconds)]))
-    return {key: float(f"{value:.4g}") for key, value in out.items()}
+    return {key: rounded(value) for key, value in out.items()}
 
 
 def _length(chain: Sequence[Array]) -> float:
@@ -165,9 +148,7 @@ def recorded_measures(dataset: Dataset, body: int, kind: str) -> dict[str, float
         for clip, start, end in _stretches(dataset, body, kind)
     ]
     frames = sum(length for length, _ in found)
-    return {
-        key: float(f"{sum(length * each[key] for length, each in found) / frames:.4g}") for key in MEASURES
-    }
+    return {key: rounded(sum(length * each[key] for length, each in found) / frames) for key in MEASURES}
 
 
 def slopes(shown: Sequence[dict[str, Any]]) -> dict[str, float]:

@@ -12,12 +12,14 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.features.control import control_vector, skeleton_signal
-from motionkit.lab.paper.protocol import TestSequence, sequence_controls
+from motionkit.lab.held_out import HeldOut
+from motionkit.lab.paper.protocol import sequence_controls
+from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer
 
 
-def control_derivatives(model: MotionModel, dataset: Dataset, sequence: TestSequence) -> dict[str, float]:
+def control_derivatives(model: MotionModel, dataset: Dataset, sequence: HeldOut) -> dict[str, float]:
     """Return the gain of the predicted trajectory on the trajectory fed in, and on the features fed in.
 
     Of part transformers only; other networks return nothing.
@@ -40,6 +42,6 @@ def control_derivatives(model: MotionModel, dataset: Dataset, sequence: TestSequ
     by_features = torch.stack([row[0][0, -1] for row in rows])
     by_trajectory = torch.stack([row[1][0, -1, model.controls.trajectory] for row in rows])
     return {
-        name: float(f"{torch.linalg.matrix_norm(matrix, 2).item():.4g}")
+        name: rounded(torch.linalg.matrix_norm(matrix, 2).item())
         for name, matrix in (("trajectory", by_trajectory), ("features", by_features))
     }

@@ -13,14 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Dataset
 from motionkit.data.phases import type_stretches
 from motionkit.errors import ControlError, DatasetError, MotionkitError
 from motionkit.features.control import Controls
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.lab.held_out import HeldOut, continued, decoded
 from motionkit.lab.paper.datasets import is_dance
-from motionkit.lab.paper.protocol import TestSequence, decoded
+from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS
@@ -93,16 +93,16 @@ def check_layout(dataset: Dataset, model: MotionModel) -> None:
         )
 
 
-def beginning(dataset: Dataset, kind: str) -> TestSequence:
+def beginning(dataset: Dataset, kind: str) -> HeldOut:
     """Return the first INITIAL frames of the longest stretch of a type in the test clips, and the frames after them."""
-    best: tuple[int, TestSequence] | None = None
+    best: tuple[int, HeldOut] | None = None
     for clip in dataset.select("test"):
         for start, end, number in type_stretches(dataset.clip_types(clip)):
             frames = end - start
             if dataset.types[number] == kind and frames >= INITIAL and (best is None or frames > best[0]):
                 stretch = replace(clip, start=clip.start + start, frames=frames)
                 data = dataset.read(stretch)
-                best = frames, TestSequence(stretch, data, INITIAL, frames - INITIAL, kind)
+                best = frames, HeldOut(stretch, data, INITIAL, frames - INITIAL, kind)
     assert best is not None, "long_types() found one"
     return best[1]
 
@@ -126,53 +126,50 @@ def long_rollout(
     check_layout(dataset, model)
     sequence = beginning(dataset, kind)
     frames = round(seconds * model.fps)
-    state = RolloutState(model, 1, default_noise(model), seed)
-    state.set_skeletons([dataset.skeleton(sequence.clip)])
     weights = np.zeros((1, len(model.types)), np.float32)
     weights[0, model.type_id(kind)] = 1.0
-    asked, data = Controls.of_types(weights), sequence.data
-    state.start(
-        data.features[None, :INITIAL],
-        data.contacts[None, :INITIAL],
-        weights,
-        data.ground[INITIAL - 1 : INITIAL],
+    features = continued(
+        model,
+        sequence,
+        dataset.skeleton(sequence.clip),
+        Controls.of_types(weights),
+        frames,
+        seed,
+        lambda frame: progress(frame / frames),
     )
-    rolled = run(state, frames, lambda t, ground: asked, lambda frame: progress(frame / frames))
-    features = rolled.features[0]
     motion = decoded(dataset, sequence, features)
-    library = _poses(dataset, kind)
-    made = _distances(features[:, dataset.layout.blocks["joint_positions"]], library)
-    held = data.features[INITIAL:, dataset.layout.blocks["joint_positions"]]
-    real = float(_distances(held, library).mean()) if len(held) else math.nan
-    parts = np.array_split(np.arange(frames), SPANS)
-    apart = [float(made[part].mean()) for part in parts]
-    recorded = decoded(dataset, sequence, data.features[INITIAL:])
-    after = np.arange(len(held))
-    feet = [
-        i
-        for i, column in enumerate(dataset.layout.columns)
-        if column.block == "joint_positions" and column.joint in FOOT_JOINTS
-    ]
-    swings = [_swing(features[part][:, feet]) for part in parts]
-    swing = _swing(data.features[INITIAL:, feet])
-    speeds, fastest = [_speed(motion, part) for part in parts], fastest_recorded(dataset, kind, len(parts[0]))
-    facts = {
-        "type": kind,
-        "clip": sequence.clip.name,
-        "seed": seed,
-        "seconds": seconds,
-        "distance": [float(f"{d:.4g}") for d in apart],
-        "distance-recorded": float(f"{real:.4g}"),
-        "swing": swings,
-        "swing-recorded": swing,
-        "speed": speeds,
-        "speed-recorded": _speed(recorded, after),
-        "speed-fastest": fastest,
-        "holds": max(apart) < APART * real
-        and all(swing / APART < s < swing * APART for s in swings)
-        and max(speeds) <= fastest,
+    facts = {"type": kind, "clip": sequence.clip.name, "seed": seed, "seconds": seconds}
+    facts |= _measured(dataset, sequence, features, motion)
+    return LongRollout(kind, motion, facts | {"holds": holds(facts)})
+
+
+def _measured(dataset: Dataset, sequence: HeldOut, features: Array, motion: Motion) -> dict[str, Any]:
+    """Poses, feet and speed of each part of a roll-out, beside those of the recording."""
+    recorded, layout = sequence.data.features[sequence.initial :], dataset.layout
+    poses, feet = layout.blocks["joint_positions"], layout.block_columns("joint_positions", FOOT_JOINTS)
+    library = _poses(dataset, sequence.kind)
+    made = _distances(features[:, poses], library)
+    held = float(_distances(recorded[:, poses], library).mean()) if len(recorded) else math.nan
+    parts = np.array_split(np.arange(len(features)), SPANS)
+    return {
+        "distance": [rounded(float(made[part].mean())) for part in parts],
+        "distance-recorded": rounded(held),
+        "swing": [_swing(features[part][:, feet]) for part in parts],
+        "swing-recorded": _swing(recorded[:, feet]),
+        "speed": [_speed(motion, part) for part in parts],
+        "speed-recorded": _speed(decoded(dataset, sequence, recorded), np.arange(len(recorded))),
+        "speed-fastest": fastest_recorded(dataset, sequence.kind, len(parts[0])),
     }
-    return LongRollout(kind, motion, facts)
+
+
+def holds(facts: dict[str, Any]) -> bool:
+    """Return whether no part of a roll-out has fallen apart (APART)."""
+    swing = facts["swing-recorded"]
+    return bool(
+        max(facts["distance"]) < APART * facts["distance-recorded"]
+        and all(swing / APART < each < swing * APART for each in facts["swing"])
+        and max(facts["speed"]) <= facts["speed-fastest"]
+    )
 
 
 def _poses(dataset: Dataset, kind: str) -> Array:
@@ -187,26 +184,21 @@ def _poses(dataset: Dataset, kind: str) -> Array:
 
 def _distances(poses: Array, library: Array) -> Array:
     """Distance (T,) of each pose to the nearest of a library: the root mean square over joints, in cm."""
-    joints = library.shape[1] / 3.0
-    squares = np.square(library.astype(np.float64)).sum(axis=1)
-    out = []
-    for start in range(0, len(poses), CHUNK):
-        part = poses[start : start + CHUNK].astype(np.float64)
-        cross = np.square(part).sum(axis=1)[:, None] + squares - 2.0 * part @ library.T.astype(np.float64)
-        out.append(np.sqrt(np.maximum(cross.min(axis=1), 0.0) / joints))
-    return np.concatenate(out)
+    parts = [poses[start : start + CHUNK] for start in range(0, len(poses), CHUNK)]
+    nearest = np.concatenate([distances_between(part, library).min(axis=1) for part in parts])
+    return nearest / math.sqrt(library.shape[1] / 3.0)
 
 
 def _swing(feet: Array) -> float:
     """How far feet (T, D) swing about their mean place, cm: trembling hardly counts, steps do."""
     spread = feet.astype(np.float64).var(axis=0).sum() / len(FOOT_JOINTS)
-    return float(f"{math.sqrt(spread):.4g}")
+    return rounded(math.sqrt(spread))
 
 
 def _speed(motion: Motion, frames: Array) -> float:
     """Mean speed of the root over the ground in cm/s."""
     way = np.diff(motion.root_positions[frames][:, [0, 2]].astype(np.float64), axis=0)
-    return float(f"{np.linalg.norm(way, axis=1).mean() * motion.fps:.4g}")
+    return rounded(float(np.linalg.norm(way, axis=1).mean()) * motion.fps)
 
 
 def fastest_recorded(dataset: Dataset, kind: str, frames: int) -> float:
@@ -222,7 +214,7 @@ def fastest_recorded(dataset: Dataset, kind: str, frames: int) -> float:
                 steps = np.linalg.norm(np.diff(data.ground[start:end, :2].astype(np.float64), axis=0), axis=1)
                 way, count = np.pad(steps.cumsum(), (1, 0)), min(len(steps), frames - 1)
                 speeds.append(float((way[count:] - way[:-count]).max()) / count * dataset.fps)
-    return float(f"{max(speeds):.4g}")
+    return rounded(max(speeds))
 
 
 def long_row(facts: dict[str, Any]) -> tuple[str, ...]:

@@ -16,13 +16,13 @@ from motionkit.lab.paper.scenes import picture_name
 from motionkit.lab.paper.tables import (
     Results,
     budget_lines,
-    figure,
     latex,
     markdown,
     missing,
     protocol_folders,
     tables,
 )
+from motionkit.lab.statistics import figure
 from motionkit.tables import Table
 
 HEAD = """# Experiments

@@ -5,19 +5,17 @@ Paper section 5.3. No foot IK, no reference poses, no corrections: frames are wh
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
-from motionkit.features.decode import decode_motion, integrate_ground
-from motionkit.inference.rollout import RolloutState, default_noise, run
-from motionkit.lab.paper.datasets import LEAST_TEST, is_dance
+from motionkit.lab.held_out import Continue, HeldOut, continued, decoded
+from motionkit.lab.paper.datasets import is_dance
+from motionkit.lab.statistics import rounded
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
 from motionkit.metrics.report import evaluate_motion
@@ -26,7 +24,6 @@ from motionkit.models.model import MotionModel
 from motionkit.models.parts import partition
 from motionkit.motion.motion import Motion
 
-INITIAL = (87, 30)  # the paper's numbers of initial frames; 30 for sequences too short for 87
 LONGEST = 240  # frames that are made of a sequence; the paper makes whole ones, and 600 for its user study
 METRICS = (
     "bm-euler",
@@ -45,47 +42,8 @@ METRICS = (
 LOWER = tuple(sorted({j for j in partition("two").parts[1].joints}))
 UPPER = tuple(j for j in range(23) if j not in LOWER or j == 0)
 
-# Continues a test sequence: its data, the number of initial frames, the number of frames to make.
-Continue = Callable[["TestSequence", int], tuple[Array, float]]
 
-
-@dataclass(frozen=True, eq=False)
-class TestSequence:
-    """A test sequence.
-
-    Attributes:
-        clip: which recording it is.
-        data: its frames.
-        initial: how many of them are given.
-        frames: how many are to be made after them.
-        kind: the type of most of these.
-    """
-
-    clip: Clip
-    data: ClipData
-    initial: int
-    frames: int
-    kind: str
-
-    @property
-    def dance(self) -> bool:
-        """Whether it is a dance."""
-        return is_dance(self.kind)
-
-
-def sequences_of(dataset: Dataset, longest: int = LONGEST) -> list[TestSequence]:
-    """Return the test sequences of a data set, cut to so many made frames."""
-    out = []
-    for clip in dataset.select("test"):
-        data = dataset.read(clip)
-        initial = next((n for n in INITIAL if clip.frames >= n + LEAST_TEST - INITIAL[-1]), INITIAL[-1])
-        frames = min(longest, clip.frames - initial)
-        kinds = np.bincount(data.types[initial : initial + frames])
-        out.append(TestSequence(clip, data, initial, frames, dataset.types[int(kinds.argmax())]))
-    return out
-
-
-def sequence_controls(dataset: Dataset, sequence: TestSequence, model: MotionModel) -> Controls:
+def sequence_controls(dataset: Dataset, sequence: HeldOut, model: MotionModel) -> Controls:
     """Return the control signals (T, ...) of a test sequence: its own types and trajectory."""
     data = sequence.data
     places = np.array([model.type_id(name) for name in dataset.types])
@@ -98,55 +56,30 @@ def sequence_controls(dataset: Dataset, sequence: TestSequence, model: MotionMod
 def model_continues(model: MotionModel, dataset: Dataset, seed: int) -> Continue:
     """Return what a model makes of a test sequence, drawn as the paper draws, on the performer's own body."""
 
-    def continues(sequence: TestSequence, number: int) -> tuple[Array, float]:
-        asked, first = sequence_controls(dataset, sequence, model), sequence.initial
-        state = RolloutState(model, 1, default_noise(model), seed * 1009 + number)
-        state.set_skeletons([dataset.skeleton(sequence.clip)])
-        state.start(
-            sequence.data.features[None, :first],
-            sequence.data.contacts[None, :first],
-            asked.type_weights[:1],
-            sequence.data.ground[first - 1 : first],
-            controls=lambda t, ground: asked.at(slice(t, t + 1)),
-        )
-        began = time.perf_counter()
-        made = run(state, sequence.frames, lambda t, ground: asked.at(slice(first - 1 + t, first + t)))
-        return made.features[0], time.perf_counter() - began
+    def continues(sequence: HeldOut, number: int) -> Array:
+        asked, body = sequence_controls(dataset, sequence, model), dataset.skeleton(sequence.clip)
+        return continued(model, sequence, body, asked, sequence.frames, seed * 1009 + number)
 
     return continues
 
 
-def decoded(dataset: Dataset, sequence: TestSequence, features: Array) -> Motion:
-    """Return the motion of made features (T, 276) after the initial frames, on the performer's own body."""
-    first, layout = sequence.initial, dataset.layout.version
-    before = np.concatenate([sequence.data.features[first - 1 : first], features])
-    ground = integrate_ground(before, sequence.data.ground[first - 1], dataset.fps, layout)[1]
-    body = dataset.skeleton(sequence.clip)
-    return decode_motion(
-        features, body, dataset.fps, ground.astype(np.float32), dataset.reference_rotations, layout
-    )
-
-
-def truth_of(dataset: Dataset, sequence: TestSequence) -> Motion:
+def truth_of(dataset: Dataset, sequence: HeldOut) -> Motion:
     """Return the recorded motion of the frames to make."""
     first = sequence.initial
     return decoded(dataset, sequence, sequence.data.features[first : first + sequence.frames])
 
 
 def measure(
-    dataset: Dataset, continues: Continue, sequences: list[TestSequence], progress: Callable[[float], None]
-) -> tuple[dict[str, object], float]:
+    dataset: Dataset, continues: Continue, sequences: list[HeldOut], progress: Callable[[float], None]
+) -> dict[str, object]:
     """Measure what continues the test sequences.
 
     Returns:
-        Values per sequence, and for the groups "all", "dance" and "non-dance" their means over frames; and the
-        seconds a frame took.
+        Values per sequence, and for the groups "all", "dance" and "non-dance" their means over frames.
     """
     rows, made_windows, true_windows = [], [], []
-    seconds = 0.0
     for number, sequence in enumerate(sequences):
-        features, took = continues(sequence, number)
-        seconds += took
+        features = continues(sequence, number)
         motion, truth = decoded(dataset, sequence, features), truth_of(dataset, sequence)
         values = _values(motion, truth)
         rows.append(
@@ -167,8 +100,8 @@ def measure(
         name: means([r for r, s in zip(rows, sequences, strict=True) if of(s)])
         for name, of in (
             ("all", lambda s: True),
-            ("dance", lambda s: s.dance),
-            ("non-dance", lambda s: not s.dance),
+            ("dance", lambda s: is_dance(s.kind)),
+            ("non-dance", lambda s: not is_dance(s.kind)),
         )
         if any(of(s) for s in sequences)
     }
@@ -177,8 +110,7 @@ def measure(
         "diversity": _of_sets(lambda: diversity(together)),
         "diversity-gt": _of_sets(lambda: diversity(truths)),
     }
-    frames = sum(sequence.frames for sequence in sequences)
-    return {"groups": groups, "distribution": distribution, "sequences": rows}, seconds / frames
+    return {"groups": groups, "distribution": distribution, "sequences": rows}
 
 
 def _of_sets(measured: Callable[[], MetricValue]) -> float | None:
@@ -206,8 +138,7 @@ def _values(motion: Motion, truth: Motion) -> dict[str, list[float | None]]:
 
 
 def _rounded(value: float | None) -> float | None:
-    """Six figures: more depends on the machine."""
-    return None if value is None or not np.isfinite(value) else float(f"{value:.6g}")
+    return None if value is None or not np.isfinite(value) else rounded(value, 6)
 
 
 def means(rows: list[dict]) -> dict[str, list[float | None]]:

@@ -17,13 +17,15 @@ import torch
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write, read_json
+from motionkit.lab.floors import FLOORS
+from motionkit.lab.held_out import held_out
 from motionkit.lab.paper.datasets import select
 from motionkit.lab.paper.derivatives import control_derivatives
-from motionkit.lab.paper.floors import FLOORS
 from motionkit.lab.paper.model_results import check_result, made_from
-from motionkit.lab.paper.protocol import LONGEST, measure, model_continues, sequences_of
+from motionkit.lab.paper.protocol import LONGEST, measure, model_continues
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import Variant, variant
+from motionkit.lab.statistics import rounded
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
@@ -237,8 +239,8 @@ def _trained(
 
 
 def _tested(plan: Plan, dataset: Dataset, model: MotionModel, seed: int) -> dict[str, Any]:
-    sequences = sequences_of(dataset, plan.longest)
-    measured, _ = measure(dataset, model_continues(model, dataset, seed), sequences, lambda share: None)
+    sequences = held_out(dataset, plan.longest)
+    measured = measure(dataset, model_continues(model, dataset, seed), sequences, lambda share: None)
     return {
         "longest": plan.longest,
         **measured,
@@ -248,8 +250,8 @@ def _tested(plan: Plan, dataset: Dataset, model: MotionModel, seed: int) -> dict
 
 def _floor(plan: Plan, each: Variant, dataset: Dataset, progress: Callable[[float], None]) -> dict[str, Any]:
     floor = FLOORS[each.name](dataset)
-    sequences = sequences_of(dataset, plan.longest)
-    measured, _ = measure(dataset, floor, sequences, progress)
+    sequences = held_out(dataset, plan.longest)
+    measured = measure(dataset, floor, sequences, progress)
     return {"parameters": 0, "longest": plan.longest, **measured}
 
 
@@ -264,7 +266,7 @@ def _final(path: Path) -> dict[str, float]:
     lines = _log(path)
     last = lines[-max(1, len(lines) // 10) :]
     names = [name for name in last[0] if name not in ("kind", "step", "seconds", "rate")]
-    return {name: float(f"{sum(line[name] for line in last) / len(last):.5g}") for name in names}
+    return {name: rounded(sum(line[name] for line in last) / len(last), 5) for name in names}
 
 
 def _curve(path: Path) -> list[list[float]]:
@@ -272,9 +274,7 @@ def _curve(path: Path) -> list[list[float]]:
     lines = _log(path)
     size = -(-len(lines) // CURVE_POINTS)
     parts = [lines[i : i + size] for i in range(0, len(lines), size)]
-    return [
-        [part[-1]["step"], float(f"{sum(line['total'] for line in part) / len(part):.5g}")] for part in parts
-    ]
+    return [[part[-1]["step"], rounded(sum(line["total"] for line in part) / len(part), 5)] for part in parts]
 
 
 def machine(device: str) -> str:

@@ -17,6 +17,7 @@ from motionkit.control.path import METRE, PathPart, make_path, shape_path
 from motionkit.control.script import TypePart
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import MotionkitError
+from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
 from motionkit.view.figure_data import Shown
 
@@ -148,7 +149,7 @@ def scene_facts(made: Sequence[Made]) -> dict[str, Any]:
         "name": scene.name,
         "text": scene.text,
         "seconds": [round(each.shown.motion.seconds, 2) for each in made],
-        "distances": [float(f"{d:.4g}") for d in distances],
+        "distances": [rounded(d) for d in distances],
         "finished": sum(each.finished for each in made),
         "paper": scene.paper,
     }

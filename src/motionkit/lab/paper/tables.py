@@ -13,6 +13,7 @@ from motionkit.lab.paper.protocol import means
 from motionkit.lab.paper.published import BODY_MOVEMENT, paper_row
 from motionkit.lab.paper.shipped import GROUP
 from motionkit.lab.paper.variants import VARIANTS, Variant
+from motionkit.lab.statistics import Figure, figure
 from motionkit.names import counted
 from motionkit.tables import Table
 from motionkit.training.budgets import BUDGETS
@@ -72,15 +73,6 @@ GROUP_TITLES = {
 }
 
 
-@dataclass(frozen=True)
-class Figure:
-    """The mean of a figure over seeds, its standard deviation, and how many seeds there are."""
-
-    mean: float
-    spread: float
-    seeds: int
-
-
 def figure_of(results: Results, metric: str, group: str = "all", recorded: bool = False) -> Figure | None:
     """Return a metric's figure over results of one variant; None where no run has it."""
     values = []
@@ -89,15 +81,6 @@ def figure_of(results: Results, metric: str, group: str = "all", recorded: bool 
         if pair is not None and pair[recorded] is not None:
             values.append(float(pair[recorded]))
     return figure(values)
-
-
-def figure(values: Sequence[float]) -> Figure | None:
-    """Return mean and standard deviation of values; None of none."""
-    if not values:
-        return None
-    mean = sum(values) / len(values)
-    spread = math.sqrt(sum((v - mean) ** 2 for v in values) / (len(values) - 1)) if len(values) > 1 else 0.0
-    return Figure(mean, spread, len(values))
 
 
 def clear_best(figures: dict[str, Figure], column: Column, truth: Figure | None) -> str | None:

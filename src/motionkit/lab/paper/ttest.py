@@ -12,6 +12,7 @@ from typing import Any
 
 from motionkit.errors import MotionkitError
 from motionkit.files import read_json
+from motionkit.lab.statistics import Figure, figure, upper_tail
 
 FORMAT = "motionkit-study-1"
 SCORES = range(1, 6)
@@ -31,12 +32,18 @@ class Score:
     @property
     def mean(self) -> float:
         """The mean over sequences."""
-        return sum(self.values) / len(self.values)
+        return _figure(self.values).mean
 
     @property
     def deviation(self) -> float:
         """The standard deviation over sequences."""
-        return math.sqrt(sum((v - self.mean) ** 2 for v in self.values) / (len(self.values) - 1))
+        return _figure(self.values).spread
+
+
+def _figure(values: Sequence[float]) -> Figure:
+    found = figure(values)
+    assert found is not None, "a model without answers has no score"
+    return found
 
 
 @dataclass(frozen=True)
@@ -131,35 +138,3 @@ def compare(first: Score, rival: Score) -> Comparison:
         )
     t = (first.mean - rival.mean) / math.sqrt(pooled * (1.0 / m + 1.0 / n))
     return Comparison(rival, t, upper_tail(t, freedom), freedom)
-
-
-def upper_tail(t: float, freedom: int) -> float:
-    """Return the probability that Student's t with so many degrees of freedom exceeds t."""
-    tail = 0.5 * _incomplete_beta(0.5 * freedom, 0.5, freedom / (freedom + t * t))
-    return tail if t > 0 else 1.0 - tail
-
-
-def _incomplete_beta(a: float, b: float, x: float) -> float:
-    """The regularised incomplete beta function, by Lentz's continued fraction (DLMF 8.17.22)."""
-    if x <= 0.0 or x >= 1.0:
-        return min(max(x, 0.0), 1.0)
-    if x > (a + 1.0) / (a + b + 2.0):
-        return 1.0 - _incomplete_beta(b, a, 1.0 - x)
-    front = math.exp(
-        math.lgamma(a + b) - math.lgamma(a) - math.lgamma(b) + a * math.log(x) + b * math.log1p(-x)
-    )
-    tiny = 1e-300
-    c, d = 1.0, 1.0 / max(abs(1.0 - (a + b) * x / (a + 1.0)), tiny)
-    d = d if 1.0 - (a + b) * x / (a + 1.0) > 0 else -d
-    total = d
-    for m in range(1, 500):
-        for numerator in (
-            m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)),
-            -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0)),
-        ):
-            d = 1.0 / (1.0 + numerator * d or tiny)
-            c = 1.0 + numerator / c or tiny
-            total *= c * d
-        if abs(c * d - 1.0) < 1e-14:
-            break
-    return front * total / a

@@ -3,87 +3,54 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.easing import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, finish_motions
-from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.data.dataset import Dataset
 from motionkit.features.control import Controls
-from motionkit.features.decode import decode_motion
 from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
+from motionkit.lab.floors import last_frame, nearest_clip
+from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, decoded, held_out, recorded_motion
 from motionkit.lab.scoreboard.report import Goal, Section
 from motionkit.lab.scoreboard.sequence_controls import SequenceControls
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.lab.scoreboard.trial import Trial
+from motionkit.lab.statistics import weighted_mean
 from motionkit.metrics.body import Body, body_of
-from motionkit.metrics.report import evaluate_motion, placed_like
+from motionkit.metrics.report import evaluate_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.tables import Table
-from motionkit.training.verdict.real import RealMotion
 from motionkit.training.verdict.rolling import Progress, Take
 
-SHORTEST_REST = 30  # frames a clip needs after its first INIT_FRAMES
 METRICS = ("bm-euler", "afs", "afs-ground", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
-MATCH_FRAMES = (0, 10, 20, 30)  # frames before the roll-out whose poses the nearest clip must match
 # The recording itself, delayed by this many frames: a scale for the other scores.
 DELAYS = {"3 frames late": 3, "20 frames late": 20}
 ALONE = "without references"
-VARIANTS = ("ground truth", "model", "raw network", ALONE, *DELAYS, "last frame", "nearest clip")
+FLOORS = ("last frame", "nearest clip")
+VARIANTS = ("ground truth", "model", "raw network", ALONE, *DELAYS, *FLOORS)
 TARGET_SLIDING, TARGET_RAW_SLIDING = 0.6, 1.3  # relative to the recordings; the paper's own is 1.29
 
 
-@dataclass(frozen=True, eq=False)
-class HeldOut:
-    """A held-out clip: its main type, data, motion on the default body, and how many frames to roll out.
-
-    initial is the number of frames that are given.
-    """
-
-    type: str
-    data: ClipData
-    motion: Motion
-    frames: int
-    initial: int = INIT_FRAMES
-
-    @property
-    def rest(self) -> Motion:
-        """The recorded motion of the frames to roll out."""
-        return self.motion.cut(self.initial, self.initial + self.frames)
+Means = dict[
+    tuple[str, str], dict[str, float]
+]  # by type or "all", and variant: metric to its mean over frames
 
 
 def held_out_clips(
     model: MotionModel, dataset: Dataset, longest: float, split: str = "test"
 ) -> list[HeldOut]:
     """Return the clips of a split that are long enough and whose types the model has, rolled out for `longest` s."""
-    out = []
-    limit = round(longest * model.fps)
-    for clip in dataset.select(split):
-        if clip.frames < INIT_FRAMES + SHORTEST_REST:
-            continue
-        data = dataset.read(clip)
-        frames = min(limit, clip.frames - INIT_FRAMES)
-        # The type of most of the frames to roll out.
-        kinds = data.types[INIT_FRAMES : INIT_FRAMES + frames]
-        if set(dataset.types[k] for k in np.unique(data.types).tolist()) <= set(model.types):
-            kind = dataset.types[int(np.bincount(kinds).argmax())]
-            out.append(HeldOut(kind, data, _motion(model, dataset, data), frames))
-    return out
-
-
-def _motion(model: MotionModel, dataset: Dataset, data: ClipData) -> Motion:
-    return decode_motion(
-        data.features,
-        model.character("default"),
-        dataset.fps,
-        data.ground[0],
-        dataset.reference_rotations,
-        dataset.layout.version,
-    )
+    found = held_out(dataset, round(longest * model.fps), split, (INIT_FRAMES,))
+    return [
+        clip
+        for clip in found
+        if {dataset.types[k] for k in np.unique(clip.data.types).tolist()} <= set(model.types)
+    ]
 
 
 def roll_like(
@@ -120,111 +87,91 @@ def roll_like(
     return takes
 
 
-class NearestClip:
-    """A baseline: the continuation of the training clip whose poses match the first frames best."""
-
-    def __init__(self, model: MotionModel, dataset: Dataset, real: RealMotion) -> None:
-        self.model, self.dataset, self.real = model, dataset, real
-
-    def continues(self, clip: HeldOut, body: Body) -> Motion:
-        """Return training motion as long as the roll-out, moved and turned to continue the clip's first frames."""
-        recent = [INIT_FRAMES - 1 - back for back in MATCH_FRAMES]
-        wanted = body.poses()[recent]
-        best: tuple[float, int, int] = (float("inf"), 0, 0)
-        for number, found in self.real.training.items():
-            # A clip that ends early holds its last frame. At least one second must remain.
-            usable = len(found) - round(self.real.fps)
-            if usable <= MATCH_FRAMES[-1]:
-                continue
-            poses = found.poses()
-            at = np.arange(MATCH_FRAMES[-1], usable)
-            cost = sum(
-                np.linalg.norm(poses[at - b] - w, axis=-1) for b, w in zip(MATCH_FRAMES, wanted, strict=True)
-            )
-            assert isinstance(cost, np.ndarray)
-            place = int(cost.argmin())
-            best = min(best, (float(cost[place]), number, int(at[place])))
-        source: Clip = self.dataset.clips[best[1]]
-        motion = _motion(self.model, self.dataset, self.dataset.read(source))
-        last = len(motion) - 1
-        rows = np.minimum(np.arange(clip.frames + 1) + best[2], last)
-        cut = Motion(motion.skeleton, motion.local_rotations[rows], motion.root_positions[rows], motion.fps)
-        before = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES + clip.frames)
-        return placed_like(cut, before).cut(1, clip.frames + 1)
-
-
-def _frozen(clip: HeldOut) -> Motion:
-    """Return the last given frame, held."""
-    still = clip.motion.cut(INIT_FRAMES - 1, INIT_FRAMES)
-    return Motion(
-        still.skeleton,
-        still.local_rotations.repeat(clip.frames, axis=0),
-        still.root_positions.repeat(clip.frames, axis=0),
-        still.fps,
-    )
-
-
 def reconstruction_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: the model beside ground truth and baselines, per type and overall."""
     model, dataset, settings = trial.model, trial.dataset, trial.settings
+    title = "Reconstruction of held-out clips"
     clips = held_out_clips(model, dataset, settings.reconstruction_seconds, settings.split)
     if not clips:
-        return Section(
-            "reconstruction",
-            "Reconstruction of held-out clips",
-            notes=[_why_none(model, dataset, settings.split)],
-        )
-    repeated = clips * settings.repeats
-    bare = trial.without_references
-    rolled = {"model": roll_like(model, dataset, repeated, settings, lambda share: progress(0.3 * share))}
-    if bare is not None:
-        rolled[ALONE] = roll_like(
-            bare, dataset, repeated, settings, lambda share: progress(0.3 + 0.2 * share)
-        )
-    nearest = NearestClip(model, dataset, trial.real)
-    sums: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(lambda: defaultdict(list))
-    for number, clip in enumerate(repeated):
-        take = rolled["model"][number]
-        candidates = {"model": as_motion(model, take.default), "raw network": as_motion(model, take.raw)}
-        if ALONE in rolled:
-            candidates[ALONE] = as_motion(model, rolled[ALONE][number].default)
-        if number < len(clips):
-            candidates |= {
-                name: clip.motion.cut(INIT_FRAMES - delay, INIT_FRAMES - delay + clip.frames)
-                for name, delay in DELAYS.items()
-            }
-            candidates["last frame"] = _frozen(clip)
-            candidates["nearest clip"] = nearest.continues(clip, body_of(clip.motion.cut(0, INIT_FRAMES)))
-        for variant, candidate in candidates.items():
-            report = evaluate_motion(candidate, clip.rest)
-            for row in report.rows:
-                if row.id not in METRICS or row.motion.value is None or row.ground_truth is None:
-                    continue
-                for group in (clip.type, "all"):
-                    sums[group, variant][row.id].append((row.motion.value, float(clip.frames)))
-                    if variant == "model" and row.ground_truth.value is not None:
-                        sums[group, "ground truth"][row.id].append(
-                            (row.ground_truth.value, float(clip.frames))
-                        )
-        progress(0.5 + 0.5 * (number + 1) / len(repeated))
-    groups = ["all", *sorted({clip.type for clip in clips})]
-    means = {key: {m: _mean(values) for m, values in found.items()} for key, found in sums.items()}
+        return Section("reconstruction", title, notes=[_why_none(model, dataset, settings.split)])
+    means = _measured(trial, clips, progress)
+    groups = ["all", *sorted({clip.kind for clip in clips})]
     rows = [
         (group, variant, *(means.get((group, variant), {}).get(m) for m in METRICS))
         for group in groups
         for variant in VARIANTS
-        if variant != ALONE or ALONE in rolled
+        if variant != ALONE or trial.without_references is not None
     ]
-    columns = ("type", "motion", *METRICS)
-    counts = [
-        (group, sum(c.type == group or group == "all" for c in clips), _seconds(clips, group, model.fps))
-        for group in groups
-    ]
+    counts = []
+    for group in groups:
+        frames = [clip.frames for clip in clips if group in ("all", clip.kind)]
+        counts.append((group, len(frames), sum(frames) / model.fps))
     tables = [
-        Table("Metrics per type", columns, rows),
+        Table("Metrics per type", ("type", "motion", *METRICS), rows),
         Table("Held-out clips", ("type", "clips", "seconds compared"), counts),
     ]
-    notes = [
+    return Section("reconstruction", title, tables, _goals(means), _notes(settings))
+
+
+def _measured(trial: Trial, clips: list[HeldOut], progress: Progress) -> Means:
+    """The means of all variants over the clips, each clip rolled out as often as the settings repeat."""
+    repeated = clips * trial.settings.repeats
+    takes = _takes(trial, repeated, lambda share: progress(0.5 * share))
+    training = [trial.dataset.clips[number] for number in trial.real.training]
+    floors = dict(
+        zip(FLOORS, (last_frame(trial.dataset), nearest_clip(trial.dataset, training)), strict=True)
+    )
+    found: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
+    for number, clip in enumerate(repeated):
+        recorded = recorded_motion(trial.dataset, clip, trial.model.character("default"))
+        candidates = {name: made[number] for name, made in takes.items()}
+        if number < len(clips):
+            candidates |= _baselines(trial, clip, recorded, floors)
+        truth = recorded.cut(clip.initial, clip.initial + clip.frames)
+        for variant, candidate in candidates.items():
+            for row in evaluate_motion(candidate, truth).rows:
+                if row.id not in METRICS or row.motion.value is None or row.ground_truth is None:
+                    continue
+                for group in (clip.kind, "all"):
+                    found[group, variant][row.id].append((row.motion.value, clip.frames))
+                    if variant == "model" and row.ground_truth.value is not None:
+                        found[group, "ground truth"][row.id].append((row.ground_truth.value, clip.frames))
+        progress(0.5 + 0.5 * (number + 1) / len(repeated))
+    return {key: {m: weighted_mean(values) for m, values in each.items()} for key, each in found.items()}
+
+
+def _takes(trial: Trial, clips: list[HeldOut], progress: Progress) -> dict[str, list[Motion]]:
+    """What the model makes of each clip, as users get it, raw, and without reference recordings where it has some."""
+    model, bare = trial.model, trial.without_references
+    takes = roll_like(model, trial.dataset, clips, trial.settings, lambda share: progress(0.6 * share))
+    out = {
+        "model": [as_motion(model, take.default) for take in takes],
+        "raw network": [as_motion(model, take.raw) for take in takes],
+    }
+    if bare is not None:
+        alone = roll_like(
+            bare, trial.dataset, clips, trial.settings, lambda share: progress(0.6 + 0.4 * share)
+        )
+        out[ALONE] = [as_motion(model, take.default) for take in alone]
+    return out
+
+
+def _baselines(
+    trial: Trial, clip: HeldOut, recorded: Motion, floors: dict[str, Continue]
+) -> dict[str, Motion]:
+    """The recording itself, delayed, and the floors."""
+    body = trial.model.character("default")
+    out = {
+        name: recorded.cut(clip.initial - delay, clip.initial - delay + clip.frames)
+        for name, delay in DELAYS.items()
+    }
+    return out | {name: decoded(trial.dataset, clip, make(clip, 0), body) for name, make in floors.items()}
+
+
+def _notes(settings: EvaluationSettings) -> list[str]:
+    return [
         f"{settings.repeats} roll-outs per held-out clip start from its first {INIT_FRAMES} frames, use its types, "
         "phase and trajectory, which is asked for where it lies on the ground, as a path is, and last at most "
         f"{settings.reconstruction_seconds:g} s; metrics (docs/metrics.md) are means over frames, in cm, and in "
@@ -236,12 +183,11 @@ def reconstruction_section(trial: Trial, progress: Progress) -> Section:
         "with --reference none; sliding (afs) of all is measured from the floor of the recording, afs-ground above "
         "y = 0",
     ]
-    return Section("reconstruction", "Reconstruction of held-out clips", tables, _goals(means), notes)
 
 
 def _why_none(model: MotionModel, dataset: Dataset, split: str) -> str:
     """Why a split has no clip to measure, in words."""
-    least = INIT_FRAMES + SHORTEST_REST
+    least = INIT_FRAMES + LEAST_REST
     clips = dataset.select(split)
     if not clips:
         return f"not measured: the dataset has no {split} clips; preprocess holds some out where types have several"
@@ -257,7 +203,7 @@ def as_motion(model: MotionModel, body: Body) -> Motion:
     return Motion(model.character("default"), body.rotations, body.positions[:, 0], body.fps)
 
 
-def _goals(means: dict[tuple[str, str], dict[str, float]]) -> list[Goal]:
+def _goals(means: Means) -> list[Goal]:
     truth, model, raw, near = (
         means.get(("all", variant), {})
         for variant in ("ground truth", "model", "raw network", "nearest clip")
@@ -297,11 +243,3 @@ def _goals(means: dict[tuple[str, str], dict[str, float]]) -> list[Goal]:
         limits = (limit, None) if more else (None, limit)
         goals.append(Goal(f"{metric} against the nearest clip", model.get(metric), target, *limits))
     return goals
-
-
-def _mean(values: list[tuple[float, float]]) -> float:
-    return sum(v * w for v, w in values) / sum(w for _, w in values)
-
-
-def _seconds(clips: list[HeldOut], group: str, fps: float) -> float:
-    return sum(c.frames for c in clips if group in ("all", c.type)) / fps

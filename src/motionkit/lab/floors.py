@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.dataset import Dataset
+from motionkit.data.dataset import Clip, Dataset
 from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
-from motionkit.lab.paper.protocol import Continue, TestSequence
+from motionkit.lab.held_out import Continue, HeldOut
 from motionkit.motion.skeleton import FOOT_JOINTS
 
 MATCHED = (0, 10, 20, 30)  # frames before the end of the initial ones whose poses the nearest clip must match
@@ -24,7 +23,7 @@ WEIGHTS = {"places": 0.02, "directions": 1.0, "feet": 0.05, "velocities": 0.01}
 def last_frame(dataset: Dataset) -> Continue:
     """Return the floor that holds the last initial frame: its pose, with no velocity."""
 
-    def continues(sequence: TestSequence, number: int) -> tuple[Array, float]:
+    def continues(sequence: HeldOut, number: int) -> Array:
         row = sequence.data.features[sequence.initial - 1].copy()
         for block in (
             "root_yaw_velocity",
@@ -33,7 +32,7 @@ def last_frame(dataset: Dataset) -> Continue:
             "joint_velocities",
         ):
             row[dataset.layout.blocks[block]] = 0.0
-        return np.repeat(row[None], sequence.frames, axis=0), 0.0
+        return np.repeat(row[None], sequence.frames, axis=0)
 
     return continues
 
@@ -41,8 +40,7 @@ def last_frame(dataset: Dataset) -> Continue:
 class _Library:
     """All training frames one after another, with what motion matching compares."""
 
-    def __init__(self, dataset: Dataset) -> None:
-        clips = dataset.select("train")
+    def __init__(self, dataset: Dataset, clips: Sequence[Clip]) -> None:
         data = [dataset.read(clip) for clip in clips]
         self.features = np.concatenate([d.features for d in data])
         self.types = np.concatenate([d.types for d in data])
@@ -51,15 +49,9 @@ class _Library:
         )
         self.ends = np.repeat(np.cumsum([len(d.types) for d in data]), [len(d.types) for d in data])
         self.starts = self.ends - np.repeat([len(d.types) for d in data], [len(d.types) for d in data])
-        blocks, columns = dataset.layout.blocks, dataset.layout.columns
-        self.poses = blocks["joint_positions"]
-        joints = (*FOOT_JOINTS, 0)
-        self.feet = [
-            i for i, c in enumerate(columns) if c.block == "joint_positions" and c.joint in FOOT_JOINTS
-        ]
-        self.speeds = [
-            i for i, c in enumerate(columns) if c.block == "joint_velocities" and c.joint in joints
-        ]
+        self.poses = dataset.layout.blocks["joint_positions"]
+        self.feet = dataset.layout.block_columns("joint_positions", FOOT_JOINTS)
+        self.speeds = dataset.layout.block_columns("joint_velocities", (*FOOT_JOINTS, 0))
 
     def matched(self, features: Array, trajectories: Array) -> Array:
         """Return what is compared (N, D), weighted, of features (N, 276) and trajectories (N, 24)."""
@@ -73,23 +65,25 @@ class _Library:
         return np.concatenate(parts, axis=1).astype(np.float32)
 
 
-def nearest_clip(dataset: Dataset) -> Continue:
-    """Return the floor that plays on the training clip whose half second before is nearest; its end is held."""
-    library = _Library(dataset)
+def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
+    """Return the floor that plays on the training clip whose half second before is nearest; its end is held.
+
+    clips are those to choose from; all training clips by default.
+    """
+    library = _Library(dataset, clips or dataset.select("train"))
     usable = np.flatnonzero(
         (np.arange(len(library.ends)) - library.starts >= MATCHED[-1])
         & (library.ends - np.arange(len(library.ends)) > REMAINS)
     )
 
-    def continues(sequence: TestSequence, number: int) -> tuple[Array, float]:
-        began = time.perf_counter()
+    def continues(sequence: HeldOut, number: int) -> Array:
         cost = np.zeros(len(usable))
         for back in MATCHED:
             wanted = sequence.data.features[max(0, sequence.initial - 1 - back), library.poses]
             cost += np.linalg.norm(library.features[usable - back][:, library.poses] - wanted, axis=1)
         at = int(usable[cost.argmin()])
         rows = np.minimum(at + 1 + np.arange(sequence.frames), library.ends[at] - 1)
-        return library.features[rows], time.perf_counter() - began
+        return library.features[rows]
 
     return continues
 
@@ -99,12 +93,11 @@ def motion_matching(dataset: Dataset) -> Continue:
 
     It is given the types and the trajectory of the test sequence, as the networks are. Jumps are not blended.
     """
-    library = _Library(dataset)
+    library = _Library(dataset, dataset.select("train"))
     table = library.matched(library.features, library.trajectories)
     lasts = library.ends - np.arange(len(library.ends)) > SEARCHED
 
-    def continues(sequence: TestSequence, number: int) -> tuple[Array, float]:
-        began = time.perf_counter()
+    def continues(sequence: HeldOut, number: int) -> Array:
         wanted = future_trajectory(sequence.data.ground, np.arange(len(sequence.data.types)))
         rows: list[int] = []
         present = sequence.data.features[sequence.initial - 1]
@@ -125,7 +118,7 @@ def motion_matching(dataset: Dataset) -> Continue:
             at += 1
             rows.append(at)
             present = library.features[at]
-        return library.features[rows], time.perf_counter() - began
+        return library.features[rows]
 
     return continues
 
