@@ -6,7 +6,7 @@ Shape legend: B batch, T frames, K experts, N rows (any leading shape, flattened
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, fields
 from typing import Any, TypeVar
 
@@ -78,11 +78,26 @@ class Experts(nn.Module):
         return (shares.T.to(x.dtype)[..., None] * each).sum(0)
 
 
-def mlp(sizes: tuple[int, ...]) -> nn.Sequential:
-    """Return linear layers with ELU between them."""
+class ExpertLayers(nn.ModuleList):
+    """Layers of K experts, blended by the same shares, with ELU between them."""
+
+    def __init__(self, count: int, sizes: Iterable[tuple[int, int]]) -> None:
+        super().__init__(Experts(count, inputs, outputs) for inputs, outputs in sizes)
+
+    def forward(self, x: Tensor, shares: Tensor, again: Tensor | None = None, dropout: float = 0.0) -> Tensor:
+        """Map rows x (N, ...) by shares (N, K); the numbers again (N, ...) are fed to every layer."""
+        for i, layer in enumerate(self):
+            x = F.dropout(x, dropout, self.training)
+            x = layer(x if again is None else torch.cat([x, again], dim=-1), shares)
+            x = F.elu(x) if i < len(self) - 1 else x
+        return x
+
+
+def mlp(sizes: tuple[int, ...], activation: type[nn.Module] = nn.ELU) -> nn.Sequential:
+    """Return linear layers with an activation between them."""
     layers: list[nn.Module] = []
     for i in range(len(sizes) - 1):
-        layers += [nn.Linear(sizes[i], sizes[i + 1])] + ([nn.ELU()] if i < len(sizes) - 2 else [])
+        layers += [nn.Linear(sizes[i], sizes[i + 1])] + ([activation()] if i < len(sizes) - 2 else [])
     return nn.Sequential(*layers)
 
 
@@ -95,13 +110,23 @@ def split_outputs(out: Tensor) -> NextFrame:
 def prediction_losses(made: NextFrame, batch: Batch) -> dict[str, Tensor]:
     """Return mean squared errors of features and trajectory, and the cross-entropy of contacts."""
     assert made.trajectory_mean is not None
-    contacts = F.binary_cross_entropy_with_logits(made.contact_logits, batch.next_contacts, reduction="none")
     errors = {
         "mse": (made.mean - batch.targets).square(),
         "trajectory": (made.trajectory_mean - batch.trajectory).square(),
-        "contact": contacts,
     }
-    return {name: masked_mean(error, batch.mask) for name, error in errors.items()}
+    means = {name: masked_mean(error, batch.mask) for name, error in errors.items()}
+    return {**means, "contact": contact_loss(made, batch)}
+
+
+def contact_loss(made: NextFrame, batch: Batch) -> Tensor:
+    """Return the cross-entropy of contacts."""
+    loss = F.binary_cross_entropy_with_logits(made.contact_logits, batch.next_contacts, reduction="none")
+    return masked_mean(loss, batch.mask)
+
+
+def steps(frames: Tensor) -> Tensor:
+    """Return the differences (B, T - 1, ...) between frames (B, T, ...)."""
+    return frames[:, 1:] - frames[:, :-1]
 
 
 def masked_mean(values: Tensor, mask: Tensor) -> Tensor:

@@ -18,7 +18,7 @@ from torch.func import functional_call
 
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
-from motionkit.lab.networks.baseline import NO_SIGMA, BaselineConfig, masked_mean
+from motionkit.lab.networks.baseline import NO_SIGMA, BaselineConfig, contact_loss, masked_mean, steps
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.parts import partition
 from motionkit.models.predictor import NextFrame, Predictor
@@ -26,6 +26,7 @@ from motionkit.models.predictor import NextFrame, Predictor
 WEIGHTS = {"pose": 1.0, "velocity": 0.1, "embedding": 0.1, "autoencoded": 0.001, "gan": 0.001}
 DISCRIMINATOR_WIDTH, DISCRIMINATOR_KERNEL = 64, 4
 LIMBS = ("left arm", "right arm", "left leg", "right leg")
+PARTS = (*LIMBS, "spine")
 
 State = tuple[list[Tensor], list[Tensor]]  # of the two encoders, and of the two decoders
 
@@ -58,14 +59,11 @@ class Discriminator(nn.Module):
         )
 
     def forward(self, frames_BTF: Tensor) -> Tensor:
-        return self.layers((frames_BTF[:, 1:] - frames_BTF[:, :-1]).transpose(1, 2))
+        return self.layers(steps(frames_BTF).transpose(1, 2))
 
 
-class TwoStream(Predictor):
-    """Upper and lower body as two recurrent streams."""
-
-    config: TwoStreamConfig
-    config_class = TwoStreamConfig
+class BodyEncoder(Predictor):
+    """Embeds five parts, with the torso as arms and legs, and these as upper and lower body."""
 
     def __init__(self, config: TwoStreamConfig, control_size: int) -> None:
         super().__init__(config, control_size)
@@ -74,26 +72,19 @@ class TwoStream(Predictor):
         for part in partition("five").parts:
             joints = part.joints if part.name == "spine" else part.joints[1:]  # the torso has the root
             self.columns[part.name] = [c for joint in joints for c in layout.joint_columns(joint)]
-        names = (*LIMBS, "spine")
-        sizes = [len(self.columns[name]) for name in names]
-        self.encode_parts = nn.ModuleList(nn.Linear(size, config.part) for size in sizes)
+        self.encode_parts = nn.ModuleList(nn.Linear(size, config.part) for size in self.part_sizes())
         self.encode_limbs = nn.ModuleList(nn.Linear(2 * config.part, config.limb) for _ in LIMBS)
         self.encode_bodies = nn.ModuleList(nn.Linear(2 * config.limb, config.body) for _ in range(2))
-        self.embed_controls = nn.ModuleList(nn.Linear(control_size, config.body) for _ in range(2))
-        self.encoders = nn.ModuleList(nn.GRU(config.body, config.body, batch_first=True) for _ in range(2))
-        self.decoders = nn.ModuleList(nn.GRU(config.body, config.decoder, batch_first=True) for _ in range(2))
-        self.decode_limbs = nn.ModuleList(nn.Linear(config.decoder, 2 * config.limb) for _ in range(2))
-        self.decode_parts = nn.ModuleList(nn.Linear(config.limb, config.part) for _ in LIMBS)
-        self.decode_torso = nn.Linear(4 * config.limb, config.part)
-        self.to_columns = nn.ModuleList(nn.Linear(config.part, size) for size in sizes)
-        self.to_rest = nn.Linear(2 * config.decoder, CONTACT_COUNT + TRAJECTORY_COUNT)
-        self.discriminator = Discriminator()
+
+    def part_sizes(self) -> list[int]:
+        """Return the number of columns of the limbs and the torso."""
+        return [len(self.columns[name]) for name in PARTS]
 
     def embed(self, x: Tensor) -> list[Tensor]:
         """Return the embeddings (..., 512) of upper and lower body of frames x (..., 276)."""
         parts = [
             F.relu(layer(x[..., self.columns[name]]))
-            for layer, name in zip(self.encode_parts, (*LIMBS, "spine"), strict=True)
+            for layer, name in zip(self.encode_parts, PARTS, strict=True)
         ]
         limbs = [
             F.relu(layer(torch.cat([part, parts[4]], dim=-1)))
@@ -102,6 +93,25 @@ class TwoStream(Predictor):
         pairs = (limbs[:2], limbs[2:])
         return [layer(torch.cat(pair, dim=-1)) for layer, pair in zip(self.encode_bodies, pairs, strict=True)]
 
+
+class TwoStream(BodyEncoder):
+    """Upper and lower body as two recurrent streams."""
+
+    config: TwoStreamConfig
+    config_class = TwoStreamConfig
+
+    def __init__(self, config: TwoStreamConfig, control_size: int) -> None:
+        super().__init__(config, control_size)
+        self.embed_controls = nn.ModuleList(nn.Linear(control_size, config.body) for _ in range(2))
+        self.encoders = nn.ModuleList(nn.GRU(config.body, config.body, batch_first=True) for _ in range(2))
+        self.decoders = nn.ModuleList(nn.GRU(config.body, config.decoder, batch_first=True) for _ in range(2))
+        self.decode_limbs = nn.ModuleList(nn.Linear(config.decoder, 2 * config.limb) for _ in range(2))
+        self.decode_parts = nn.ModuleList(nn.Linear(config.limb, config.part) for _ in LIMBS)
+        self.decode_torso = nn.Linear(4 * config.limb, config.part)
+        self.to_columns = nn.ModuleList(nn.Linear(config.part, size) for size in self.part_sizes())
+        self.to_rest = nn.Linear(2 * config.decoder, CONTACT_COUNT + TRAJECTORY_COUNT)
+        self.discriminator = Discriminator()
+
     def pose(self, decoded: list[Tensor]) -> Tensor:
         """Return columns (..., 276) from the decoders' states of upper and lower body."""
         both = [F.relu(layer(each)) for layer, each in zip(self.decode_limbs, decoded, strict=True)]
@@ -109,7 +119,7 @@ class TwoStream(Predictor):
         parts = [F.relu(layer(limb)) for layer, limb in zip(self.decode_parts, limbs, strict=True)]
         parts.append(F.relu(self.decode_torso(torch.cat(limbs, dim=-1))))
         out = parts[0].new_zeros(*parts[0].shape[:-1], FEATURE_COUNT)
-        for layer, part, name in zip(self.to_columns, parts, (*LIMBS, "spine"), strict=True):
+        for layer, part, name in zip(self.to_columns, parts, PARTS, strict=True):
             out[..., self.columns[name]] = layer(part).to(out.dtype)
         return out
 
@@ -142,18 +152,15 @@ class TwoStream(Predictor):
         embedded = zip(self.embed(made.mean), self.embed(batch.targets), strict=True)
         terms = {
             "pose": smooth(made.mean, batch.targets),
-            "velocity": smooth(_steps(made.mean), _steps(batch.targets), mask[:, 1:]),
+            "velocity": smooth(steps(made.mean), steps(batch.targets), mask[:, 1:]),
             "embedding": torch.stack([smooth(a.float(), b.detach().float()) for a, b in embedded]).sum(),
             "autoencoded": smooth(self._autoencoded(batch.inputs), batch.inputs),
             "gan": self._fooled(made.mean),
         }
-        contacts = F.binary_cross_entropy_with_logits(
-            made.contact_logits, batch.next_contacts, reduction="none"
-        )
         return {
             **{name: WEIGHTS[name] * value for name, value in terms.items()},
             "trajectory": smooth(made.trajectory_mean, batch.trajectory),
-            "contact": masked_mean(contacts, mask),
+            "contact": contact_loss(made, batch),
             "discriminator": self._told_apart(made.mean, batch.targets),
         }
 
@@ -203,7 +210,3 @@ class TwoStreamState:
         return NextFrame(
             made.mean[:, 0], made.log_sigma[:, 0], made.contact_logits[:, 0], made.trajectory_mean[:, 0]
         )
-
-
-def _steps(frames: Tensor) -> Tensor:
-    return frames[:, 1:] - frames[:, :-1]

@@ -11,14 +11,20 @@ Shape legend: B batch, T frames, M matching features, Z latent numbers, N rows.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
-from motionkit.lab.networks.baseline import NO_SIGMA, BaselineConfig, masked_mean, prediction_losses
+from motionkit.lab.networks.baseline import (
+    NO_SIGMA,
+    BaselineConfig,
+    masked_mean,
+    mlp,
+    prediction_losses,
+    steps,
+)
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.predictor import NextFrame, Predictor
 from motionkit.motion.skeleton import FOOT_JOINTS
@@ -37,15 +43,6 @@ class LearnedMotionMatchingConfig(BaselineConfig):
     latent: int = 32
 
 
-def _layers(inputs: int, hidden: int, count: int, outputs: int) -> nn.Sequential:
-    """Return a network with so many hidden layers, and ReLU between them."""
-    sizes = [inputs, *[hidden] * count]
-    layers: list[nn.Module] = []
-    for a, b in pairwise(sizes):
-        layers += [nn.Linear(a, b), nn.ReLU()]
-    return nn.Sequential(*layers, nn.Linear(hidden, outputs))
-
-
 class LearnedMotionMatching(Predictor):
     """A query in every third of a second, poses out."""
 
@@ -54,25 +51,21 @@ class LearnedMotionMatching(Predictor):
 
     def __init__(self, config: LearnedMotionMatchingConfig, control_size: int) -> None:
         super().__init__(config, control_size)
-        columns = feature_layout(config.layout).columns
-        matched = [
-            i
-            for i, column in enumerate(columns)
-            if (column.block == "joint_positions" and column.joint in FOOT_JOINTS)
-            or (column.block == "joint_velocities" and column.joint in (*FOOT_JOINTS, 0))
-        ]
+        layout = feature_layout(config.layout)
+        matched = layout.block_columns("joint_positions", FOOT_JOINTS)
+        matched += layout.block_columns("joint_velocities", (*FOOT_JOINTS, 0))
         self.matched: Tensor
         self.register_buffer("matched", torch.tensor(matched), persistent=False)
         self.matching_size = len(matched) + control_size
-        pose, state, hidden = (
-            FEATURE_COUNT + CONTACT_COUNT,
-            self.matching_size + config.latent,
-            config.hidden,
-        )
-        self.compressor = _layers(pose, hidden, 3, config.latent)  # for training
-        self.decompressor = _layers(state, hidden, 1, pose)
-        self.stepper = _layers(state, hidden, 2, state)
-        self.projector = _layers(self.matching_size, hidden, 4, state)
+        pose, state = FEATURE_COUNT + CONTACT_COUNT, self.matching_size + config.latent
+
+        def layers(inputs: int, count: int, outputs: int) -> nn.Sequential:
+            return mlp((inputs, *[config.hidden] * count, outputs), nn.ReLU)
+
+        self.compressor = layers(pose, 3, config.latent)  # for training
+        self.decompressor = layers(state, 1, pose)
+        self.stepper = layers(state, 2, state)
+        self.projector = layers(self.matching_size, 4, state)
 
     def matching(self, x: Tensor, controls: Tensor) -> Tensor:
         """Return matching features (..., M) of features (..., 276) and controls (..., C)."""
@@ -102,14 +95,14 @@ class LearnedMotionMatching(Predictor):
             }
         )
         rebuilt = prediction_losses(made, present)
-        steps = (_steps(made.mean) - _steps(batch.inputs)).square()
         known = state.detach().float()
         return {
             "mse": rebuilt["mse"],
             "contact": rebuilt["contact"],
-            "step": WEIGHTS["step"] * masked_mean(steps, batch.mask[:, 1:]),
+            "step": WEIGHTS["step"]
+            * masked_mean((steps(made.mean) - steps(batch.inputs)).square(), batch.mask[:, 1:]),
             "size": WEIGHTS["size"] * latent.float().square().mean(),
-            "rough": WEIGHTS["rough"] * _steps(latent.float()).abs().mean(),
+            "rough": WEIGHTS["rough"] * steps(latent.float()).abs().mean(),
             "stepper": self._stepper_loss(known),
             "projector": self._projector_loss(known.flatten(0, 1)),
         }
@@ -160,7 +153,3 @@ class MatchingStream:
         self.given, self.since = self.given - 1, self.since + 1
         self.state = self.state + self.network.stepper(self.state)
         return self.network.frame(self.state)
-
-
-def _steps(frames: Tensor) -> Tensor:
-    return frames[:, 1:] - frames[:, :-1]

@@ -19,7 +19,7 @@ from motionkit.features.layout import FEATURE_COUNT
 from motionkit.lab.networks.baseline import (
     OUTPUTS,
     BaselineConfig,
-    Experts,
+    ExpertLayers,
     MemorylessStream,
     masked_mean,
     mlp,
@@ -64,7 +64,7 @@ class MotionVae(Predictor):
         self.to_latent = nn.Linear(hidden, 2 * latent)
         self.gate = mlp((given + latent, config.gate, config.gate, config.experts))
         sizes = ((given + latent, hidden), (hidden + latent, hidden), (hidden + latent, OUTPUTS))
-        self.decoder = nn.ModuleList(Experts(config.experts, ins, outs) for ins, outs in sizes)
+        self.decoder = ExpertLayers(config.experts, sizes)
 
     def encode(self, given: Tensor) -> tuple[Tensor, Tensor]:
         """Return mean and log variance (N, Z) of the latent numbers for past poses with controls."""
@@ -74,11 +74,7 @@ class MotionVae(Predictor):
     def decode(self, given: Tensor, latent: Tensor) -> NextFrame:
         """Return the next frame for past poses with controls (N, ...) and latent numbers (N, Z)."""
         shares = torch.softmax(self.gate(torch.cat([given, latent], dim=-1)), dim=-1)
-        out = given
-        for i, layer in enumerate(self.decoder):
-            out = layer(torch.cat([out, latent], dim=-1), shares)
-            out = F.elu(out) if i < len(self.decoder) - 1 else out
-        return split_outputs(out)
+        return split_outputs(self.decoder(given, shares, again=latent))
 
     def next(self, x: Tensor, contacts: Tensor, controls: Tensor, latent: Tensor | None) -> NextFrame:
         """Predict from one frame (N, ...), with latent numbers of unit size, or with their mean."""

@@ -15,13 +15,13 @@ from itertools import pairwise
 
 import torch
 import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.lab.networks.baseline import (
     OUTPUTS,
     BaselineConfig,
-    Experts,
+    ExpertLayers,
     mlp,
     prediction_losses,
     split_outputs,
@@ -54,7 +54,7 @@ class NeuralLayering(Predictor):
         series = len(LOOK_BACK) * (control_size + CONTACT_COUNT)
         sizes = (FEATURE_COUNT + series, config.hidden, config.hidden, OUTPUTS)
         self.gate = mlp((series, config.gate, config.gate, config.experts))
-        self.layers = nn.ModuleList(Experts(config.experts, a, b) for a, b in pairwise(sizes))
+        self.layers = ExpertLayers(config.experts, pairwise(sizes))
 
     def run(self, x: Tensor, series: Tensor) -> NextFrame:
         """Return the prediction for poses (..., 276) and control series (..., S (C + 4))."""
@@ -62,9 +62,7 @@ class NeuralLayering(Predictor):
         given = series.reshape(-1, series.shape[-1])
         shares = torch.softmax(self.gate(F.dropout(given, self.config.dropout, self.training)), dim=-1)
         out = torch.cat([x.reshape(-1, FEATURE_COUNT), given], dim=-1)
-        for i, layer in enumerate(self.layers):
-            out = layer(F.dropout(out, self.config.dropout, self.training), shares)
-            out = F.elu(out) if i < len(self.layers) - 1 else out
+        out = self.layers(out, shares, dropout=self.config.dropout)
         return split_outputs(out.reshape(*shape, OUTPUTS))
 
     def losses(self, batch: Batch, space: FeatureSpace, progress: float) -> dict[str, Tensor]:

@@ -14,15 +14,14 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-import torch.nn.functional as F
-from torch import Tensor, nn
+from torch import Tensor
 
 from motionkit.arrays import Array
 from motionkit.features.layout import FEATURE_COUNT
 from motionkit.lab.networks.baseline import (
     OUTPUTS,
     BaselineConfig,
-    Experts,
+    ExpertLayers,
     masked_mean,
     prediction_losses,
     split_outputs,
@@ -85,15 +84,13 @@ class PhaseFunctionedNetwork(Predictor):
     def __init__(self, config: PhaseFunctionedConfig, control_size: int) -> None:
         super().__init__(config, control_size)
         sizes = (FEATURE_COUNT + control_size, config.hidden, config.hidden, OUTPUTS + 1)
-        self.layers = nn.ModuleList(Experts(CONTROL_POINTS, a, b) for a, b in pairwise(sizes))
+        self.layers = ExpertLayers(CONTROL_POINTS, pairwise(sizes))
 
     def run(self, x: Tensor, controls: Tensor, phase: Tensor) -> tuple[NextFrame, Tensor]:
         """Return the prediction and the step of the phase (...) in units of USUAL_RATE."""
         shape, shares = x.shape[:-1], spline_shares(phase.reshape(-1))
         out = torch.cat([x, controls], dim=-1).reshape(-1, FEATURE_COUNT + self.control_size)
-        for i, layer in enumerate(self.layers):
-            out = layer(F.dropout(out, self.config.dropout, self.training), shares)
-            out = F.elu(out) if i < len(self.layers) - 1 else out
+        out = self.layers(out, shares, dropout=self.config.dropout)
         out = out.reshape(*shape, OUTPUTS + 1)
         return split_outputs(out[..., :-1]), out[..., -1].float()
 

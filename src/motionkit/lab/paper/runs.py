@@ -7,6 +7,7 @@ import platform
 import re
 import tempfile
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from motionkit.lab.paper.derivatives import control_derivatives
 from motionkit.lab.paper.model_results import check_result, made_from
 from motionkit.lab.paper.protocol import LONGEST, measure, model_continues
 from motionkit.lab.paper.side_by_side import side_by_side
-from motionkit.lab.paper.variants import Variant, variant
+from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
 from motionkit.lab.statistics import rounded
 from motionkit.models.architectures import network_class
 from motionkit.models.checkpoint import load_model
@@ -117,6 +118,75 @@ def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -
     return True
 
 
+Task = tuple[Variant, int]  # with a seed
+
+
+def tasks_of(plan: Plan, names: tuple[str, ...], seeds: int, every_seed: bool = False) -> list[Task]:
+    """Return the runs that names, groups and "all" stand for at the plan's budget, the first seed of everything first.
+
+    Networks have as many seeds as their table needs, or all with every_seed; floors have one.
+    """
+    variants = [each for each in chosen(names) if each.runs_at(plan.budget)]
+    needed = {each.name: (seeds if every_seed else each.seeds) if each.preset else 1 for each in variants}
+    return [(each, seed) for seed in range(seeds) for each in variants if seed < needed[each.name]]
+
+
+def unfinished(plan: Plan, tasks: Sequence[Task]) -> list[Task]:
+    """Return the runs without a result, once it is known that theirs can be written.
+
+    Raises:
+        MotionkitError: a result is there that is damaged, or of other data or other frames; or none can be written.
+    """
+    made = made_from(select(plan.data, plan.selection))
+    left = [(each, seed) for each, seed in tasks if not is_done(plan, each, seed, made)]
+    if left:
+        check_writable(plan)
+    return left
+
+
+def listed(plan: Plan, known: bool) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return a row of plain values for each variant, and why results are not counted.
+
+    Args:
+        known: whether the dataset is there, so that results of other data are not counted.
+    """
+    made = made_from(select(plan.data, plan.selection)) if known else None
+    minutes, faults = _usual_minutes(plan), list[str]()
+
+    def counts(each: Variant, seed: int) -> bool:
+        try:
+            return is_done(plan, each, seed, made)
+        except MotionkitError as error:
+            faults.append(str(error))
+            return False
+
+    rows = [
+        {
+            "name": each.name,
+            "group": each.group,
+            "text": each.text,
+            "parameters": parameters(each),
+            "paper_parameters": each.paper_parameters,
+            "seeds": each.seeds,
+            "done": sum(counts(each, seed) for seed in range(each.seeds)),
+            "minutes": minutes.get(each.name),
+        }
+        for each in VARIANTS
+    ]
+    return rows, faults
+
+
+def _usual_minutes(plan: Plan) -> dict[str, float]:
+    """Minutes that runs of this folder took here; files that are no results are left out."""
+    minutes = {}
+    for path in (plan.results / plan.folder).glob("*.json"):
+        with suppress(MotionkitError):
+            result = read_result(path)
+            if "timing" in result:
+                minutes[result["name"]] = result["timing"]["seconds"] / 60
+    return minutes
+
+
 def check_writable(plan: Plan) -> None:
     """Check that results and checkpoints can be written, before hours of training. Raises MotionkitError if not."""
     for folder in (plan.results / plan.folder, plan.checkpoints / plan.folder):
@@ -164,7 +234,7 @@ def run_one(
 
 def run_all(
     plan: Plan,
-    tasks: Sequence[tuple[Variant, int]],
+    tasks: Sequence[Task],
     jobs: int,
     say: Callable[[str], None],
     progress: Callable[[float], None],

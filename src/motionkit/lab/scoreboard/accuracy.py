@@ -6,14 +6,14 @@ from collections import defaultdict
 from dataclasses import dataclass
 
 from motionkit.control.steering import NEUTRAL_SECONDS, neutral_types
-from motionkit.lab.scoreboard.report import Goal, Section
+from motionkit.lab.scoreboard.report import Goal, Section, at_least
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import Body
 from motionkit.metrics.detectors import HOLD, LEAST_WINDOW, detection_windows
 from motionkit.models.model import MotionModel
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
-from motionkit.training.verdict.rolling import Progress, Take, commanded_plans
+from motionkit.training.verdict.rolling import Progress, Take, commanded_plans, grouped
 
 MEASURED_CONFUSION = 0.05  # the report leaves out smaller shares of other types
 # Target share of roll-outs for a type with several training clips, and for one with a single clip.
@@ -168,7 +168,7 @@ def _goals(
     for each in found:
         target = _target(each)
         clips = "one training clip" if each.training_clips == 1 else ""
-        goals.append(Goal(f"accuracy of {each.type}", each.share, f"≥ {target:.0%}", target, None, clips))
+        goals.append(at_least(f"accuracy of {each.type}", each.share, target, clips, ".0%"))
         if judge.detector(each.type) is None:
             limits = f"{LIVELY[0]:g} to {LIVELY[1]:g}"
             goals.append(Goal(f"joint speed of {each.type} / real", each.joint_speed, limits, *LIVELY))
@@ -177,7 +177,7 @@ def _goals(
         failing = [each.type for each in alone if each not in shown]
         what = f"types shown without reference recordings, of {len(alone)}"
         note = f"not shown: {', '.join(failing)}" if failing else ""
-        goals.append(Goal(what, float(len(shown)), f"≥ {TARGET_ALONE}", TARGET_ALONE, None, note))
+        goals.append(at_least(what, len(shown), TARGET_ALONE, note))
     shares = {kind: own.share for kind, own in real.items() if own.share is not None}
     failing = [kind for kind, share in shares.items() if share < TARGET_REAL]
     if shares:
@@ -263,15 +263,9 @@ def measure_accuracy(
     plans = commanded_plans(model, kinds, seeds, settings.accuracy_seconds)
     rolled = trial.roll(plans, progress, model)
     skip = round(NEUTRAL_SECONDS * model.fps)
-    count = len(seeds)
     return [
-        _accuracy(
-            judge,
-            kind,
-            [take.cut(skip, len(take.default)) for take in rolled[i * count : (i + 1) * count]],
-            raw,
-        )
-        for i, kind in enumerate(kinds)
+        _accuracy(judge, kind, [take.cut(skip, len(take.default)) for take in takes], raw)
+        for kind, takes in zip(kinds, grouped(rolled, len(seeds)), strict=True)
     ]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,18 +12,19 @@ from motionkit.control.path import METRE, SHAPES, Path2D, PathPart, make_path, s
 from motionkit.control.speeds import other_speeds, part_speeds
 from motionkit.control.steering import usual_gaits
 from motionkit.lab.scoreboard.limits import REAL_SHARE, acceleration_limit, accelerations
-from motionkit.lab.scoreboard.report import Goal, Section
+from motionkit.lab.scoreboard.report import Goal, Section, at_least, at_most
 from motionkit.lab.scoreboard.roles import find_roles
 from motionkit.lab.scoreboard.trial import Trial
-from motionkit.lab.scoreboard.visible import flips
+from motionkit.lab.scoreboard.visible import flips, value_of
 from motionkit.metrics.body import SPEED_SPAN, Body
 from motionkit.metrics.leaps import leaps
 from motionkit.metrics.touch import hover_share, planted_share
 from motionkit.metrics.trajectory import trajectory_distance
+from motionkit.metrics.value import MetricValue
 from motionkit.models.model import MotionModel
 from motionkit.motion.contacts import foot_contacts
 from motionkit.tables import Cell, Table
-from motionkit.training.verdict.rolling import Progress, Walk, roll_paths
+from motionkit.training.verdict.rolling import Progress, Walk, grouped, roll_paths
 
 SPEED_SHARE = 0.15  # by which the speed may differ from the asked one
 STANDING_SPEED = 0.15  # m/s; a root slower than this stands
@@ -76,7 +78,12 @@ def path_trials(
 
 def _mixed(*parts: tuple[str, float]) -> PathTrial:
     """Return a straight path of several types, each with a length in metres."""
-    return PathTrial(" → ".join(kind for kind, _ in parts), _line(*parts), 2.0)
+    ends = METRE * np.cumsum([0.0, *(metres for _, metres in parts)])
+    stretches = [
+        PathPart(np.array([[0.0, start], [0.0, end]], np.float32), kind)
+        for (kind, _), start, end in zip(parts, ends[:-1], ends[1:], strict=True)
+    ]
+    return PathTrial(" → ".join(kind for kind, _ in parts), make_path(stretches), 2.0)
 
 
 def speed_trials(walking: str, running: str, standing: str | None = None) -> list[PathTrial]:
@@ -121,16 +128,6 @@ def steered_types(model: MotionModel) -> tuple[str, str] | None:
     return None if walking is None or running is None else (walking, running)
 
 
-def _line(*parts: tuple[str, float]) -> Path2D:
-    """Return a straight path of stretches, each with a type and a length in metres."""
-    out, at = [], 0.0
-    for kind, metres in parts:
-        ends = np.array([[0.0, at], [0.0, at + metres * METRE]], np.float32)
-        out.append(PathPart(ends, kind))
-        at += metres * METRE
-    return make_path(out)
-
-
 def paths_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: distance from each path, how often its end was reached, speed, braking and feet."""
     model, settings = trial.model, trial.settings
@@ -144,7 +141,7 @@ def paths_section(trial: Trial, progress: Progress) -> Section:
     asked = speed_trials(*gaits, roles.gaits.stand)
     tasks = [(t.path, seed) for t in (*usual, *asked) for seed in trial.seeds(settings.repeats)]
     walks = roll_paths(model, tasks, settings.noise, trial.each, progress)
-    groups = [walks[i : i + settings.repeats] for i in range(0, len(walks), settings.repeats)]
+    groups = grouped(walks, settings.repeats)
     first, goals = _distances(usual, groups[: len(usual)])
     second, more = _speeds(trial, asked, groups[len(usual) :])
     notes = [
@@ -179,7 +176,7 @@ class Followed:
     seconds: float
 
 
-def _followed(trial: PathTrial, walks: list[Walk]) -> Followed:
+def _followed(trial: PathTrial, walks: Sequence[Walk]) -> Followed:
     default, raw = (
         [trajectory_distance(body.positions[:, 0, [0, 2]], trial.path.points) for body in bodies]
         for bodies in zip(*((walk.take.default, walk.take.raw) for walk in walks), strict=True)
@@ -193,7 +190,7 @@ def _followed(trial: PathTrial, walks: list[Walk]) -> Followed:
     )
 
 
-def _distances(trials: list[PathTrial], groups: list[list[Walk]]) -> tuple[Table, list[Goal]]:
+def _distances(trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[Table, list[Goal]]:
     rows: list[tuple[Cell, ...]] = []
     goals: list[Goal] = []
     for trial, walks in zip(trials, groups, strict=True):
@@ -202,7 +199,7 @@ def _distances(trials: list[PathTrial], groups: list[list[Walk]]) -> tuple[Table
         rows.append((trial.name, found.mean, found.largest, found.raw, ends, found.seconds))
         note = "" if found.finished == len(walks) else f"finished {ends}"
         name = f"{trial.name}: mean distance, cm"
-        goals.append(Goal(name, found.mean, f"≤ {trial.target:g}", None, trial.target, note))
+        goals.append(at_most(name, found.mean, trial.target, note))
     columns = (
         "path",
         "mean distance, cm",
@@ -214,7 +211,7 @@ def _distances(trials: list[PathTrial], groups: list[list[Walk]]) -> tuple[Table
     return Table("Distance from the path", columns, rows), goals
 
 
-def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> tuple[Table, list[Goal]]:
+def _speeds(trial: Trial, trials: list[PathTrial], groups: list[Sequence[Walk]]) -> tuple[Table, list[Goal]]:
     rows: list[tuple[Cell, ...]] = []
     goals: list[Goal] = []
     for each, walks in zip(trials, groups, strict=True):
@@ -224,13 +221,14 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> 
         limit = acceleration_limit(trial.real, {part.type for part in each.path.parts})
         most = max(float(accelerations(body).max()) for body in bodies)
         lean, needed = (float(np.mean(found)) for found in zip(*map(leaning, bodies), strict=True))
+        stood = min(_standing_seconds(body) for body in bodies) if each.stands else None
         rows.append((
             each.name,
             ", ".join(f"{speed:.2f}" for speed in means),
             sum(walk.finished for walk in walks) == len(walks),
             most,
             limit,
-            min(_standing_seconds(body) for body in bodies) if each.stands else None,
+            stood,
             float(np.mean([_steps(body) for body in bodies])),
             _mean(planted_share, bodies),
             _mean(hover_share, bodies),
@@ -242,13 +240,12 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> 
         gone = (part_speeds(trial.model, each.path) / METRE).tolist()[: len(each.speeds)]
         off = max(abs(found / speed - 1.0) for found, speed in zip(means, gone, strict=True))
         said = "; ".join(other_speeds(trial.model, each.path))
-        goals.append(Goal(f"{each.name}: speed off by", off, f"≤ {SPEED_SHARE:.0%}", None, SPEED_SHARE, said))
-        if each.stands:
-            stood = min(_standing_seconds(body) for body in bodies)
+        goals.append(at_most(f"{each.name}: speed off by", off, SPEED_SHARE, said, ".0%"))
+        if stood is not None:
             least = STOP_SHARE * each.stands
-            goals.append(Goal(f"{each.name}: stands, s", stood, f"≥ {least:g}", least))
+            goals.append(at_least(f"{each.name}: stands, s", stood, least))
         if limit is not None:
-            goals.append(Goal(f"{each.name}: acceleration / real", most / limit, "≤ 1", None, 1.0))
+            goals.append(at_most(f"{each.name}: acceleration / real", most / limit, 1.0))
     columns = (
         "path", "speed, m/s", "finished", "acceleration, m/s^2", "real acceleration", "stands, s", "steps a second",
         "planted", "hovers", "leaps a minute", "flipped", "leaning, degrees", "needed, degrees",
@@ -256,8 +253,8 @@ def _speeds(trial: Trial, trials: list[PathTrial], groups: list[list[Walk]]) -> 
     return Table("Speeds and braking", columns, rows), goals
 
 
-def _mean(measure, bodies: list[Body]) -> float:  # type: ignore[no-untyped-def]
-    return float(np.mean([measure(body.positions).value for body in bodies]))
+def _mean(measure: Callable[..., MetricValue], bodies: list[Body]) -> float:
+    return float(np.mean([value_of(measure(body.positions)) for body in bodies]))
 
 
 def _part_speeds(walk: Walk, parts: int) -> list[float]:

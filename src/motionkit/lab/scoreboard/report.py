@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -39,6 +40,22 @@ class Goal:
         """Return plain values for JSON."""
         out: dict[str, Any] = {"what": self.what, "value": self.value, "target": self.target}
         return out | {"reached": self.reached} | ({"note": self.note} if self.note else {})
+
+
+def at_most(what: str, value: float | None, limit: float, note: str = "", shown: str = "g") -> Goal:
+    """Return the goal that a value is at most a limit, which its target shows in a format."""
+    return Goal(what, value, f"≤ {limit:{shown}}", None, limit, note)
+
+
+def at_least(what: str, value: float | None, limit: float, note: str = "", shown: str = "g") -> Goal:
+    """Return the goal that a value is at least a limit, which its target shows in a format."""
+    return Goal(what, value, f"≥ {limit:{shown}}", limit, None, note)
+
+
+def all_of(what: str, kinds: Sequence[str], failing: Sequence[str]) -> Goal:
+    """Return the goal that all types reach something; its note names those that do not."""
+    value = 1.0 - len(failing) / len(kinds) if kinds else None
+    return Goal(what, value, "all", 1.0, None, f"failed by: {', '.join(failing)}" if failing else "")
 
 
 @dataclass(frozen=True)

@@ -17,12 +17,12 @@ from numpy.lib.stride_tricks import sliding_window_view
 from motionkit.arrays import Array, spans
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.steering import usual_gaits
-from motionkit.lab.scoreboard.report import Goal, Section
+from motionkit.lab.scoreboard.report import Section, at_most
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import SPEED_SPAN, Body
 from motionkit.models.model import MotionModel
 from motionkit.tables import Cell, Table
-from motionkit.training.verdict.rolling import Driven, Progress, roll_live
+from motionkit.training.verdict.rolling import Driven, Progress, grouped, roll_live
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
 HELD_SECONDS = 0.25
@@ -155,42 +155,33 @@ def _commanded(model: MotionModel, command: Command) -> Driven:
 def response_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: the response time of each command; no response counts as AFTER_SECONDS."""
     model, settings = trial.model, trial.settings
-    wanted = [c for c in commands(model) for _ in range(settings.repeats)]
-    if not wanted:
+    asked = commands(model)
+    if not asked:
         note = "not measured: the model has no gaits to be commanded"
         return Section("response", "Response time", notes=[note])
     frames = round((BEFORE_SECONDS + AFTER_SECONDS) * model.fps)
-    characters = [_commanded(model, command) for command in wanted]
+    characters = [_commanded(model, command) for command in asked for _ in range(settings.repeats)]
     takes = roll_live(model, characters, frames, settings.noise, settings.first_seed, progress)
     rows: list[tuple[Cell, ...]] = []
     groups: dict[str, list[float]] = {}
     kept: list[float] = []
-    for number in range(0, len(wanted), settings.repeats):
-        command = wanted[number]
-        mine = takes[number : number + settings.repeats]
+    for command, mine in zip(asked, grouped(takes, settings.repeats), strict=True):
         seconds, unanswered, already = _responses(command, [take.default for take in mine])
         raw, _, _ = _responses(command, [take.raw for take in mine])
         groups.setdefault(command.group, []).extend(seconds)
-        mean = sum(seconds) / len(seconds) if seconds else None
-        raw_mean = sum(raw) / len(raw) if raw else None
         off = _speed_off(command, [take.default for take in mine])
         kept += off
-        off_mean = sum(off) / len(off) if off else None
         slowest = max(seconds, default=None)
-        rows.append((command.group, command.name, mean, slowest, raw_mean, unanswered, already, off_mean))
+        rows.append((
+            command.group, command.name, _mean(seconds), slowest, _mean(raw), unanswered, already, _mean(off),
+        ))  # fmt: skip
     goals = [
-        Goal(
-            f"mean response time to a change of {group}, s",
-            sum(seconds) / len(seconds) if seconds else None,
-            f"≤ {TARGET_SECONDS:g}",
-            None,
-            TARGET_SECONDS,
-        )
+        at_most(f"mean response time to a change of {group}, s", _mean(seconds), TARGET_SECONDS)
         for group, seconds in groups.items()
     ]
     if kept:
         what = f"speed that is kept from {STEADY_AFTER:g} s after a change of it: off by"
-        goals.append(Goal(what, sum(kept) / len(kept), f"≤ {STEADY_SHARE:.0%}", None, STEADY_SHARE))
+        goals.append(at_most(what, _mean(kept), STEADY_SHARE, shown=".0%"))
     columns = (
         *("change of", "command", "mean, s", "slowest, s", "raw mean, s", "no response", "met before"),
         "speed off by",
@@ -207,6 +198,10 @@ def response_section(trial: Trial, progress: Progress) -> Section:
     return Section(
         "response", "Response time", [Table("Response time per command", columns, rows)], goals, notes
     )
+
+
+def _mean(values: list[float]) -> float | None:
+    return sum(values) / len(values) if values else None
 
 
 def _speed_off(command: Command, bodies: list[Body]) -> list[float]:

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import cycle
 
 from motionkit.control.script import TypePart
 from motionkit.lab.scoreboard.limits import REAL_SHARE, acceleration_limit, accelerations, turn_limit
-from motionkit.lab.scoreboard.report import Goal, Section
+from motionkit.lab.scoreboard.report import Goal, Section, at_least, at_most
 from motionkit.lab.scoreboard.roles import Roles, find_roles
 from motionkit.lab.scoreboard.starts import FAST, LOW, PART_SECONDS, starts_and_stops
 from motionkit.lab.scoreboard.trial import Trial
-from motionkit.lab.scoreboard.visible import DEPTH, flips
-from motionkit.metrics.body import Body
-from motionkit.metrics.leaps import fastest_turn, leaps
+from motionkit.lab.scoreboard.visible import DEPTH, fastest_joint, flips, value_of
+from motionkit.metrics.leaps import leaps
 from motionkit.metrics.touch import lowest_points
 from motionkit.tables import Cell, Table
-from motionkit.training.verdict.rolling import Plan, Progress
+from motionkit.training.verdict.real import RealMotion
+from motionkit.training.verdict.rolling import Plan, Progress, Take, grouped
 
 LASTING_SECONDS = 3.0  # for types that have no length of their own
 
@@ -63,37 +63,17 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         for sequence in known
         for seed in trial.seeds(settings.repeats)
     ]
-    takes = trial.roll(plans, lambda share: progress(0.7 * share))
+    takes = grouped(trial.roll(plans, lambda share: progress(0.7 * share)), settings.repeats)
     limit, largest = turn_limit(trial.real)
-    rows: list[tuple[Cell, ...]] = []
-    goals: list[Goal] = []
-    for number, sequence in enumerate(known):
-        mine = takes[number * settings.repeats : (number + 1) * settings.repeats]
-        bodies, raw = [take.default for take in mine], [take.raw for take in mine]
-        fastest, joint = _fastest(bodies)
-        raw_fastest, _ = _fastest(raw)
-        brakes, most = (
-            max(float(accelerations(b).max()) for b in bodies),
-            acceleration_limit(trial.real, sequence),
-        )
-        lowest, raw_lowest = (min(_lowest(b) for b in found) for found in (bodies, raw))
-        leaping = sum(leaps(b.positions).value or 0.0 for b in bodies) / len(bodies)
-        flipped = sum(map(flips, bodies))
-        name = " → ".join(sequence)
-        rows.append((
-            name, fastest, joint, fastest / limit, raw_fastest / limit, brakes, most, lowest, raw_lowest, leaping,
-            flipped,
-        ))  # fmt: skip
-        goals += [
-            Goal(f"{name}: fastest joint / real", fastest / limit, "≤ 1", None, 1.0),
-            Goal(f"{name}: lowest joint, cm", lowest, f"≥ {-DEPTH:g}", -DEPTH),
-        ]
-        if most is not None:
-            goals.append(Goal(f"{name}: acceleration / real", brakes / most, "≤ 1", None, 1.0))
+    found = [
+        _measured(trial.real, sequence, mine, limit) for sequence, mine in zip(known, takes, strict=True)
+    ]
     columns = (
         "sequence", "fastest joint, degrees/s", "joint", "/ real", "raw / real", "acceleration, m/s^2",
         "real acceleration", "lowest joint, cm", "raw lowest joint, cm", "leaps a minute", "flipped",
     )  # fmt: skip
+    tables = [Table("Transitions that no clip contains", columns, [row for row, _ in found])]
+    goals = [goal for _, of_sequence in found for goal in of_sequence]
     notes = [
         f"{settings.repeats} characters per sequence, as synthesize makes them by default; raw: feet not locked; the "
         f"worst value of each; each type lasts its own length or {LASTING_SECONDS:g} s",
@@ -102,7 +82,6 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         f"acceleration: of the root over the ground, between velocities over 0.2 s; real: {REAL_SHARE:.1%} of the "
         "frames of the sequence's types are below it",
     ]
-    tables = [Table("Transitions that no clip contains", columns, rows)]
     if begun := starts_and_stops(trial, lambda share: progress(0.7 + 0.3 * share)):
         tables.append(begun[0])
         goals += begun[1]
@@ -114,11 +93,26 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
     return Section("smoothness", "Transitions", tables, goals, notes)
 
 
-def _fastest(bodies: list[Body]) -> tuple[float, str]:
-    """Return the fastest turn of a joint over all bodies in degrees per second, and the joint."""
-    found = max((fastest_turn(b.rotations, b.fps) for b in bodies), key=lambda turn: turn.value or 0.0)
-    return found.value or 0.0, str(found.parameters["joint"])
-
-
-def _lowest(body: Body) -> float:
-    return lowest_points(body.positions)[-1].value or 0.0
+def _measured(
+    real: RealMotion, sequence: tuple[str, ...], takes: Sequence[Take], limit: float
+) -> tuple[tuple[Cell, ...], list[Goal]]:
+    """The row and the goals of a sequence; limit is that of recorded joints in degrees per second."""
+    bodies, raw = [take.default for take in takes], [take.raw for take in takes]
+    fastest, joint = fastest_joint(bodies)
+    brakes, most = max(float(accelerations(b).max()) for b in bodies), acceleration_limit(real, sequence)
+    lowest, raw_lowest = (
+        min(value_of(lowest_points(b.positions)[-1]) for b in each) for each in (bodies, raw)
+    )
+    leaping = sum(value_of(leaps(b.positions)) for b in bodies) / len(bodies)
+    name = " → ".join(sequence)
+    goals = [
+        at_most(f"{name}: fastest joint / real", fastest / limit, 1.0),
+        at_least(f"{name}: lowest joint, cm", lowest, -DEPTH),
+    ]
+    if most is not None:
+        goals.append(at_most(f"{name}: acceleration / real", brakes / most, 1.0))
+    row = (
+        name, fastest, joint, fastest / limit, fastest_joint(raw)[0] / limit, brakes, most, lowest, raw_lowest, leaping,
+        sum(map(flips, bodies)),
+    )  # fmt: skip
+    return row, goals

@@ -8,7 +8,7 @@ from collections import defaultdict
 import numpy as np
 
 from motionkit.control.script import TypePart
-from motionkit.lab.scoreboard.report import Goal, Section
+from motionkit.lab.scoreboard.report import Goal, Section, all_of
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import Body
@@ -198,10 +198,8 @@ def _goals(rows: list[dict], settings: EvaluationSettings) -> list[Goal]:
         bad = [
             row["type"] for row in rows[:-1] if not _within(row.get(column), lowest, highest, row["finite"])
         ]
-        share = 1.0 - len(bad) / max(1, len(rows) - 1)
-        note = f"failed by: {', '.join(bad)}" if bad else ""
         name = f"{settings.stability_seconds:g} s per type, {what}: share of types"
-        goals.append(Goal(name, share, "all", 1.0, None, note))
+        goals.append(all_of(name, [row["type"] for row in rows[:-1]], bad))
     last = rows[-1]
     good = [_within(last.get(column), low, high, last["finite"]) for _, column, low, high in checks]
     failed = ", ".join(what for (what, *_), ok in zip(checks, good, strict=True) if not ok)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.control.script import TypePart
-from motionkit.lab.scoreboard.report import Goal
+from motionkit.lab.scoreboard.report import Goal, at_most
 from motionkit.lab.scoreboard.roles import find_roles
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import Body
 from motionkit.metrics.ground import STANDING_TOE, TOES, ground_speed
 from motionkit.motion.floor import foot_positions
 from motionkit.tables import Table
-from motionkit.training.verdict.rolling import Plan, Progress
+from motionkit.training.verdict.rolling import Plan, Progress, grouped
 
 PART_SECONDS = 2.0
 # A toe slides that is less than so many cm above a standing one and moves faster than so many cm/s.
@@ -47,15 +47,14 @@ def starts_and_stops(trial: Trial, progress: Progress) -> tuple[Table, list[Goal
     ]
     takes = trial.roll(plans, progress)
     rows, goals = [], []
-    for number, gait in enumerate(going):
-        mine = takes[number * repeats : (number + 1) * repeats]
+    for gait, mine in zip(going, grouped(takes, repeats), strict=True):
         recorded = [_share([s.body for s in trial.real.of_type(kind)]) for kind in (stand, str(gait), stand)]
         real = sum(recorded) / len(recorded)
         default, raw = _share([take.default for take in mine]), _share([take.raw for take in mine])
         name = f"{stand} → {gait} → {stand}"
         rows.append((name, default, raw, real))
         if real:
-            goals.append(Goal(f"{name}: low toes that slide / real", default / real, "≤ 1", None, 1.0))
+            goals.append(at_most(f"{name}: low toes that slide / real", default / real, 1.0))
     columns = ("sequence", "low toes that slide", "raw", "recorded")
     return Table("Starts and stops", columns, rows), goals
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,7 +13,7 @@ from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.models.model import MotionModel
 from motionkit.training.verdict.judge import Judge
 from motionkit.training.verdict.real import RealMotion
-from motionkit.training.verdict.rolling import Plan, Progress, Take, roll_plans
+from motionkit.training.verdict.rolling import Plan, Progress, Take, grouped, roll_plans
 
 
 @dataclass(eq=False)
@@ -31,7 +32,7 @@ class Trial:
     each: Map = map
 
     def __post_init__(self) -> None:
-        self._alone: dict[str, list[Take]] | None = None
+        self._alone: dict[str, Sequence[Take]] | None = None
 
     @property
     def real(self) -> RealMotion:
@@ -60,13 +61,12 @@ class Trial:
         """The first seeds of the settings."""
         return range(self.settings.first_seed, self.settings.first_seed + count)
 
-    def alone(self, progress: Progress) -> dict[str, list[Take]]:
+    def alone(self, progress: Progress) -> dict[str, Sequence[Take]]:
         """Takes of each recorded type alone, as `synthesize TYPE` makes them, one for each seed; made once."""
         if self._alone is None:
             kinds, seeds = self.recorded_types, self.seeds(self.settings.seeds)
             part = self.settings.accuracy_seconds
             plans = [Plan((TypePart(kind, part),), seed) for kind in kinds for seed in seeds]
             takes = self.roll(plans, progress)
-            count = len(seeds)
-            self._alone = {kind: takes[i * count : (i + 1) * count] for i, kind in enumerate(kinds)}
+            self._alone = dict(zip(kinds, grouped(takes, len(seeds)), strict=True))
         return self._alone

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.script import TypePart
-from motionkit.lab.scoreboard.report import Section
+from motionkit.lab.scoreboard.report import Section, all_of
+from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.lab.scoreboard.trial import Trial
-from motionkit.lab.scoreboard.visible import share_of_types
 from motionkit.metrics.body import Body
 from motionkit.metrics.variety import (
     LOOP_SECONDS,
@@ -23,7 +24,7 @@ from motionkit.metrics.variety import (
 )
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.real import mirrored_poses
-from motionkit.training.verdict.rolling import Plan, Progress
+from motionkit.training.verdict.rolling import Plan, Progress, Take
 
 DRAWN = 0.8  # target share of a type's recordings, by length
 APART = 0.5  # target distance of two seeds relative to that of two recordings
@@ -58,50 +59,16 @@ def recorded_poses(bodies: list[Body]) -> Recorded | None:
 def variety_section(trial: Trial, progress: Progress) -> Section:
     """Measure the section: many seeds of each type alone, and one long roll-out."""
     takes = trial.alone(lambda share: progress(0.4 * share))
-    kinds = tuple(takes)
-    plans = [Plan((TypePart(kind, LONG_SECONDS),), trial.settings.first_seed) for kind in kinds]
+    plans = [Plan((TypePart(kind, LONG_SECONDS),), trial.settings.first_seed) for kind in takes]
     long = trial.roll(plans, lambda share: progress(0.4 + 0.3 * share))
     rows: list[tuple[Cell, ...]] = []
-    measured: dict[str, list[str]] = {"apart": [], "drawn": [], "loop": [], "far": []}
-    failing: dict[str, list[str]] = {"apart": [], "drawn": [], "loop": [], "far": []}
-
-    def judge(what: str, kind: str, reached: bool) -> None:
-        measured[what].append(kind)
-        if not reached:
-            failing[what].append(kind)
-
-    for number, kind in enumerate(kinds):
-        stretches = trial.real.of_type(kind)
-        recorded = recorded_poses([stretch.body for stretch in stretches])
-        if recorded is None:
-            continue
-        mine = [poses_of(take.default) for take in takes[kind]]
-        places = [recorded.windows.places(poses) for poses in mine]
-        gap, real_gap = mean_pose_gap(mine), mean_pose_gap(recorded.poses)
-        drawn = drawn_share(places, recorded.lengths)
-        learnt = recorded_poses([stretch.body for stretch in stretches if stretch.split == "train"])
-        drawn_learnt = None if learnt is None else drawn_share(
-            [learnt.windows.places(poses) for poses in mine], learnt.lengths
-        )  # fmt: skip
-        near = float(np.concatenate([place.distances for place in places]).mean())
-        stretch = max(place.longest_stretch() for place in places)
-        take_apart, take_stretch = _against_others(recorded)
-        loop = loop_seconds(poses_of(long[number].default)).value
-        real_loop = _recorded_loop(recorded)
-        seconds = sum(stretch.body.seconds for stretch in stretches)
-        rows.append((
-            kind, gap, real_gap, drawn_learnt, drawn, len(recorded.poses), near, take_apart, stretch, take_stretch,
-            loop, real_loop,
-        ))  # fmt: skip
-        if gap is not None and real_gap is not None:
-            judge("apart", kind, gap >= APART * real_gap)
-        if drawn_learnt is not None:
-            judge("drawn", kind, drawn_learnt >= DRAWN)
-        if take_apart is not None:
-            judge("far", kind, near >= FROM_RECORDINGS * take_apart)
-        if seconds >= LONG_SECONDS and real_loop is None and not trial.model.types[kind].steered:
-            judge("loop", kind, loop is None)
-        progress(0.7 + 0.3 * (number + 1) / len(kinds))
+    reached: dict[str, dict[str, bool]] = {}
+    for number, kind in enumerate(takes):
+        found = _measured(trial, kind, takes[kind], long[number])
+        if found is not None:
+            rows.append(found[0])
+            reached[kind] = found[1]
+        progress(0.7 + 0.3 * (number + 1) / len(takes))
     columns = (
         "type", "seeds apart, cm", "recordings apart, cm", "training recordings drawn on", "of all", "recordings",
         "nearest recording, cm", "recordings to the nearest other, cm", "along one recording, s",
@@ -113,21 +80,62 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
         "far": "as far from the nearest recording as another take of it: share of types",
         "loop": f"no loop within {LONG_SECONDS:g} s where that much is recorded: share of types",
     }
-    goals = [share_of_types(name, measured[what], failing[what]) for what, name in names.items()]
-    notes = [
-        f"{trial.settings.seeds} roll-outs of {trial.settings.accuracy_seconds:g} s per type, and one of "
-        f"{LONG_SECONDS:g} s, as synthesize makes them by default; poses at {POSE_RATE:g} Hz, relative to the ground "
-        "below the root and to the heading, in cm per joint",
+    goals = []
+    for what, name in names.items():
+        kinds = [kind for kind, of_kind in reached.items() if what in of_kind]
+        goals.append(all_of(name, kinds, [kind for kind in kinds if not reached[kind][what]]))
+    tables = [Table("Seeds and recordings", columns, rows)]
+    return Section("variety", "Variety", tables, goals, _notes(trial.settings))
+
+
+def _measured(
+    trial: Trial, kind: str, takes: Sequence[Take], long: Take
+) -> tuple[tuple[Cell, ...], dict[str, bool]] | None:
+    """The row of a type, and which goals that can be measured it reaches; None without recordings to compare with."""
+    stretches = trial.real.of_type(kind)
+    recorded = recorded_poses([stretch.body for stretch in stretches])
+    if recorded is None:
+        return None
+    learnt = recorded_poses([stretch.body for stretch in stretches if stretch.split == "train"])
+    mine = [poses_of(take.default) for take in takes]
+    places = [recorded.windows.places(poses) for poses in mine]
+    gap, real_gap = mean_pose_gap(mine), mean_pose_gap(recorded.poses)
+    drawn, drawn_learnt = drawn_share(places, recorded.lengths), None
+    near = float(np.concatenate([place.distances for place in places]).mean())
+    stretch = max(place.longest_stretch() for place in places)
+    take_apart, take_stretch = _against_others(recorded)
+    loop, real_loop = loop_seconds(poses_of(long.default)).value, _recorded_loop(recorded)
+    reached: dict[str, bool] = {}
+    if gap is not None and real_gap is not None:
+        reached["apart"] = gap >= APART * real_gap
+    if learnt is not None:
+        drawn_learnt = drawn_share([learnt.windows.places(poses) for poses in mine], learnt.lengths)
+        reached["drawn"] = drawn_learnt >= DRAWN
+    if take_apart is not None:
+        reached["far"] = near >= FROM_RECORDINGS * take_apart
+    seconds = sum(stretch.body.seconds for stretch in stretches)
+    if seconds >= LONG_SECONDS and real_loop is None and not trial.model.types[kind].steered:
+        reached["loop"] = loop is None
+    row = (
+        kind, gap, real_gap, drawn_learnt, drawn, len(recorded.poses), near, take_apart, stretch, take_stretch, loop,
+        real_loop,
+    )  # fmt: skip
+    return row, reached
+
+
+def _notes(settings: EvaluationSettings) -> list[str]:
+    return [
+        f"{settings.seeds} roll-outs of {settings.accuracy_seconds:g} s per type, and one of {LONG_SECONDS:g} s, as "
+        f"synthesize makes them by default; poses at {POSE_RATE:g} Hz, relative to the ground below the root and to "
+        "the heading, in cm per joint",
         "apart: mean distance of the poses of two seeds, or of two recordings, at equal times from their beginnings",
         "drawn on: share of the recordings, by length, that half a second of some roll-out is nearest to, mirror "
         "images included: of those to learn from, and of all, held-out ones too; nearest recording: mean distance of "
-        "these half seconds; beside it, that of a recording to "
-        "the others",
+        "these half seconds; beside it, that of a recording to the others",
         "along one recording: longest time for which the nearest place goes on at its own pace",
         f"loop: shortest time from {LOOP_SECONDS:g} s on after which the long roll-out repeats itself; gaits repeat by "
         "nature and have no target",
     ]
-    return Section("variety", "Variety", [Table("Seeds and recordings", columns, rows)], goals, notes)
 
 
 def _against_others(recorded: Recorded) -> tuple[float | None, float | None]:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from motionkit.lab.scoreboard.report import Goal, Section
+from motionkit.lab.scoreboard.report import Goal, Section, all_of, at_most
 from motionkit.lab.scoreboard.roles import bears_on_hands
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import Body
@@ -74,14 +74,13 @@ def _leaps(default: Bodies, raw: Bodies, real: Bodies, gaits: set[str]) -> Part:
     all_flipped = 0
     rates: dict[str, float] = {}
     for kind, bodies in default.items():
-        fastest = max((fastest_turn(b.rotations, b.fps) for b in bodies), key=_value)
-        recorded = max((_value(fastest_turn(b.rotations, b.fps)) for b in real[kind]), default=None)
+        fastest, joint = fastest_joint(bodies)
+        recorded = fastest_joint(real[kind])[0] if real[kind] else None
         flipped = sum(flips(body) for body in bodies)
         all_flipped += flipped
         rates[kind] = _mean(leaps, bodies)
         own = _mean(leaps, real[kind]) if real[kind] else None
-        leaping = sum(_value(leaps(body.positions)) > 0.0 for body in bodies)
-        joint = str(fastest.parameters["joint"])
+        leaping = sum(value_of(leaps(body.positions)) > 0.0 for body in bodies)
         rows.append(
             (
                 kind,
@@ -90,7 +89,7 @@ def _leaps(default: Bodies, raw: Bodies, real: Bodies, gaits: set[str]) -> Part:
                 _mean(leaps, raw[kind]),
                 own,
                 flipped,
-                fastest.value,
+                fastest,
                 joint,
                 recorded,
             )
@@ -103,17 +102,21 @@ def _leaps(default: Bodies, raw: Bodies, real: Bodies, gaits: set[str]) -> Part:
     worst = max(rates, key=lambda kind: rates[kind]) if rates else ""
     goals = [
         Goal("leaps of knees and elbows a minute in gaits", max(walking, default=None), "0", None, 0.0),
-        Goal(
+        at_most(
             "leaps of knees and elbows a minute, worst type",
             rates.get(worst),
-            f"≤ {LEAP_LIMIT:g}",
-            None,
             LEAP_LIMIT,
             worst if rates and rates[worst] > 0.0 else "",
         ),
         Goal("roll-outs whose body flips in one frame", float(all_flipped), "0", None, 0.0),
     ]
     return Table("Leaps and turns", columns, rows), goals
+
+
+def fastest_joint(bodies: Sequence[Body]) -> tuple[float, str]:
+    """Return the fastest turn of a joint over all bodies in degrees per second, and the joint."""
+    found = max((fastest_turn(b.rotations, b.fps) for b in bodies), key=value_of)
+    return value_of(found), str(found.parameters["joint"])
 
 
 def flips(body: Body) -> bool:
@@ -144,10 +147,8 @@ def _touch(default: Bodies, raw: Bodies, real: Bodies) -> Part:
     )  # fmt: skip
     limits = f"planted {PLANTED[0]:g} to {PLANTED[1]:g} times as long as recorded: share of types"
     goals = [
-        share_of_types(limits, kinds, unplanted),
-        share_of_types(
-            f"hovers at most {HOVER_MORE:.0%} more than recorded: share of types", kinds, hovering
-        ),
+        all_of(limits, kinds, unplanted),
+        all_of(f"hovers at most {HOVER_MORE:.0%} more than recorded: share of types", kinds, hovering),
     ]
     return Table("Planted and hovering", columns, rows), goals
 
@@ -163,7 +164,7 @@ def _lowest(default: Bodies, raw: Bodies, real: Bodies, handstands: list[str]) -
             deep.append(kind)
     columns = ("type", *(name for group in GROUPS for name in (group, f"{group}, recorded")), "body, raw")
     what = f"no joint more than {DEPTH:g} cm below the ground, or deeper than recorded: share of types"
-    goals.append(share_of_types(what, kinds, deep))
+    goals.append(all_of(what, kinds, deep))
     for kind in handstands:
         if kind in kinds:
             apart = _hands(default[kind]) - _hands(real[kind])
@@ -175,7 +176,8 @@ def _lowest(default: Bodies, raw: Bodies, real: Bodies, handstands: list[str]) -
 def _lowest_points(bodies: list[Body]) -> list[float]:
     """Return the lowest of each of GROUPS over all bodies, in cm."""
     return [
-        min(map(_value, points)) for points in zip(*(lowest_points(b.positions) for b in bodies), strict=True)
+        min(map(value_of, points))
+        for points in zip(*(lowest_points(b.positions) for b in bodies), strict=True)
     ]
 
 
@@ -230,20 +232,15 @@ def _gaits(default: Bodies, real: Bodies, gaits: set[str]) -> Part:
     return Table("Trunk and arms of gaits", columns, rows), []
 
 
-def share_of_types(what: str, kinds: Sequence[str], failing: Sequence[str]) -> Goal:
-    """Return the goal that all types reach something; its note names those that do not."""
-    value = 1.0 - len(failing) / len(kinds) if kinds else None
-    return Goal(what, value, "all", 1.0, None, f"failed by: {', '.join(failing)}" if failing else "")
-
-
-def _value(measured: MetricValue) -> float:
+def value_of(measured: MetricValue) -> float:
+    """Return the value of a metric that has one or raises."""
     assert measured.value is not None, "these metrics have a value or raise"
     return measured.value
 
 
 def _mean(measure: Callable[..., MetricValue], bodies: list[Body]) -> float:
     """Return the mean of a metric of positions, each motion weighted by its length."""
-    return _mean_of([_value(measure(body.positions)) for body in bodies], bodies)
+    return _mean_of([value_of(measure(body.positions)) for body in bodies], bodies)
 
 
 def _mean_of(values: list[float], bodies: list[Body]) -> float:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -27,6 +28,8 @@ BATCH = 24  # characters that are rolled out together, by one process
 
 # Called with the share of the work that is done (0 to 1).
 Progress = Callable[[float], None]
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True)
@@ -56,6 +59,11 @@ class Walk:
     take: Take
     finished: bool
     part_frames: tuple[int, ...]
+
+
+def grouped(takes: Sequence[T], size: int) -> list[Sequence[T]]:
+    """Return what was rolled out in groups of so many, such as those of one type."""
+    return [takes[i : i + size] for i in range(0, len(takes), size)]
 
 
 def commanded_plans(

@@ -7,7 +7,7 @@ also follow a path. The measures are those of the scoreboard; only the roll-outs
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,7 +25,7 @@ from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.tables import Table
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
 from motionkit.training.verdict.real import PROFILE_SECONDS, SHORTEST, RealMotion
-from motionkit.training.verdict.rolling import Take, commanded_plans, roll_paths, roll_plans
+from motionkit.training.verdict.rolling import Take, commanded_plans, grouped, roll_paths, roll_plans
 
 
 @dataclass(frozen=True)
@@ -114,10 +114,9 @@ def quick_verdicts(
     report = progress or (lambda share: None)
     takes = roll_plans(model, plans, settings.noise, each, lambda share: report(0.7 * share))
     paths = _path_distances(model, kinds, settings, lambda share: report(0.7 + 0.3 * share))
-    size = settings.seeds
     verdicts = {
-        kind: _verdict(model, judge, kind, takes[i * size : (i + 1) * size], paths.get(kind))
-        for i, kind in enumerate(kinds)
+        kind: _verdict(model, judge, kind, mine, paths.get(kind))
+        for kind, mine in zip(kinds, grouped(takes, settings.seeds), strict=True)
     }
     real = judge.real
     return [verdicts.get(kind) or _unlearnt(real, kind) for kind in model.types if kind in real.types]
@@ -185,7 +184,7 @@ def verdict_page(verdicts: list[TypeVerdict], settings: VerdictSettings) -> str:
 
 
 def _verdict(
-    model: MotionModel, judge: Judge, kind: str, takes: list[Take], path: float | None
+    model: MotionModel, judge: Judge, kind: str, takes: Sequence[Take], path: float | None
 ) -> TypeVerdict:
     skip = round(NEUTRAL_SECONDS * model.fps)
     bodies = [take.default.cut(skip, len(take.default)) for take in takes]
@@ -221,12 +220,12 @@ def _path_distances(
             paths[kind] = shape_path("figure-eight", radius, [kind], None)
     seeds = range(settings.first_seed, settings.first_seed + settings.repeats)
     tasks = [(path, seed) for path in paths.values() for seed in seeds]
-    found: dict[str, list[float]] = {kind: [] for kind in paths}
     walks = roll_paths(model, tasks, settings.noise, progress=progress)
-    for kind, walk in zip(np.repeat(list(paths), len(seeds)).tolist(), walks, strict=True):
-        track = walk.take.default.positions[:, 0, [0, 2]]
-        found[kind].append(trajectory_distance(track, paths[kind].points).mean)
-    return {kind: float(np.mean(distances)) for kind, distances in found.items()}
+    out = {}
+    for (kind, path), mine in zip(paths.items(), grouped(walks, len(seeds)), strict=True):
+        tracks = [walk.take.default.positions[:, 0, [0, 2]] for walk in mine]
+        out[kind] = float(np.mean([trajectory_distance(track, path.points).mean for track in tracks]))
+    return out
 
 
 def _sliding(body: Body) -> float:
