@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.data.phases import type_stretches
 from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion, integrate_ground
 from motionkit.inference.rollout import RolloutState, default_noise, run
 from motionkit.inference.start import INIT_FRAMES
+from motionkit.metrics.report import evaluate_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton
@@ -59,6 +61,25 @@ def held_out(
             most = int(np.bincount(data.types[initial : initial + frames]).argmax())
             out.append(HeldOut(clip, data, initial, frames, dataset.types[most]))
     return out
+
+
+def stretches(dataset: Dataset, split: str, kind: str = "") -> Iterator[tuple[Clip, int, int, str]]:
+    """Yield clip, start, end and type of the stretches of a split: those of one type, or of all if kind is ""."""
+    for clip in dataset.select(split):
+        for start, end, number in type_stretches(dataset.clip_types(clip)):
+            if kind in ("", dataset.types[number]):
+                yield clip, start, end, dataset.types[number]
+
+
+def compared(
+    motion: Motion, truth: Motion, metrics: Collection[str]
+) -> dict[str, tuple[float | None, float | None]]:
+    """Return the values of metrics by id, of a motion and of the recorded one; None where there is none."""
+    return {
+        row.id: (row.motion.value, row.ground_truth.value if row.ground_truth else None)
+        for row in evaluate_motion(motion, truth).rows
+        if row.id in metrics
+    }
 
 
 def recorded_motion(dataset: Dataset, sequence: HeldOut, body: Skeleton) -> Motion:

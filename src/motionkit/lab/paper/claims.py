@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 from motionkit.lab.paper.published import paper_row
-from motionkit.lab.paper.tables import MAIN, Column, Figure, Results, figure_of
+from motionkit.lab.paper.tables import MAIN, Column, Figure, Results, figure_of, named, names_of
 from motionkit.tables import Table
 
 CLAIMS_HEADER = ("the paper's claim (section 5.5)", "metric", "paper", "here", "verdict")
@@ -46,13 +45,8 @@ CLAIMS = (
 
 def claims_table(results: Results, title: str) -> Table:
     """Return the claims about the variants that one folder of results holds, with the verdict on each."""
-    by_name: dict[str, list[dict[str, Any]]] = {}
-    for result in results:
-        by_name.setdefault(result["name"], []).append(result)
-    rows = []
-    for claim in CLAIMS:
-        if claim.rival in by_name and "TPTN" in by_name:
-            rows.append(_row(claim, by_name["TPTN"], by_name[claim.rival]))
+    mine = named(results, "TPTN")
+    rows = [_row(claim, mine, theirs) for claim in CLAIMS if mine and (theirs := named(results, claim.rival))]
     return Table(title, CLAIMS_HEADER, tuple(rows))
 
 
@@ -91,8 +85,8 @@ def verdict(column: Column, ours: Figure, rival: Figure, truth: Figure | None) -
 
 def blind(results: Results) -> list[str]:
     """Return the part transformers whose predicted trajectory hardly depends on the frames fed in (derivatives.py)."""
-    gains: dict[str, list[float]] = {}
-    for result in results:
-        if result.get("derivatives"):
-            gains.setdefault(result["name"], []).append(result["derivatives"]["features"])
-    return [name for name, found in gains.items() if sum(found) / len(found) < BLIND]
+    gains = {
+        name: [r["derivatives"]["features"] for r in named(results, name) if r.get("derivatives")]
+        for name in names_of(results)
+    }
+    return [name for name, found in gains.items() if found and sum(found) / len(found) < BLIND]

@@ -13,7 +13,7 @@ import torch
 from motionkit.errors import MotionkitError
 from motionkit.features.control import ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.lab.paper.tables import Results, figure_of
+from motionkit.lab.paper.tables import Results, figure_of, in_folder, named, names_of
 from motionkit.lab.paper.variants import variant
 from motionkit.models.architectures import build
 from motionkit.models.presets import preset
@@ -40,7 +40,7 @@ def write_figures(results: Results, folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     out = []
     for name in sorted({result["folder"] for result in results}):
-        here = [result for result in results if result["folder"] == name]
+        here = in_folder(results, name)
         stem = name.replace("/", "-")
         curves = _curves(here)
         if curves:
@@ -66,8 +66,8 @@ def _curves(results: Results) -> tuple[Series, ...]:
 
 def _movement(results: Results) -> tuple[Series, ...]:
     out = []
-    for name in dict.fromkeys(r["name"] for r in results):
-        mine = [r for r in results if r["name"] == name]
+    for name in names_of(results):
+        mine = named(results, name)
         sliding, moving = figure_of(mine, "afs"), figure_of(mine, "bm-euler")
         if sliding and moving:
             out.append(Series(name, ((sliding.mean, moving.mean),), joined=False))

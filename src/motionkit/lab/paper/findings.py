@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from motionkit.lab.paper.claims import BLIND, blind
-from motionkit.lab.paper.tables import Results, figure_of, protocol_folders
+from motionkit.lab.paper.tables import Results, figure_of, in_folder, named, names_of, protocol_folders
 from motionkit.lab.paper.variants import VARIANTS
 from motionkit.names import counted
 
@@ -12,7 +12,7 @@ def findings(results: Results) -> list[str]:
     """Say of each of the paper's claims what these results say, with the spread; by rule, from the figures."""
     lines = []
     for folder in protocol_folders(results):
-        here = [result for result in results if result["folder"] == folder]
+        here = in_folder(results, folder)
         for rival, claim in (
             ("EBTN", "two parts against the whole body"),
             ("w/o-FFL", "the fusion layer"),
@@ -36,11 +36,11 @@ def findings(results: Results) -> list[str]:
 def _by_budget(results: Results) -> list[str]:
     """Say what more training does to TPTN, for each data set with more than one budget."""
     lines = []
-    mine = [r for r in results if r["name"] == "TPTN" and "budget" in r]
+    mine = [r for r in named(results, "TPTN") if "budget" in r]
     for data in dict.fromkeys(r["data"] for r in mine):
         words = []
         for folder in dict.fromkeys(r["folder"] for r in mine if r["data"] == data):
-            here = [r for r in mine if r["folder"] == folder]
+            here = in_folder(mine, folder)
             budget = here[0]["budget"]
             found = [
                 f"{title} {each.mean:.3g} ± {each.spread:.2g}"
@@ -62,10 +62,10 @@ def _beyond_spread(folder: str, results: Results) -> list[str]:
     lines = []
     names = [v.name for v in VARIANTS if v.preset and v.group != "tptn"]
     for metric, title in (("mpjpe", "MPJPE"), ("afs", "AFS")):
-        mine = figure_of([r for r in results if r["name"] == "TPTN"], metric)
+        mine = figure_of(named(results, "TPTN"), metric)
         if mine is None or mine.seeds < 2:
             continue
-        theirs = {name: figure_of([r for r in results if r["name"] == name], metric) for name in names}
+        theirs = {name: figure_of(named(results, name), metric) for name in names}
         gaps = {name: found.mean - mine.mean for name, found in theirs.items() if found is not None}
         lower, higher = (
             [name for name, gap in gaps.items() if sign * gap > 2.0 * mine.spread] for sign in (-1.0, 1.0)
@@ -82,8 +82,8 @@ def _beyond_spread(folder: str, results: Results) -> list[str]:
 def _still(folder: str, results: Results) -> list[str]:
     """Name the networks that hardly move, whose feet therefore hardly slide."""
     moved: dict[str, float] = {}
-    for name in dict.fromkeys(r["name"] for r in results if r.get("parameters")):
-        mine = [r for r in results if r["name"] == name]
+    for name in names_of([r for r in results if r.get("parameters")]):
+        mine = named(results, name)
         made, recorded = (figure_of(mine, "bm-euler", recorded=side) for side in (False, True))
         if made and recorded and made.mean < 0.5 * recorded.mean:
             moved[name] = made.mean / recorded.mean
@@ -111,13 +111,10 @@ def _blind(folder: str, results: Results) -> list[str]:
 def _unlearnt(folder: str, results: Results) -> list[str]:
     """Say so where the networks have not learnt enough for a comparison of what they can learn."""
     networks = [r for r in results if r.get("parameters")]
-    floor = figure_of([r for r in results if r["name"] == "motion matching"], "mpjpe")
+    floor = figure_of(named(results, "motion matching"), "mpjpe")
     if not networks or floor is None:
         return []
-    errors = {
-        name: figure_of([r for r in networks if r["name"] == name], "mpjpe")
-        for name in dict.fromkeys(r["name"] for r in networks)
-    }
+    errors = {name: figure_of(named(networks, name), "mpjpe") for name in names_of(networks)}
     better = sorted(name for name, error in errors.items() if error and error.mean < floor.mean)
     if len(better) > len(errors) / 2:
         return []
@@ -129,8 +126,8 @@ def _unlearnt(folder: str, results: Results) -> list[str]:
 
 
 def _compared(results: Results, rival: str) -> str:
-    mine = [r for r in results if r["name"] == "TPTN"]
-    theirs = [r for r in results if r["name"] == rival]
+    mine = named(results, "TPTN")
+    theirs = named(results, rival)
     if not mine or not theirs:
         return ""
     words = []

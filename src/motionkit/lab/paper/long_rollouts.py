@@ -15,10 +15,9 @@ import numpy as np
 
 from motionkit.arrays import Array, distances_between
 from motionkit.data.dataset import Dataset
-from motionkit.data.phases import type_stretches
 from motionkit.errors import ControlError, DatasetError, MotionkitError
 from motionkit.features.control import Controls
-from motionkit.lab.held_out import HeldOut, continued, decoded
+from motionkit.lab.held_out import HeldOut, continued, decoded, stretches
 from motionkit.lab.paper.datasets import is_dance
 from motionkit.lab.statistics import rounded
 from motionkit.models.model import MotionModel
@@ -54,10 +53,8 @@ def long_types(dataset: Dataset, asked: Sequence[str] = ()) -> list[str]:
         DatasetError: if one of them has no test clip.
     """
     counts: dict[str, int] = {}
-    for clip in dataset.select("test"):
-        for start, end, number in type_stretches(dataset.clip_types(clip)):
-            kind = dataset.types[number]
-            counts[kind] = max(counts.get(kind, 0), end - start)
+    for _, start, end, kind in stretches(dataset, "test"):
+        counts[kind] = max(counts.get(kind, 0), end - start)
     dances = sorted((kind for kind in counts if is_dance(kind)), key=lambda k: (-counts[k], k))
     kinds = list(asked) or ["walking", "running", *dances[:1]]
     lacking = [kind for kind in kinds if counts.get(kind, 0) < INITIAL]
@@ -95,16 +92,9 @@ def check_layout(dataset: Dataset, model: MotionModel) -> None:
 
 def beginning(dataset: Dataset, kind: str) -> HeldOut:
     """Return the first INITIAL frames of the longest stretch of a type in the test clips, and the frames after them."""
-    best: tuple[int, HeldOut] | None = None
-    for clip in dataset.select("test"):
-        for start, end, number in type_stretches(dataset.clip_types(clip)):
-            frames = end - start
-            if dataset.types[number] == kind and frames >= INITIAL and (best is None or frames > best[0]):
-                stretch = replace(clip, start=clip.start + start, frames=frames)
-                data = dataset.read(stretch)
-                best = frames, HeldOut(stretch, data, INITIAL, frames - INITIAL, kind)
-    assert best is not None, "long_types() found one"
-    return best[1]
+    clip, start, end, _ = max(stretches(dataset, "test", kind), key=lambda each: each[2] - each[1])
+    stretch = replace(clip, start=clip.start + start, frames=end - start)
+    return HeldOut(stretch, dataset.read(stretch), INITIAL, end - start - INITIAL, kind)
 
 
 def long_rollout(
@@ -206,14 +196,13 @@ def fastest_recorded(dataset: Dataset, kind: str, frames: int) -> float:
 
     Shorter stretches count as a whole if they last a second.
     """
-    number, speeds = dataset.types.index(kind), [0.0]
-    for clip in dataset.select("train"):
-        data = dataset.read(clip)
-        for start, end, shown in type_stretches(data.types):
-            if shown == number and end - start >= dataset.fps:
-                steps = np.linalg.norm(np.diff(data.ground[start:end, :2].astype(np.float64), axis=0), axis=1)
-                way, count = np.pad(steps.cumsum(), (1, 0)), min(len(steps), frames - 1)
-                speeds.append(float((way[count:] - way[:-count]).max()) / count * dataset.fps)
+    speeds = [0.0]
+    for clip, start, end, _ in stretches(dataset, "train", kind):
+        if end - start >= dataset.fps:
+            ground = dataset.read(clip, start, end).ground[:, :2].astype(np.float64)
+            steps = np.linalg.norm(np.diff(ground, axis=0), axis=1)
+            way, count = np.pad(steps.cumsum(), (1, 0)), min(len(steps), frames - 1)
+            speeds.append(float((way[count:] - way[:-count]).max()) / count * dataset.fps)
     return rounded(max(speeds))
 
 

@@ -13,12 +13,11 @@ from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
-from motionkit.lab.held_out import Continue, HeldOut, continued, decoded
+from motionkit.lab.held_out import Continue, HeldOut, compared, continued, decoded
 from motionkit.lab.paper.datasets import is_dance
-from motionkit.lab.statistics import rounded
+from motionkit.lab.statistics import rounded, weighted_mean
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
-from motionkit.metrics.report import evaluate_motion
 from motionkit.metrics.value import MetricValue
 from motionkit.models.model import MotionModel
 from motionkit.models.parts import partition
@@ -123,12 +122,8 @@ def _of_sets(measured: Callable[[], MetricValue]) -> float | None:
 
 def _values(motion: Motion, truth: Motion) -> dict[str, list[float | None]]:
     """Return metric id to [made, recorded]; null where it cannot be measured."""
-    report = evaluate_motion(motion, truth)
-    out: dict[str, list[float | None]] = {}
-    for row in report.rows:
-        if row.id in METRICS:
-            true = None if row.ground_truth is None else row.ground_truth.value
-            out[row.id] = [_rounded(row.motion.value), _rounded(true)]
+    found = compared(motion, truth, METRICS)
+    out = {metric: [_rounded(made), _rounded(real)] for metric, (made, real) in found.items()}
     for name, joints in (("bm-upper", UPPER), ("bm-lower", LOWER)):
         pair = (
             body_movement(each.local_rotations[:, list(joints)], "euler").value for each in (motion, truth)
@@ -145,14 +140,7 @@ def means(rows: list[dict]) -> dict[str, list[float | None]]:
     """Return means over frames of [made, recorded] of each metric, from rows of sequences."""
     out: dict[str, list[float | None]] = {}
     for metric in rows[0]["values"]:
-        pair: list[float | None] = []
-        for side in (0, 1):
-            known = [
-                (r["values"][metric][side], r["frames"])
-                for r in rows
-                if r["values"][metric][side] is not None
-            ]
-            total = sum(frames for _, frames in known)
-            pair.append(_rounded(sum(v * n for v, n in known) / total) if total else None)
-        out[metric] = pair
+        sides = ([(r["values"][metric][side], r["frames"]) for r in rows] for side in (0, 1))
+        known = ([pair for pair in each if pair[0] is not None] for each in sides)
+        out[metric] = [_rounded(weighted_mean(each)) if each else None for each in known]
     return out

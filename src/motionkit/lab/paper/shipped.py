@@ -6,7 +6,6 @@ the performer's, as `synthesize --character` does.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +16,8 @@ from motionkit.arrays import Array
 from motionkit.control.synthesize import on_character
 from motionkit.data.dataset import Dataset
 from motionkit.features.encode import encode_motion
-from motionkit.files import atomic_write
 from motionkit.lab.held_out import Continue, HeldOut, held_out, recorded_motion
-from motionkit.lab.paper.model_results import SHIPPED_GROUP, made_from
+from motionkit.lab.paper.model_results import SHIPPED_GROUP, made_from, write_result
 from motionkit.lab.paper.protocol import measure
 from motionkit.lab.paper.variants import variant
 from motionkit.lab.scoreboard.reconstruction import as_motion, roll_like
@@ -93,8 +91,7 @@ def run_shipped(
                 "made": made_from(dataset),
             }
             file = folder / f"{name.replace(' ', '-')}-{seed}.json"
-            with atomic_write(file, "w") as stream:
-                stream.write(json.dumps({**result, "parameters": 0, **measured}, indent=1) + "\n")
+            write_result(file, {**result, "parameters": 0, **measured})
             out.append(file)
             progress(len(out) / (seeds * len(models)))
     return out

@@ -73,6 +73,21 @@ GROUP_TITLES = {
 }
 
 
+def named(results: Results, name: str) -> list[dict[str, Any]]:
+    """Return the results of a variant."""
+    return [result for result in results if result["name"] == name]
+
+
+def in_folder(results: Results, folder: str) -> list[dict[str, Any]]:
+    """Return the results of a data set and budget."""
+    return [result for result in results if result["folder"] == folder]
+
+
+def names_of(results: Results) -> list[str]:
+    """Return the names of variants in results, in their order."""
+    return list(dict.fromkeys(result["name"] for result in results))
+
+
 def figure_of(results: Results, metric: str, group: str = "all", recorded: bool = False) -> Figure | None:
     """Return a metric's figure over results of one variant; None where no run has it."""
     values = []
@@ -102,8 +117,7 @@ def tables(results: Results) -> list[Table]:
     """Return all tables: for each data set and budget the groups of variants, beside TPTN."""
     out = []
     for folder in protocol_folders(results):
-        here = [result for result in results if result["folder"] == folder]
-        out += _folder_tables(folder, here)
+        out += _folder_tables(folder, in_folder(results, folder))
     return out + _shipped_tables(results)
 
 
@@ -116,7 +130,7 @@ def _shipped_tables(results: Results) -> list[Table]:
     """The shipped model beside each folder's networks, all on the sequences it has not seen."""
     out = []
     for folder in protocol_folders(results):
-        here = [r for r in results if r["folder"] == folder]
+        here = in_folder(results, folder)
         selection, longest = here[0]["data"], here[0]["longest"]
         shipped = [r for r in results if (r["group"], r["data"], r["longest"]) == (GROUP, selection, longest)]
         if not shipped:
@@ -127,7 +141,7 @@ def _shipped_tables(results: Results) -> list[Table]:
             kept = _of_names(each, names)
             if kept and each["group"] in (GROUP, "tptn", "baselines", "floors"):
                 by_name[each["name"]].append(each | {"groups": {"all": means(kept)}})
-        own = [Variant(name, GROUP, "") for name in dict.fromkeys(r["name"] for r in shipped)]
+        own = [Variant(name, GROUP, "") for name in names_of(shipped)]
         members = [*own, *(v for v in VARIANTS if v.name in by_name)]
         title = f"The shipped model as shipped, on {len(names)} recordings it has not seen: {_named(folder)}"
         out.append(_table(title, "", members, by_name, MAIN))
@@ -146,9 +160,7 @@ def _recording(row: dict[str, Any]) -> str:
 
 
 def _folder_tables(folder: str, results: Results) -> list[Table]:
-    by_name: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for result in results:
-        by_name[result["name"]].append(result)
+    by_name = {name: named(results, name) for name in names_of(results)}
     selection = results[0]["data"]
     out = []
     for group, title in GROUP_TITLES.items():
@@ -271,7 +283,7 @@ def budget_lines(results: Results) -> list[str]:
     """Say in a line per folder what its runs were given, and how many there are."""
     lines = []
     for folder in protocol_folders(results):
-        here = [r for r in results if r["folder"] == folder]
+        here = in_folder(results, folder)
         trained = [r for r in here if "budget" in r]
         selection = SELECTIONS[here[0]["data"]]
         line = f"**{_named(folder)}**: {selection.text}; {counted(len(here), 'result')}."
@@ -327,12 +339,13 @@ def _command(here: list[dict[str, Any]], folder: str) -> str:
 
 def missing(results: Results, folder: str) -> list[str]:
     """Return the variants, with how many runs, that a folder still lacks."""
-    seeds: dict[str, set[int]] = defaultdict(set)
-    for result in results:
-        if result["folder"] == folder:
-            seeds[result["name"]].add(result["seed"])
+    here = in_folder(results, folder)
     budget = folder.partition("/")[2].partition("-")[0]
-    lacking = [(v.name, v.seeds - len(seeds[v.name])) for v in VARIANTS if v.runs_at(budget)]
+    lacking = [
+        (v.name, v.seeds - len({result["seed"] for result in named(here, v.name)}))
+        for v in VARIANTS
+        if v.runs_at(budget)
+    ]
     return [f"{name} ({count})" if count > 1 else name for name, count in lacking if count > 0]
 
 

@@ -14,14 +14,13 @@ from motionkit.features.control import Controls
 from motionkit.inference.rollout import RolloutState, run
 from motionkit.inference.start import INIT_FRAMES
 from motionkit.lab.floors import last_frame, nearest_clip
-from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, decoded, held_out, recorded_motion
+from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, compared, decoded, held_out, recorded_motion
 from motionkit.lab.scoreboard.report import Goal, Section, at_least, at_most
 from motionkit.lab.scoreboard.sequence_controls import SequenceControls
 from motionkit.lab.scoreboard.settings import EvaluationSettings
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.lab.statistics import weighted_mean
 from motionkit.metrics.body import Body, body_of
-from motionkit.metrics.report import evaluate_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.tables import Table
@@ -131,13 +130,12 @@ def _measured(trial: Trial, clips: list[HeldOut], progress: Progress) -> Means:
             candidates |= _baselines(trial, clip, recorded, floors)
         truth = recorded.cut(clip.initial, clip.initial + clip.frames)
         for variant, candidate in candidates.items():
-            for row in evaluate_motion(candidate, truth).rows:
-                if row.id not in METRICS or row.motion.value is None or row.ground_truth is None:
-                    continue
+            for metric, (made, real) in compared(candidate, truth, METRICS).items():
                 for group in (clip.kind, "all"):
-                    found[group, variant][row.id].append((row.motion.value, clip.frames))
-                    if variant == "model" and row.ground_truth.value is not None:
-                        found[group, "ground truth"][row.id].append((row.ground_truth.value, clip.frames))
+                    if made is not None:
+                        found[group, variant][metric].append((made, clip.frames))
+                    if variant == "model" and real is not None:
+                        found[group, "ground truth"][metric].append((real, clip.frames))
         progress(0.5 + 0.5 * (number + 1) / len(repeated))
     return {key: {m: weighted_mean(values) for m, values in each.items()} for key, each in found.items()}
 
