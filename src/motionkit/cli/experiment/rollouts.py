@@ -17,6 +17,7 @@ from motionkit.cli.common import (
 from motionkit.cli.experiment.options import BODIES, LONG, SCENES, data_option, needs_torch, output_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.fitting_table import print_fitting
+from motionkit.files import write_json
 from motionkit.names import counted
 
 # Columns of the tables that a narrow terminal can do without, the first first.
@@ -40,7 +41,6 @@ def scenes_command(
     printed beside the paper's. Without NAMES, when all scenes are made, distances are also written to a file named
     after the model, from which `experiment tables` takes them. Feet are not held (--no-ik), as in the paper's figures.
     """
-    from motionkit.lab.paper.model_results import write_result
     from motionkit.lab.paper.scenes import chosen_scenes, make_scene, scene_facts
     from motionkit.models.bundled import open_model
     from motionkit.motion.bvh import write_bvh
@@ -59,7 +59,7 @@ def scenes_command(
             write_strobe(stem.with_suffix(".png"), made[0].shown)
             facts.append(scene_facts(made))
     if not names:
-        write_result(
+        write_json(
             output / f"{name}.json", {"model": name, "steps": model.card.get("steps"), "scenes": facts}
         )
     if as_json:
@@ -116,7 +116,6 @@ def long_command(
         long_types,
         types_known,
     )
-    from motionkit.lab.paper.model_results import write_result
     from motionkit.models.checkpoint import load_model
     from motionkit.motion.bvh import write_bvh
     from motionkit.view.contact_sheet import write_contact_sheet
@@ -143,7 +142,7 @@ def long_command(
     sheet = output / name / "sheet.png"
     write_contact_sheet(sheet, [(each.type, each.motion) for each in made[: len(kinds)]], 20)
     facts = {"model": name, "steps": model.card.get("steps"), "rollouts": [each.facts for each in made]}
-    write_result(output / f"{name}.json", facts)
+    write_json(output / f"{name}.json", facts)
     print_fitting(LONG_HEADER, [long_row(each.facts) for each in made], LONG_SPARE)
     stdout_console().print(f"wrote {sheet}")
 
@@ -165,7 +164,6 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
     needs_torch()
     from motionkit.data.dataset import Dataset
     from motionkit.lab.paper.bodies import BODIES_HEADER, bodies_row, show_bodies
-    from motionkit.lab.paper.model_results import write_result
     from motionkit.models.checkpoint import load_model
 
     model, dataset = load_model(model_path), Dataset(data)
@@ -182,7 +180,7 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
         "performers": shown,
     }
     file = output / f"{model_path.stem}.json"
-    write_result(file, facts)
+    write_json(file, facts)
     print_fitting(BODIES_HEADER, [bodies_row(each) for each in shown], BODIES_SPARE)
     stdout_console().print(f"wrote {file}")
 

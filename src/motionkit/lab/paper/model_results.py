@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,7 @@ from typing import Any
 from motionkit import __version__
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
-from motionkit.files import atomic_write, read_json
+from motionkit.files import read_json
 from motionkit.lab.paper.datasets import SELECTIONS
 from motionkit.lab.paper.scenes import SCENES
 from motionkit.lab.paper.variants import GROUPS, VARIANTS
@@ -48,13 +47,6 @@ WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number"
 def made_from(dataset: Dataset) -> dict[str, str]:
     """Return what a result says that it was made from: digests of training and test clips, and our version."""
     return {"training": dataset.digest("train"), "test": dataset.digest("test"), "version": __version__}
-
-
-def write_result(path: Path, facts: dict[str, Any]) -> None:
-    """Write what tables are made from, whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic_write(path, "w") as out:
-        out.write(json.dumps(facts, indent=1) + "\n")
 
 
 def check_result(result: Any) -> None:

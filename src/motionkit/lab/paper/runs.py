@@ -17,12 +17,12 @@ import torch
 
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
-from motionkit.files import read_json
+from motionkit.files import read_json, write_json
 from motionkit.lab.floors import FLOORS
 from motionkit.lab.held_out import held_out
 from motionkit.lab.paper.datasets import select
 from motionkit.lab.paper.derivatives import control_derivatives
-from motionkit.lab.paper.model_results import check_result, made_from, write_result
+from motionkit.lab.paper.model_results import check_result, made_from
 from motionkit.lab.paper.protocol import LONGEST, measure, model_continues
 from motionkit.lab.paper.side_by_side import side_by_side
 from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
@@ -225,7 +225,7 @@ def run_one(
         result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
     else:
         result |= _floor(plan, each, dataset, progress)
-    write_result(file, result)
+    write_json(file, result)
     progress(1.0)
     return file
 

@@ -16,8 +16,9 @@ from motionkit.arrays import Array
 from motionkit.control.synthesize import on_character
 from motionkit.data.dataset import Dataset
 from motionkit.features.encode import encode_motion
+from motionkit.files import write_json
 from motionkit.lab.held_out import Continue, HeldOut, held_out, recorded_motion
-from motionkit.lab.paper.model_results import SHIPPED_GROUP, made_from, write_result
+from motionkit.lab.paper.model_results import SHIPPED_GROUP, made_from
 from motionkit.lab.paper.protocol import measure
 from motionkit.lab.paper.variants import variant
 from motionkit.lab.scoreboard.reconstruction import as_motion, roll_like
@@ -91,7 +92,7 @@ def run_shipped(
                 "made": made_from(dataset),
             }
             file = folder / f"{name.replace(' ', '-')}-{seed}.json"
-            write_result(file, {**result, "parameters": 0, **measured})
+            write_json(file, {**result, "parameters": 0, **measured})
             out.append(file)
             progress(len(out) / (seeds * len(models)))
     return out
