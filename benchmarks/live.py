@@ -4,7 +4,7 @@
 
 The server runs as a process of its own and is asked over TCP, as a program would; then its page is opened in headless
 Chromium (through playwright), which draws in software: what it reaches is a lower bound for browsers with a graphics
-card. motionkit.evaluation.response defines the response; the baseline is the 0.7 s that the paper reports
+card. motionkit.lab.scoreboard.response defines the response; the baseline is the 0.7 s that the paper reports
 for its own demo.
 """
 
@@ -29,14 +29,14 @@ import numpy as np
 from common import percentiles, print_table
 
 from motionkit.control.drive import Wish
-from motionkit.evaluation.body import Body
-from motionkit.evaluation.response import (
+from motionkit.lab.scoreboard.response import (
     AFTER_SECONDS,
     BEFORE_SECONDS,
     Command,
     commands,
     response_seconds,
 )
+from motionkit.metrics.body import Body
 from motionkit.models.bundled import open_model
 from motionkit.models.model import MotionModel
 from motionkit.play.requests import Request

@@ -424,7 +424,7 @@ def data_flow(model: MotionModel) -> Any:
         else:
             arrow(axes, (x - 1.1, y - 0.6), (u + 1.1, v + 0.6))
     arrow(axes, (5.2, 0.4), (11.0, 0.4), bend=0.1)
-    axes.text(8.1, -0.35, "evaluation, view", ha="center", color=SOFT, fontsize=7.5)
+    axes.text(8.1, -0.35, "lab, view", ha="center", color=SOFT, fontsize=7.5)
     axes.text(9.3, 2.55, "each frame is the next input", ha="center", color=VIOLET, fontsize=7.5)
     return figure
 

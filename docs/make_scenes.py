@@ -13,8 +13,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from motionkit.experiments.long_rollouts import sheet_name
-from motionkit.experiments.scenes import chosen_scenes, make_scene, picture_name
+from motionkit.lab.paper.long_rollouts import sheet_name
+from motionkit.lab.paper.scenes import chosen_scenes, make_scene, picture_name
 from motionkit.models.bundled import load_bundled_model
 from motionkit.view.strobe import StrobePicture
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from motionkit.control.follow import follow_path
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import synthesize
-from motionkit.evaluation.paths import path_trials
+from motionkit.lab.scoreboard.paths import path_trials
 from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion

@@ -27,6 +27,7 @@ from motionkit.training.calibration import calibrated_gains
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
 from motionkit.training.trainer import train
+from motionkit.training.verdict.real import RealMotion
 from synthetic_motions import write_clips
 
 HERE = Path(__file__).parent
@@ -169,6 +170,12 @@ def dataset_folder(clips_folder: Path, tmp_path_factory: pytest.TempPathFactory)
 def dataset(dataset_folder: Path) -> Dataset:
     """The dataset made from clips_folder, opened."""
     return Dataset(dataset_folder)
+
+
+@pytest.fixture(scope="session")
+def real(dataset: Dataset) -> RealMotion:
+    """The recordings of the small dataset."""
+    return RealMotion(dataset)
 
 
 @pytest.fixture(scope="session")

@@ -63,7 +63,7 @@ def test_training_says_what_to_install(tmp_path: Path) -> None:
 
 def test_live_characters_and_the_server_are_imported_without_torch(tmp_path: Path) -> None:
     look = (
-        "import sys, motionkit.play.server, motionkit.control.drive, motionkit.evaluation.scoreboard, "
+        "import sys, motionkit.play.server, motionkit.control.drive, motionkit.lab.scoreboard.board, "
         "motionkit.view.viewer, motionkit.export.onnx_export; sys.exit('torch' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", look], timeout=60).returncode == 0

@@ -12,7 +12,6 @@ from motionkit.version import __version__
 
 if TYPE_CHECKING:
     from motionkit.api import (
-        evaluate,
         follow_path,
         measure,
         preprocess,
@@ -38,6 +37,7 @@ if TYPE_CHECKING:
     from motionkit.features.layout import column_names
     from motionkit.inference.character import CharacterStream
     from motionkit.inference.noise import Noise
+    from motionkit.lab.scoreboard.board import evaluate
     from motionkit.models.bundled import open_model as load_model
     from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 # Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
 # Python binds motionkit.metrics to the room as soon as anything imports it.
 _HOMES = {
-    "evaluate": "api",
+    "evaluate": "lab.scoreboard.board",
     "follow_path": "api",
     "measure": "api",
     "preprocess": "api",

@@ -19,13 +19,10 @@ if TYPE_CHECKING:
     from motionkit.data.options import PreprocessOptions
     from motionkit.data.preprocess import PreprocessReport
     from motionkit.editing.loop import Loop
-    from motionkit.evaluation.report import Scoreboard
-    from motionkit.evaluation.settings import EvaluationSettings
     from motionkit.export.clip import Clip
     from motionkit.first_model import QuickstartOptions, QuickstartResult, Watcher
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricSettings
-    from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
     from motionkit.requests import MotionWords, PathWords, SynthesisWords
     from motionkit.rig.rig import Rig
@@ -252,31 +249,3 @@ def preprocess(
     if options.reference_rotations is None:
         options = replace(options, reference_rotations=reference_rotations(references, options.layout))
     return room.preprocess(folders, output, options, progress)
-
-
-def evaluate(
-    dataset: str | Path,
-    *,
-    model: MotionModel | None = None,
-    only: Sequence[str] = (),
-    settings: EvaluationSettings | None = None,
-    jobs: int = 1,
-) -> Scoreboard:
-    """The scoreboard of a model against the recordings of a dataset folder (docs/evaluation.md).
-
-    Args:
-        model: the bundled model by default.
-        only: names of the sections to measure; all by default.
-        settings: how much is measured, on which split, with or without reference recordings; the test split, 20
-            roll-outs of each type by default.
-        jobs: processes that roll out; the result does not depend on them.
-
-    Raises:
-        ControlError: for an unknown section.
-        DatasetError: for a folder that is no dataset, or does not fit the model.
-    """
-    from motionkit.data.dataset import Dataset
-    from motionkit.evaluation.scoreboard import evaluate_model
-    from motionkit.models.bundled import open_model
-
-    return evaluate_model(model or open_model(), Dataset(dataset), settings, only, jobs=jobs)

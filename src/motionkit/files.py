@@ -317,3 +317,9 @@ def safe_name(name: str, longest: int = 80) -> str:
         return name
     mark = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()[:6]
     return f"{safe.encode()[: longest - 7].decode('utf-8', 'ignore')}-{mark}"
+
+
+def write_json(path: Path, facts: dict[str, Any]) -> None:
+    """Write plain values as JSON, whole or not at all."""
+    with atomic_write(path, "w") as out:
+        out.write(json.dumps(facts, indent=1) + "\n")

@@ -18,11 +18,11 @@ from motionkit.files import atomic_write, files_below
 from motionkit.names import about, counted, duration
 
 if TYPE_CHECKING:
-    from motionkit.evaluation.quick import TypeVerdict
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
     from motionkit.training.options import TrainOptions
     from motionkit.training.trainer import TrainEvent
+    from motionkit.training.verdict.types import TypeVerdict
 
 SHOWN_SECONDS = 5.0  # of each type, on page and sheet
 ROLL_OUT_SECONDS = 6.0  # of those that find the reference gains
@@ -340,9 +340,9 @@ def _straight_ahead(motion: Motion) -> Motion:
 
 
 def _judge(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) -> list[TypeVerdict]:
-    from motionkit.evaluation.judge import Judge
-    from motionkit.evaluation.quick import QUICK_TYPES, quick_verdicts, verdict_page
-    from motionkit.evaluation.real import RealMotion
+    from motionkit.training.verdict.judge import Judge
+    from motionkit.training.verdict.real import RealMotion
+    from motionkit.training.verdict.types import QUICK_TYPES, quick_verdicts, verdict_page
 
     judge = Judge(RealMotion(dataset))
     watch = watcher.progress

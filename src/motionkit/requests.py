@@ -25,7 +25,7 @@ from motionkit.names import nfc
 if TYPE_CHECKING:
     from motionkit.control.follow import FollowResult
     from motionkit.editing.loop import Loop
-    from motionkit.inference.rollout import Noise
+    from motionkit.inference.noise import Noise
     from motionkit.motion.motion import Motion
 
 PATH_ENDINGS = (".json", ".csv")

@@ -10,8 +10,8 @@ import pytest
 
 from motionkit.cli.experiment.rollouts import BODIES_SPARE, LONG_SPARE
 from motionkit.cli.fitting_table import print_fitting
-from motionkit.experiments.bodies import BODIES_HEADER, MEASURES, bodies_row
-from motionkit.experiments.long_rollouts import LONG_HEADER, long_row
+from motionkit.lab.paper.bodies import BODIES_HEADER, MEASURES, bodies_row
+from motionkit.lab.paper.long_rollouts import LONG_HEADER, long_row
 from motionkit.names import counted
 
 from .conftest import Outcome

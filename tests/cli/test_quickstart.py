@@ -13,12 +13,12 @@ import pytest
 
 from motionkit import first_model
 from motionkit.data.dataset import Dataset
-from motionkit.evaluation import quick
-from motionkit.evaluation.quick import TypeVerdict
 from motionkit.models.checkpoint import load_model
 from motionkit.motion.bvh import write_bvh
 from motionkit.training import presets
 from motionkit.training.trainer import TrainingRun
+from motionkit.training.verdict import types as quick
+from motionkit.training.verdict.types import TypeVerdict
 from synthetic_motions import make_walk
 
 

@@ -41,7 +41,7 @@ if __name__ == "__main__":
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "motion.bvh._hierarchy_lines"),
         (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "control.follow.finish_motions"),
         (["metrics", "a.bvh"], "metrics.report.load_canonical"),
-        (["evaluate", "MODEL", "DATASET", "-o", "x.md"], "evaluation.scoreboard.RealMotion"),
+        (["evaluate", "MODEL", "DATASET", "-o", "x.md"], "lab.scoreboard.board.RealMotion"),
         (["mirror", "clips", "out"], "rig.mirror.mirror_bvh"),
         (["view", "a.bvh", "-o", "a.gif"], "view.film.Scenery"),
         (["export", "--onnx", "x.onnx", "--model", "MODEL"], "export.onnx_export.build_graph"),

@@ -75,7 +75,7 @@ class EchoStream:
 
 @pytest.fixture
 def echo(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(ARCHITECTURES, "echo", (__name__, "Echo"))
+    monkeypatch.setitem(ARCHITECTURES, "echo", f"{__name__}:Echo")
 
 
 def test_another_architecture_is_trained_saved_and_rolled_out(

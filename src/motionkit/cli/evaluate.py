@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -18,8 +20,13 @@ from motionkit.cli.common import (
 from motionkit.cli.synthesis_options import make_noise, noise_options, reference_option
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from motionkit.cli.console import PlainConsole
-    from motionkit.evaluation.report import Scoreboard, Table
+    from motionkit.lab.scoreboard.report import Scoreboard
+    from motionkit.lab.scoreboard.settings import EvaluationSettings
+    from motionkit.models.model import MotionModel
+    from motionkit.tables import Table
 
 
 @click.command("evaluate")
@@ -65,21 +72,7 @@ if TYPE_CHECKING:
     help="First random seed; the first of the split by default, 0 or 1000. The same seed gives the same result.",
 )
 @json_option
-def command(
-    model: str,
-    dataset: Path,
-    only: str | None,
-    split: str,
-    seeds: int | None,
-    quick: bool,
-    output: tuple[Path, ...],
-    jobs: int,
-    noise: str | None,
-    temperature: float | None,
-    reference: str,
-    seed: int | None,
-    as_json: bool,
-) -> None:
+def command(model: str, dataset: Path, **options: Any) -> None:
     """Measure MODEL against the recordings of DATASET and print its scoreboard.
 
     MODEL is a model file, or the word bundled. DATASET is a folder made by preprocess. The sections are:
@@ -99,67 +92,80 @@ def command(
     without its reference recordings. docs/evaluation.md defines every number. The exit code is 0 whether or not the
     targets are reached.
     """
-    for file in output:
+    asked = Asked(**options)
+    for file in asked.output:
         if file.suffix.lower() not in (".md", ".json"):
             raise click.UsageError(f"{file}: expected a report named .md or .json")
-    sections = [word.strip() for word in (only or "").split(",") if word.strip()]
-
-    from dataclasses import replace
 
     from motionkit.data.dataset import Dataset
-    from motionkit.errors import ControlError
-    from motionkit.evaluation.quick import QUICK_TYPES
-    from motionkit.evaluation.scoreboard import evaluate_model
-    from motionkit.evaluation.settings import QUICK, EvaluationSettings
     from motionkit.files import atomic_write, check_outputs
+    from motionkit.lab.scoreboard.board import evaluate_model
     from motionkit.models.bundled import open_model
 
-    basis = QUICK if quick else EvaluationSettings()
-    if quick and not sections:
-        sections, basis = ["types"], QUICK_TYPES
-    check_outputs(output, [model, *dataset.glob("*")])
+    check_outputs(asked.output, [model, *dataset.glob("*")])
     loaded = open_model(model)
-    try:
-        settings = replace(
-            basis,
-            split=split,
-            seed=seed,
-            seeds=seeds or basis.seeds,
-            noise=make_noise(noise, temperature, loaded),
-            reference=reference,
-        )
-    except ControlError as error:
-        raise click.UsageError(str(error)) from None
+    sections, settings = asked.measured(loaded)
     with progress_bar() as bar:
-        tasks = {"reading": bar.add_task("reading", total=None)}
-
-        def show(name: str, share: float) -> None:
-            if name not in tasks:
-                for task in tasks.values():
-                    bar.remove_task(task)
-                tasks.clear()
-                tasks[name] = bar.add_task(name, total=100)
-            bar.update(tasks[name], completed=100 * share)
-
-        board = evaluate_model(
-            loaded,
-            Dataset(dataset),
-            settings,
-            sections,
-            show,
-            jobs,
-        )
+        board = evaluate_model(loaded, Dataset(dataset), settings, sections, _one_by_one(bar), asked.jobs)
     board.about.update({"model": model, "dataset": str(dataset)})
-    for file in output:
+    for file in asked.output:
         with atomic_write(file) as out:
             if file.suffix.lower() == ".md":
                 out.write(board.markdown())
             else:
                 json.dump(plain(board.as_dict()), out, indent=2)
-    if as_json:
+    if asked.as_json:
         print_json(board.as_dict())
     else:
         _print(board, stdout_console())
+
+
+@dataclass(frozen=True)
+class Asked:
+    """The options of the command."""
+
+    only: str | None
+    split: str
+    seeds: int | None
+    quick: bool
+    output: tuple[Path, ...]
+    jobs: int
+    noise: str | None
+    temperature: float | None
+    reference: str
+    seed: int | None
+    as_json: bool
+
+    def measured(self, model: MotionModel) -> tuple[list[str], EvaluationSettings]:
+        """Return the sections to measure, and how much."""
+        from motionkit.errors import ControlError
+        from motionkit.lab.scoreboard.settings import QUICK, QUICK_TYPES, EvaluationSettings
+
+        sections = [word.strip() for word in (self.only or "").split(",") if word.strip()]
+        basis = QUICK if self.quick else EvaluationSettings()
+        if self.quick and not sections:
+            sections, basis = ["types"], QUICK_TYPES
+        noise = make_noise(self.noise, self.temperature, model)
+        try:
+            settings = replace(basis, seeds=self.seeds or basis.seeds, split=self.split, seed=self.seed)
+            return sections, replace(settings, noise=noise, reference=self.reference)
+        except ControlError as error:
+            raise click.UsageError(str(error)) from None
+
+
+def _one_by_one(bar: Progress) -> Callable[[str, float], None]:
+    """A function that shows the section being measured on a bar."""
+    tasks = {"reading": bar.add_task("reading", total=None)}
+
+    def show(name: str, share: float) -> None:
+        if name not in tasks:
+            for task in tasks.values():
+                bar.remove_task(task)
+            tasks.clear()
+            tasks[name] = bar.add_task(name, total=100)
+        bar.update(tasks[name], completed=100 * share)
+
+    return show
 
 
 def _print(board: Scoreboard, console: PlainConsole) -> None:
@@ -177,11 +183,9 @@ def _print(board: Scoreboard, console: PlainConsole) -> None:
 def _print_table(table: Table, console: PlainConsole) -> None:
     from rich.table import Table as RichTable
 
-    from motionkit.evaluation.report import show
-
     shown = RichTable(title=table.title, title_justify="left", box=None, header_style="bold", pad_edge=False)
     for column in table.columns:
         shown.add_column(column, overflow="fold")
-    for row in table.rows:
-        shown.add_row(*(show(cell) for cell in row))
+    for row in table.texts():
+        shown.add_row(*row)
     console.print(shown)

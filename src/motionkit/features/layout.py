@@ -6,7 +6,7 @@ columns; both body parts share those of the root.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -70,6 +70,12 @@ class FeatureLayout:
     def joint_columns(self, joint: int) -> list[int]:
         """The 12 columns of a joint, in order."""
         return [index for index, column in enumerate(self.columns) if column.joint == joint]
+
+    def block_columns(self, block: str, joints: Collection[int]) -> list[int]:
+        """The columns of some joints in a block, in order."""
+        return [
+            i for i, column in enumerate(self.columns) if column.block == block and column.joint in joints
+        ]
 
     def mirror_map(self) -> tuple[Array, Array]:
         """Column indices (276,) and signs (276,): mirrored = features[..., indices] * signs."""

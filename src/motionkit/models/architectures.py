@@ -1,12 +1,13 @@
 """The one table of network architectures: how a model file's config becomes a network.
 
-A new architecture is one file with a config and a Predictor (models/predictor.py), and one line here. The part
-transformer has no "architecture" in its config, because it was the only one.
+A new architecture is one file with a config and a Predictor (models/predictor.py). The part transformer is the one that
+motionkit ships; all others are entry points of the group GROUP, as a package's own plug-ins are. The part transformer
+has no "architecture" in its config, because it was the only one.
 """
 
 from __future__ import annotations
 
-import importlib
+from importlib.metadata import EntryPoint, entry_points
 from typing import TYPE_CHECKING, Any
 
 from motionkit.errors import ModelError
@@ -16,30 +17,33 @@ if TYPE_CHECKING:
     from motionkit.models.predictor import Predictor
 
 PART_TRANSFORMER = "part-transformer"
-# Architecture to the module and the class of its Predictor.
-ARCHITECTURES: dict[str, tuple[str, str]] = {
-    PART_TRANSFORMER: ("motionkit.models.network", "PartTransformer"),
-    "pfnn": ("motionkit.models.pfnn", "PhaseFunctionedNetwork"),
-    "mvae": ("motionkit.models.mvae", "MotionVae"),
-    "htss": ("motionkit.models.htss", "TwoStream"),
-    "neural-layering": ("motionkit.models.neural_layering", "NeuralLayering"),
-    "learned-motion-matching": ("motionkit.models.learned_motion_matching", "LearnedMotionMatching"),
-}
+GROUP = "motionkit.architectures"  # of entry points
+# Architecture to its Predictor, as an entry point names one. Packages are only asked for names that are not here.
+ARCHITECTURES: dict[str, str] = {PART_TRANSFORMER: "motionkit.models.network:PartTransformer"}
+
+
+def entry_point(architecture: str) -> EntryPoint | None:
+    """Return where the class of an architecture is; None for an unknown one."""
+    if architecture in ARCHITECTURES:
+        return EntryPoint(architecture, ARCHITECTURES[architecture], GROUP)
+    return next(iter(entry_points(group=GROUP, name=architecture)), None)
 
 
 def network_class(architecture: str) -> type[Predictor]:
     """Return the class of an architecture. Raises ModelError if it is unknown, or torch is not installed."""
-    if architecture not in ARCHITECTURES:
-        known = ", ".join(ARCHITECTURES)
-        raise ModelError(f"architecture {architecture!r:.60} is unknown, expected one of {known}")
-    module, name = ARCHITECTURES[architecture]
+    found = entry_point(architecture)
+    if found is None:
+        known = ", ".join([*ARCHITECTURES, *sorted(each.name for each in entry_points(group=GROUP))])
+        raise ModelError(
+            f"architecture {architecture!r:.60} is unknown, expected one of {known}; install the package that has it"
+        )
     try:
-        found: type[Predictor] = getattr(importlib.import_module(module), name)
+        loaded: type[Predictor] = found.load()
     except ModuleNotFoundError as error:
         if error.name != "torch":
             raise
         raise ModelError(f"{architecture} models run in torch only: pip install 'motionkit[train]'") from None
-    return found
+    return loaded
 
 
 def config_from_dict(values: Any) -> PredictorConfig:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from motionkit.errors import ModelError
-from motionkit.models.architectures import ARCHITECTURES, network_class
+from motionkit.models.architectures import entry_point, network_class
 from motionkit.models.config import ModelConfig
 
 
@@ -95,7 +95,7 @@ def preset(name: str, **changes: Any) -> Any:
     """
     if name in PRESETS:
         return PRESETS[name]().changed(**changes)
-    if name in ARCHITECTURES:
+    if entry_point(name):
         config = network_class(name).config_class
         return config.from_dict(config().to_dict() | changes)
     raise ModelError(f"preset {name!r} is unknown, expected one of {', '.join(PRESETS)}")

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from motionkit.errors import MotionkitError
 from motionkit.training.budgets import BUDGETS
+
+if TYPE_CHECKING:
+    from motionkit.lab.paper.runs import Plan
 
 SETS = ["D_L", "all", "no-dances", "locomotion"]
 RESULTS = Path("experiments/results")
@@ -33,7 +37,7 @@ set_option = click.option(
     default="D_L",
     show_default=True,
     type=click.Choice(SETS),
-    help="Data set (motionkit/experiments/datasets.py).",
+    help="Data set (motionkit/lab/paper/datasets.py).",
 )
 
 
@@ -62,6 +66,23 @@ def plan_options(function: Callable) -> Callable:
     for option in reversed(options):
         function = option(function)
     return function
+
+
+def make_plan(options: dict[str, Any], device: str = "auto") -> Plan:
+    """The plan that plan_options ask for."""
+    from motionkit.lab.paper.runs import Plan
+
+    results = options["results"]
+    return Plan(
+        options["data"],
+        options["selection"],
+        options["budget"],
+        options["steps"],
+        results,
+        results.parent / "checkpoints",
+        options["frames"],
+        device,
+    )
 
 
 def output_option(default: str, folder: bool) -> Callable:

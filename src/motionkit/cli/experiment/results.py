@@ -29,8 +29,8 @@ from motionkit.errors import MotionkitError
 def tables_command(results: Path, selection: str | None, output: Path, latex: Path | None) -> None:
     """Write all tables from the results, the paper's figures beside ours. Nothing is trained."""
     needs_torch()
-    from motionkit.experiments.model_results import read_bodies, read_long, read_scenes
-    from motionkit.experiments.page import Extras, write_page
+    from motionkit.lab.paper.model_results import read_bodies, read_long, read_scenes
+    from motionkit.lab.paper.page import Extras, write_page
 
     scenes, long = read_scenes(results.parent / SCENES.name), read_long(results.parent / LONG.name)
     bodies = read_bodies(results.parent / BODIES.name)
@@ -47,14 +47,14 @@ def tables_command(results: Path, selection: str | None, output: Path, latex: Pa
 def figures_command(results: Path, output: Path) -> None:
     """Draw PNGs from the results: training curves, BM against AFS, and inference speed against parts."""
     needs_torch()
-    from motionkit.experiments.figures import write_figures
+    from motionkit.lab.paper.figures import write_figures
 
     for path in write_figures(_read(results), output):
         stdout_console().print(f"wrote {path}")
 
 
 def _read(results: Path) -> list[dict]:
-    from motionkit.experiments.runs import read_results
+    from motionkit.lab.paper.runs import read_results
 
     found = read_results(results) if results.exists() else []
     if not found:

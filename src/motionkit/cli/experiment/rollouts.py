@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -19,17 +17,11 @@ from motionkit.cli.common import (
 from motionkit.cli.experiment.options import BODIES, LONG, SCENES, data_option, needs_torch, output_option
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.fitting_table import print_fitting
-from motionkit.files import atomic_write
+from motionkit.files import write_json
 from motionkit.names import counted
 
 # Columns of the tables that a narrow terminal can do without, the first first.
 LONG_SPARE, BODIES_SPARE = (8, 1, 7, 5, 3), (6, 5, 4, 3)
-
-
-def _write_facts(path: Path, facts: dict[str, Any]) -> None:
-    """Write what `experiment tables` takes from a model, whole or not at all."""
-    with atomic_write(path, "w") as out:
-        out.write(json.dumps(facts, indent=1) + "\n")
 
 
 @click.command("scenes")
@@ -49,7 +41,7 @@ def scenes_command(
     printed beside the paper's. Without NAMES, when all scenes are made, distances are also written to a file named
     after the model, from which `experiment tables` takes them. Feet are not held (--no-ik), as in the paper's figures.
     """
-    from motionkit.experiments.scenes import chosen_scenes, make_scene, scene_facts
+    from motionkit.lab.paper.scenes import chosen_scenes, make_scene, scene_facts
     from motionkit.models.bundled import open_model
     from motionkit.motion.bvh import write_bvh
     from motionkit.view.strobe import write_strobe
@@ -67,7 +59,7 @@ def scenes_command(
             write_strobe(stem.with_suffix(".png"), made[0].shown)
             facts.append(scene_facts(made))
     if not names:
-        _write_facts(
+        write_json(
             output / f"{name}.json", {"model": name, "steps": model.card.get("steps"), "scenes": facts}
         )
     if as_json:
@@ -116,7 +108,7 @@ def long_command(
     """
     needs_torch()
     from motionkit.data.dataset import Dataset
-    from motionkit.experiments.long_rollouts import (
+    from motionkit.lab.paper.long_rollouts import (
         LONG_HEADER,
         check_layout,
         long_rollout,
@@ -150,7 +142,7 @@ def long_command(
     sheet = output / name / "sheet.png"
     write_contact_sheet(sheet, [(each.type, each.motion) for each in made[: len(kinds)]], 20)
     facts = {"model": name, "steps": model.card.get("steps"), "rollouts": [each.facts for each in made]}
-    _write_facts(output / f"{name}.json", facts)
+    write_json(output / f"{name}.json", facts)
     print_fitting(LONG_HEADER, [long_row(each.facts) for each in made], LONG_SPARE)
     stdout_console().print(f"wrote {sheet}")
 
@@ -171,7 +163,7 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
     """
     needs_torch()
     from motionkit.data.dataset import Dataset
-    from motionkit.experiments.bodies import BODIES_HEADER, bodies_row, show_bodies
+    from motionkit.lab.paper.bodies import BODIES_HEADER, bodies_row, show_bodies
     from motionkit.models.checkpoint import load_model
 
     model, dataset = load_model(model_path), Dataset(data)
@@ -188,7 +180,7 @@ def bodies_command(model_path: Path, data: Path, kind: str, seeds: int, output: 
         "performers": shown,
     }
     file = output / f"{model_path.stem}.json"
-    _write_facts(file, facts)
+    write_json(file, facts)
     print_fitting(BODIES_HEADER, [bodies_row(each) for each in shown], BODIES_SPARE)
     stdout_console().print(f"wrote {file}")
 

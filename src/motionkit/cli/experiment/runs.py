@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-from contextlib import closing, suppress
+from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 import click
 from click.core import ParameterSource
@@ -20,61 +20,36 @@ from motionkit.cli.common import (
 )
 from motionkit.cli.experiment.options import (
     data_option,
+    make_plan,
     needs_torch,
     plan_options,
     results_option,
     set_option,
 )
-from motionkit.errors import MotionkitError
 from motionkit.names import counted
-
-if TYPE_CHECKING:
-    from motionkit.experiments.runs import Plan
-    from motionkit.experiments.variants import Variant
 
 
 @click.command("list")
 @plan_options
 @json_option
-def list_command(
-    data: Path,
-    selection: str,
-    budget: str,
-    steps: int | None,
-    frames: int,
-    results: Path,
-    as_json: bool,
-) -> None:
+def list_command(as_json: bool, **options: Any) -> None:
     """List what can be run: group, parameters in millions beside the paper's, and finished runs."""
     needs_torch()
-    from motionkit.experiments.datasets import select
-    from motionkit.experiments.model_results import made_from
-    from motionkit.experiments.runs import Plan
-    from motionkit.experiments.variants import VARIANTS, parameters
+    from motionkit.lab.paper.runs import listed
 
-    plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames)
+    plan = make_plan(options)
     asked = click.get_current_context().get_parameter_source("data") is not ParameterSource.DEFAULT
-    made_of = made_from(select(data, selection)) if asked or data.exists() else None
-    minutes, faults = _usual_minutes(plan), list[str]()
-    rows = [
-        {
-            "name": v.name,
-            "group": v.group,
-            "text": v.text,
-            "parameters": parameters(v),
-            "paper_parameters": v.paper_parameters,
-            "seeds": v.seeds,
-            "done": sum(_counts(plan, v, seed, made_of, faults) for seed in range(v.seeds)),
-            "minutes": minutes.get(v.name),
-        }
-        for v in VARIANTS
-    ]
+    rows, faults = listed(plan, asked or plan.data.exists())
     if faults:
         others = f" (and {counted(len(faults) - 1, 'other')})" if faults[1:] else ""
         remark(f"not counted: {faults[0]}{others}")
     if as_json:
         print_json(rows)
-        return
+    else:
+        _print_list(rows)
+
+
+def _print_list(rows: list[dict[str, Any]]) -> None:
     from rich.table import Table
     from rich.text import Text
 
@@ -82,39 +57,15 @@ def list_command(
     for name in ("name", "M", "paper", "min", "done", "what it is"):
         right = name in ("M", "paper", "min")
         table.add_column(name, justify="right" if right else "left", no_wrap=name != "what it is")
-    for number, (v, row) in enumerate(zip(VARIANTS, rows, strict=True)):
-        if number == 0 or v.group != VARIANTS[number - 1].group:
+    for number, row in enumerate(rows):
+        if number == 0 or row["group"] != rows[number - 1]["group"]:
             table.add_section()
-            table.add_row(Text(v.group, style="bold"))
-        count = f"{parameters(v) / 1e6:.2f}" if v.preset else ""
-        paper = f"{v.paper_parameters:g}" if v.paper_parameters else ""
-        spent = f"{minutes[v.name]:.0f}" if v.name in minutes else ""
-        table.add_row(v.name, count, paper, spent, f"{row['done']} of {v.seeds}", v.text)
+            table.add_row(Text(row["group"], style="bold"))
+        count = f"{row['parameters'] / 1e6:.2f}" if row["parameters"] else ""
+        paper = f"{row['paper_parameters']:g}" if row["paper_parameters"] else ""
+        spent = "" if row["minutes"] is None else f"{row['minutes']:.0f}"
+        table.add_row(row["name"], count, paper, spent, f"{row['done']} of {row['seeds']}", row["text"])
     stdout_console().print(table)
-
-
-def _counts(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None, faults: list[str]) -> bool:
-    """Whether a run has a result that `experiment run` takes as done; why one does not count is added to faults."""
-    from motionkit.experiments.runs import is_done
-
-    try:
-        return is_done(plan, each, seed, made)
-    except MotionkitError as error:
-        faults.append(str(error))
-        return False
-
-
-def _usual_minutes(plan: Plan) -> dict[str, float]:
-    """Minutes that runs of this folder took here; files that are no results are left out."""
-    from motionkit.experiments.runs import read_result
-
-    minutes = {}
-    for path in (plan.results / plan.folder).glob("*.json"):
-        with suppress(MotionkitError):
-            result = read_result(path)
-            if "timing" in result:
-                minutes[result["name"]] = result["timing"]["seconds"] / 60
-    return minutes
 
 
 @click.command("run")
@@ -139,17 +90,7 @@ def _usual_minutes(plan: Plan) -> dict[str, float]:
     "--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda, cuda:1 ..."
 )
 def run_command(
-    names: tuple[str, ...],
-    data: Path,
-    selection: str,
-    budget: str,
-    steps: int | None,
-    frames: int,
-    results: Path,
-    seeds: int,
-    every_seed: bool,
-    jobs: int,
-    device: str,
+    names: tuple[str, ...], seeds: int, every_seed: bool, jobs: int, device: str, **options: Any
 ) -> None:
     """Run NAMES: experiments, groups or all. Finished runs are skipped, stopped runs continue.
 
@@ -157,21 +98,11 @@ def run_command(
     The first seed of everything comes first.
     """
     needs_torch()
-    from motionkit.experiments.datasets import select
-    from motionkit.experiments.model_results import made_from
-    from motionkit.experiments.runs import Plan, check_writable, is_done, run_all
-    from motionkit.experiments.variants import chosen
+    from motionkit.lab.paper.runs import run_all, tasks_of, unfinished
 
-    variants = [each for each in chosen(names) if each.runs_at(budget)]
-    plan = Plan(data, selection, budget, steps, results, results.parent / "checkpoints", frames, device)
-    tasks = [
-        (variant, seed) for seed in range(seeds) for variant in variants
-        if seed < (variant.seeds if variant.preset and not every_seed else seeds if variant.preset else 1)
-    ]  # fmt: skip
-    made_of = made_from(select(data, selection))
-    left = [(v, seed) for v, seed in tasks if not is_done(plan, v, seed, made_of)]
-    if left:
-        check_writable(plan)
+    plan = make_plan(options, device)
+    tasks = tasks_of(plan, names, seeds, every_seed)
+    left = unfinished(plan, tasks)
     remark(f"{counted(len(tasks), 'run')}, {len(tasks) - len(left)} of them done")
     with progress_bar() as bar:
         task = bar.add_task("running", total=100)
@@ -206,8 +137,8 @@ def shipped_command(data: Path, selection: str, frames: int, seeds: int, results
     Test sequences that are mirror images of training clips are left out, since the model has seen them. Results of
     before are written over, also those of another number of --frames.
     """
-    from motionkit.experiments.datasets import select
-    from motionkit.experiments.shipped import run_shipped
+    from motionkit.lab.paper.datasets import select
+    from motionkit.lab.paper.shipped import run_shipped
     from motionkit.models.bundled import BUNDLED, open_model
 
     dataset = select(data, selection)

@@ -12,11 +12,11 @@ from motionkit.cli.common import json_option, print_json, remark, seed_option, s
 from motionkit.cli.experiment.options import output_option
 from motionkit.cli.fitting_table import print_fitting
 from motionkit.errors import MotionkitError
-from motionkit.experiments.paper import STUDIES, StudyRow
+from motionkit.lab.paper.published import STUDIES, StudyRow
 from motionkit.names import counted
 
 if TYPE_CHECKING:
-    from motionkit.experiments.ttest import Comparison, Score
+    from motionkit.lab.paper.ttest import Comparison, Score
 
 
 @click.command("study")
@@ -30,7 +30,7 @@ def study_command(folder: Path, output: Path, seed: int) -> None:
     page shows the models without their names and in random order beside the recording, asks for a rank in five aspects
     and for a score from 1 to 5, and saves the answers as answers-NAME.json, NAME being the rater's.
     """
-    from motionkit.experiments.study import write_study
+    from motionkit.lab.paper.study import write_study
 
     groups = write_study(folder, output, seed)
     stdout_console().print(f"wrote {output}: {counted(groups, 'group')} of motions")
@@ -55,7 +55,7 @@ def ttest_command(answers: tuple[Path, ...], model: str, paper_table: str | None
     them stand mean, standard deviation, t, degrees of freedom and one-sided p. Raters and motions of the paper's
     study are others than yours: what can be held against it is which models are liked better.
     """
-    from motionkit.experiments.ttest import read_answers, scores, unequal_samples
+    from motionkit.lab.paper.ttest import read_answers, scores, unequal_samples
 
     read = read_answers(answers)
     found = scores(read)
@@ -79,7 +79,7 @@ def ttest_command(answers: tuple[Path, ...], model: str, paper_table: str | None
 
 def _comparisons(found: dict[str, Score], model: str) -> list[Comparison]:
     """Hold a model against each other one; those without anything to test are left out, with a line that says so."""
-    from motionkit.experiments.ttest import NothingToTest, compare
+    from motionkit.lab.paper.ttest import NothingToTest, compare
 
     if model not in found:
         raise MotionkitError(f"no answers about {model!r}, expected one of {', '.join(sorted(found))}")

@@ -1,0 +1,130 @@
+"""What a network must beat: the last frame held, the nearest training clip, and motion matching."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.dataset import Clip, Dataset
+from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
+from motionkit.lab.held_out import Continue, HeldOut
+from motionkit.motion.skeleton import FOOT_JOINTS
+
+MATCHED = (0, 10, 20, 30)  # frames before the end of the initial ones whose poses the nearest clip must match
+REMAINS = 60  # frames of a training clip that must follow the matched one
+# Of motion matching (Clavet 2016): frames between searches, and the weights of the trajectory's centimetres and
+# directions, of foot positions (cm), and of foot and hip velocities (cm/s).
+SEARCHED = 20
+WEIGHTS = {"places": 0.02, "directions": 1.0, "feet": 0.05, "velocities": 0.01}
+
+
+def last_frame(dataset: Dataset) -> Continue:
+    """Return the floor that holds the last initial frame: its pose, with no velocity."""
+
+    def continues(sequence: HeldOut, number: int) -> Array:
+        row = sequence.data.features[sequence.initial - 1].copy()
+        for block in (
+            "root_yaw_velocity",
+            "root_xz_velocity",
+            "joint_angular_velocities",
+            "joint_velocities",
+        ):
+            row[dataset.layout.blocks[block]] = 0.0
+        return np.repeat(row[None], sequence.frames, axis=0)
+
+    return continues
+
+
+class _Library:
+    """All training frames one after another, with what motion matching compares."""
+
+    def __init__(self, dataset: Dataset, clips: Sequence[Clip]) -> None:
+        data = [dataset.read(clip) for clip in clips]
+        self.features = np.concatenate([d.features for d in data])
+        self.types = np.concatenate([d.types for d in data])
+        self.trajectories = np.concatenate(
+            [future_trajectory(d.ground, np.arange(len(d.types))) for d in data]
+        )
+        self.ends = np.repeat(np.cumsum([len(d.types) for d in data]), [len(d.types) for d in data])
+        self.starts = self.ends - np.repeat([len(d.types) for d in data], [len(d.types) for d in data])
+        self.poses = dataset.layout.blocks["joint_positions"]
+        self.feet = dataset.layout.block_columns("joint_positions", FOOT_JOINTS)
+        self.speeds = dataset.layout.block_columns("joint_velocities", (*FOOT_JOINTS, 0))
+
+    def matched(self, features: Array, trajectories: Array) -> Array:
+        """Return what is compared (N, D), weighted, of features (N, 276) and trajectories (N, 24)."""
+        half = TRAJECTORY_COUNT // 2
+        parts = [
+            WEIGHTS["places"] * trajectories[:, :half],
+            WEIGHTS["directions"] * trajectories[:, half:],
+            WEIGHTS["feet"] * features[:, self.feet],
+            WEIGHTS["velocities"] * features[:, self.speeds],
+        ]
+        return np.concatenate(parts, axis=1).astype(np.float32)
+
+
+def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
+    """Return the floor that plays on the training clip whose half second before is nearest; its end is held.
+
+    clips are those to choose from; all training clips by default.
+    """
+    library = _Library(dataset, clips or dataset.select("train"))
+    usable = np.flatnonzero(
+        (np.arange(len(library.ends)) - library.starts >= MATCHED[-1])
+        & (library.ends - np.arange(len(library.ends)) > REMAINS)
+    )
+
+    def continues(sequence: HeldOut, number: int) -> Array:
+        cost = np.zeros(len(usable))
+        for back in MATCHED:
+            wanted = sequence.data.features[max(0, sequence.initial - 1 - back), library.poses]
+            cost += np.linalg.norm(library.features[usable - back][:, library.poses] - wanted, axis=1)
+        at = int(usable[cost.argmin()])
+        rows = np.minimum(at + 1 + np.arange(sequence.frames), library.ends[at] - 1)
+        return library.features[rows]
+
+    return continues
+
+
+def motion_matching(dataset: Dataset) -> Continue:
+    """Return the floor that plays recorded frames and searches again every third of a second, as games do.
+
+    It is given the types and the trajectory of the test sequence, as the networks are. Jumps are not blended.
+    """
+    library = _Library(dataset, dataset.select("train"))
+    table = library.matched(library.features, library.trajectories)
+    lasts = library.ends - np.arange(len(library.ends)) > SEARCHED
+
+    def continues(sequence: HeldOut, number: int) -> Array:
+        wanted = future_trajectory(sequence.data.ground, np.arange(len(sequence.data.types)))
+        rows: list[int] = []
+        present = sequence.data.features[sequence.initial - 1]
+        at = -1
+        for frame in range(sequence.frames):
+            now = sequence.initial - 1 + frame
+            if frame % SEARCHED == 0 or at + 1 >= library.ends[at]:
+                allowed = np.flatnonzero(lasts & (library.types == sequence.data.types[now]))
+                if not len(allowed):
+                    allowed = np.flatnonzero(lasts)
+                query = library.matched(present[None], wanted[now][None])
+                cost = np.square(table[allowed] - query).sum(axis=1)
+                best = int(allowed[cost.argmin()])
+                stay = np.inf
+                if rows and at + 1 < library.ends[at]:
+                    stay = float(np.square(table[at] - query).sum())
+                at = best if float(cost.min()) < stay else at
+            at += 1
+            rows.append(at)
+            present = library.features[at]
+        return library.features[rows]
+
+    return continues
+
+
+FLOORS: dict[str, Callable[[Dataset], Continue]] = {
+    "last frame": last_frame,
+    "nearest clip": nearest_clip,
+    "motion matching": motion_matching,
+}

@@ -1,0 +1,135 @@
+"""Held-out sequences, and what continues them from their first frames: the one protocol of scoreboard and paper."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.dataset import Clip, ClipData, Dataset
+from motionkit.data.phases import type_stretches
+from motionkit.features.control import Controls
+from motionkit.features.decode import decode_motion, integrate_ground
+from motionkit.inference.noise import default_noise
+from motionkit.inference.rollout import RolloutState, run
+from motionkit.inference.start import INIT_FRAMES
+from motionkit.metrics.report import evaluate_motion
+from motionkit.models.model import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import Skeleton
+
+INITIAL = (INIT_FRAMES, 30)  # the paper's numbers of initial frames; 30 for sequences too short for 87
+LEAST_REST = 30  # frames to make, at least
+
+# Continues a sequence, the number of which is given: features (T, 276) of the frames to make.
+Continue = Callable[["HeldOut", int], Array]
+
+
+@dataclass(frozen=True, eq=False)
+class HeldOut:
+    """A held-out sequence.
+
+    Attributes:
+        clip: which recording it is.
+        data: its frames.
+        initial: how many of them are given.
+        frames: how many are to be made after them.
+        kind: the type of most of these.
+    """
+
+    clip: Clip
+    data: ClipData
+    initial: int
+    frames: int
+    kind: str
+
+
+def held_out(
+    dataset: Dataset, longest: int, split: str = "test", initials: tuple[int, ...] = INITIAL
+) -> list[HeldOut]:
+    """Return the clips of a split that are long enough, cut to at most so many made frames.
+
+    Args:
+        initials: numbers of initial frames; the first that leaves LEAST_REST frames to make.
+    """
+    out = []
+    for clip in dataset.select(split):
+        initial = next((count for count in initials if clip.frames >= count + LEAST_REST), None)
+        if initial is not None:
+            data, frames = dataset.read(clip), min(longest, clip.frames - initial)
+            most = int(np.bincount(data.types[initial : initial + frames]).argmax())
+            out.append(HeldOut(clip, data, initial, frames, dataset.types[most]))
+    return out
+
+
+def stretches(dataset: Dataset, split: str, kind: str = "") -> Iterator[tuple[Clip, int, int, str]]:
+    """Yield clip, start, end and type of the stretches of a split: those of one type, or of all if kind is ""."""
+    for clip in dataset.select(split):
+        for start, end, number in type_stretches(dataset.clip_types(clip)):
+            if kind in ("", dataset.types[number]):
+                yield clip, start, end, dataset.types[number]
+
+
+def compared(
+    motion: Motion, truth: Motion, metrics: Collection[str]
+) -> dict[str, tuple[float | None, float | None]]:
+    """Return the values of metrics by id, of a motion and of the recorded one; None where there is none."""
+    return {
+        row.id: (row.motion.value, row.ground_truth.value if row.ground_truth else None)
+        for row in evaluate_motion(motion, truth).rows
+        if row.id in metrics
+    }
+
+
+def recorded_motion(dataset: Dataset, sequence: HeldOut, body: Skeleton) -> Motion:
+    """Return a whole sequence, its initial frames included, on a body."""
+    data, layout = sequence.data, dataset.layout.version
+    return decode_motion(
+        data.features, body, dataset.fps, data.ground[0], dataset.reference_rotations, layout
+    )
+
+
+def decoded(dataset: Dataset, sequence: HeldOut, features: Array, body: Skeleton | None = None) -> Motion:
+    """Return the motion of made features (T, 276) after the initial frames, by default on the performer's own body."""
+    first, layout = sequence.initial, dataset.layout.version
+    before = np.concatenate([sequence.data.features[first - 1 : first], features])
+    ground = integrate_ground(before, sequence.data.ground[first - 1], dataset.fps, layout)[1]
+    body = body or dataset.skeleton(sequence.clip)
+    return decode_motion(
+        features, body, dataset.fps, ground.astype(np.float32), dataset.reference_rotations, layout
+    )
+
+
+def continued(
+    model: MotionModel,
+    sequence: HeldOut,
+    body: Skeleton,
+    asked: Controls,
+    frames: int,
+    seed: int,
+    progress: Callable[[int], None] | None = None,
+) -> Array:
+    """Return what a model makes of a sequence, drawn as the paper draws: features (T, 276) of so many frames.
+
+    Args:
+        body: that of the skeleton control signal.
+        asked: controls of every frame of the sequence, the initial ones included, or of one frame for all.
+    """
+    first, data = sequence.initial, sequence.data
+    last = len(asked.type_weights) - 1
+
+    def at(frame: int) -> Controls:
+        return asked.at(slice(frame, frame + 1)) if last else asked
+
+    state = RolloutState(model, 1, default_noise(model), seed)
+    state.controls.set_skeletons([body])
+    state.start(
+        data.features[None, :first],
+        data.contacts[None, :first],
+        asked.type_weights[:1],
+        data.ground[first - 1 : first],
+        controls=lambda t, ground: at(t),
+    )
+    return run(state, frames, lambda t, ground: at(first - 1 + t), progress).features[0]

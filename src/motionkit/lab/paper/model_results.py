@@ -1,0 +1,132 @@
+"""What results say and must have; reads those that commands write for one model: long roll-outs, bodies, scenes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import MotionkitError
+from motionkit.files import read_json
+from motionkit.lab.paper.datasets import SELECTIONS
+from motionkit.lab.paper.scenes import SCENES
+from motionkit.lab.paper.variants import GROUPS, VARIANTS
+from motionkit.version import __version__
+
+Results = list[dict[str, Any]]
+SHIPPED_GROUP = "shipped"  # of results that are no variant's
+
+# What a field holds: a class (float takes whole numbers too, no class takes true), [shape] for a list of them,
+# {name: shape} for an object with at least these fields, {...: shape} for one with any names, (shape, None) for a value
+# that may be null.
+Shape = Any
+NUMBER_OR_NULL = (float, None)
+MEANS: Shape = {...: [NUMBER_OR_NULL]}  # metric to [made, recorded]
+RESULT: Shape = {
+    "name": str,
+    "group": str,
+    "seed": int,
+    "data": str,
+    "longest": int,
+    "parameters": int,
+    "groups": {"all": MEANS},
+    "distribution": {"fid-pose": NUMBER_OR_NULL, "diversity": NUMBER_OR_NULL, "diversity-gt": NUMBER_OR_NULL},
+    "sequences": [{"sequence": str, "frames": int, "values": MEANS}],
+}
+OF_NETWORKS: Shape = {
+    "budget": {"name": str, "steps": int, "batch": int, "window": int, "rate": float},
+    "curve": [[float]],
+    "derivatives": {...: float},
+    "timing": {"seconds": float, "machine": str},
+}
+MADE: Shape = {"training": str, "test": str, "version": str}
+WORDS = {dict: "an object", list: "a list", str: "a text", int: "a whole number", float: "a number"}
+
+
+def made_from(dataset: Dataset) -> dict[str, str]:
+    """Return what a result says that it was made from: digests of training and test clips, and our version."""
+    return {"training": dataset.digest("train"), "test": dataset.digest("test"), "version": __version__}
+
+
+def check_result(result: Any) -> None:
+    """Check that the result of a run has all that tables and figures take from it.
+
+    Raises:
+        MotionkitError: a field is missing or of another type, or the names of experiment and data set are unknown.
+    """
+    _check(result, RESULT, "")
+    name, group, data = result["name"], result["group"], result["data"]
+    if data not in SELECTIONS:
+        raise MotionkitError(f"the data set {data!r:.40}, expected one of {', '.join(SELECTIONS)}")
+    if group != SHIPPED_GROUP:
+        known = {each.name: each for each in VARIANTS}
+        if name not in known:
+            raise MotionkitError(
+                f"the experiment {name!r:.40}, which `motionkit experiment list` does not have"
+            )
+        if group not in GROUPS:
+            raise MotionkitError(f"the group {group!r:.40}, expected one of {', '.join(GROUPS)}")
+        if known[name].preset:
+            _check(result, OF_NETWORKS, "")
+            if result["derivatives"]:  # of networks that predict a trajectory
+                _check(result["derivatives"], {"trajectory": float, "features": float}, "derivatives")
+    if "made" in result:
+        _check(result["made"], MADE, "made")
+    for part, values in result["groups"].items():
+        _check(values, MEANS, f"groups.{part}")
+    pairs = [*result["groups"].values(), *(row["values"] for row in result["sequences"])]
+    if any(len(pair) != 2 for values in pairs for pair in values.values()):
+        raise MotionkitError("a metric without its two values, made and recorded")
+    if any(len(point) != 2 for point in result.get("curve", [])):
+        raise MotionkitError("a point of the curve without step and loss")
+
+
+def _check(value: Any, shape: Shape, where: str) -> None:
+    """Raise MotionkitError that names the first field of another type."""
+    if isinstance(shape, tuple):
+        if value is None:
+            return
+        shape = shape[0]
+    plain = dict if isinstance(shape, dict) else list if isinstance(shape, list) else shape
+    wanted: Any = (int, float) if plain is float else plain
+    if not isinstance(value, wanted) or isinstance(value, bool):
+        raise MotionkitError(f"{where or 'the whole'} is {value!r:.40}, expected {WORDS[plain]}")
+    if isinstance(shape, dict):
+        for key, one in shape.items():
+            if key is not ... and key not in value:
+                raise MotionkitError(f"{where + '.' if where else ''}{key} is missing")
+            for name in value if key is ... else [key]:
+                _check(value[name], one, f"{where}.{name}" if where else name)
+    if isinstance(shape, list):
+        for number, each in enumerate(value):
+            _check(each, shape[0], f"{where}[{number}]")
+
+
+def read_long(folder: Path) -> Results:
+    """Return the long roll-outs of all models in a folder. Raises MotionkitError for a file that holds none."""
+    return _read(folder, "long roll-outs", lambda result: isinstance(result.get("rollouts"), list))
+
+
+def read_bodies(folder: Path) -> Results:
+    """Return what all models in a folder make of bodies. Raises MotionkitError for a file without."""
+    return _read(folder, "bodies", lambda result: isinstance(result.get("performers"), list))
+
+
+def read_scenes(folder: Path) -> Results:
+    """Return the scenes of all models in a folder. Raises MotionkitError for a file that lacks some."""
+    names = [scene.name for scene in SCENES]
+    return _read(
+        folder, "all scenes", lambda result: [s.get("name") for s in result.get("scenes", [])] == names
+    )
+
+
+def _read(folder: Path, what: str, complete: Callable[[dict[str, Any]], bool]) -> Results:
+    """The JSON objects of a folder, the shipped model's first, once each is complete."""
+    out = []
+    for path in sorted(folder.glob("*.json"), key=lambda p: (p.stem != "shipped", p.stem)):
+        result = read_json(path, f"the results of {what}", MotionkitError)
+        if not isinstance(result, dict) or not complete(result):
+            raise MotionkitError(f"{path}: not the results of {what}; make them again")
+        out.append(result)
+    return out

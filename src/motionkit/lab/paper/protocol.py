@@ -1,0 +1,146 @@
+"""How every model is tested: test sequences rolled out from their first frames with their own control signals.
+
+Paper section 5.3. No foot IK, no reference poses, no corrections: frames are what the network predicts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.dataset import Dataset
+from motionkit.errors import MotionkitError
+from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
+from motionkit.lab.held_out import Continue, HeldOut, compared, continued, decoded
+from motionkit.lab.paper.datasets import is_dance
+from motionkit.lab.statistics import rounded, weighted_mean
+from motionkit.metrics.body_movement import body_movement
+from motionkit.metrics.distribution import diversity, frechet_distance, window_features
+from motionkit.metrics.value import MetricValue
+from motionkit.models.model import MotionModel
+from motionkit.models.parts import partition
+from motionkit.motion.motion import Motion
+
+LONGEST = 240  # frames that are made of a sequence; the paper makes whole ones, and 600 for its user study
+METRICS = (
+    "bm-euler",
+    "bm-geodesic",
+    "afs",
+    "ssim-channel",
+    "ssim-window",
+    "mpjpe",
+    "path-mean",
+    "skate-ratio",
+    "jerk",
+    "l2p",
+    "l2q",
+    "npss",
+)
+LOWER = tuple(sorted({j for j in partition("two").parts[1].joints}))
+UPPER = tuple(j for j in range(23) if j not in LOWER or j == 0)
+
+
+def sequence_controls(dataset: Dataset, sequence: HeldOut, model: MotionModel) -> Controls:
+    """Return the control signals (T, ...) of a test sequence: its own types and trajectory."""
+    data = sequence.data
+    places = np.array([model.type_id(name) for name in dataset.types])
+    weights = blend_types(places[data.types], len(model.types))
+    trajectory = future_trajectory(data.ground, np.arange(len(data.types)))
+    asked = Controls.of_types(weights).with_mask(1.0)
+    return Controls(**vars(asked) | {"trajectory": trajectory, "types_ahead": types_ahead(weights)})
+
+
+def model_continues(model: MotionModel, dataset: Dataset, seed: int) -> Continue:
+    """Return what a model makes of a test sequence, drawn as the paper draws, on the performer's own body."""
+
+    def continues(sequence: HeldOut, number: int) -> Array:
+        asked, body = sequence_controls(dataset, sequence, model), dataset.skeleton(sequence.clip)
+        return continued(model, sequence, body, asked, sequence.frames, seed * 1009 + number)
+
+    return continues
+
+
+def truth_of(dataset: Dataset, sequence: HeldOut) -> Motion:
+    """Return the recorded motion of the frames to make."""
+    first = sequence.initial
+    return decoded(dataset, sequence, sequence.data.features[first : first + sequence.frames])
+
+
+def measure(
+    dataset: Dataset, continues: Continue, sequences: list[HeldOut], progress: Callable[[float], None]
+) -> dict[str, object]:
+    """Measure what continues the test sequences.
+
+    Returns:
+        Values per sequence, and for the groups "all", "dance" and "non-dance" their means over frames.
+    """
+    rows, made_windows, true_windows = [], [], []
+    for number, sequence in enumerate(sequences):
+        features = continues(sequence, number)
+        motion, truth = decoded(dataset, sequence, features), truth_of(dataset, sequence)
+        values = _values(motion, truth)
+        rows.append(
+            {
+                "sequence": sequence.clip.name,
+                "type": sequence.kind,
+                "initial": sequence.initial,
+                "frames": sequence.frames,
+                "values": values,
+            }
+        )
+        recorded = sequence.data.features[sequence.initial : sequence.initial + sequence.frames]
+        made_windows.append(window_features(features, dataset.pose_embedding))
+        true_windows.append(window_features(recorded, dataset.pose_embedding))
+        progress((number + 1) / len(sequences))
+    together, truths = np.concatenate(made_windows), np.concatenate(true_windows)
+    groups: dict[str, object] = {
+        name: means([r for r, s in zip(rows, sequences, strict=True) if of(s)])
+        for name, of in (
+            ("all", lambda s: True),
+            ("dance", lambda s: is_dance(s.kind)),
+            ("non-dance", lambda s: not is_dance(s.kind)),
+        )
+        if any(of(s) for s in sequences)
+    }
+    distribution = {
+        "fid-pose": _of_sets(lambda: frechet_distance(together, truths)),
+        "diversity": _of_sets(lambda: diversity(together)),
+        "diversity-gt": _of_sets(lambda: diversity(truths)),
+    }
+    return {"groups": groups, "distribution": distribution, "sequences": rows}
+
+
+def _of_sets(measured: Callable[[], MetricValue]) -> float | None:
+    """A metric of sets; None where they are too small."""
+    try:
+        return _rounded(measured().value)
+    except MotionkitError:
+        return None
+
+
+def _values(motion: Motion, truth: Motion) -> dict[str, list[float | None]]:
+    """Return metric id to [made, recorded]; null where it cannot be measured."""
+    found = compared(motion, truth, METRICS)
+    out = {metric: [_rounded(made), _rounded(real)] for metric, (made, real) in found.items()}
+    for name, joints in (("bm-upper", UPPER), ("bm-lower", LOWER)):
+        pair = (
+            body_movement(each.local_rotations[:, list(joints)], "euler").value for each in (motion, truth)
+        )
+        out[name] = [_rounded(value) for value in pair]
+    return out
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else rounded(value, 6)
+
+
+def means(rows: list[dict]) -> dict[str, list[float | None]]:
+    """Return means over frames of [made, recorded] of each metric, from rows of sequences."""
+    out: dict[str, list[float | None]] = {}
+    for metric in rows[0]["values"]:
+        sides = ([(r["values"][metric][side], r["frames"]) for r in rows] for side in (0, 1))
+        known = ([pair for pair in each if pair[0] is not None] for each in sides)
+        out[metric] = [_rounded(weighted_mean(each)) if each else None for each in known]
+    return out

@@ -1,0 +1,382 @@
+"""One run of an experiment: train, roll out, measure, and write one small JSON file. What is done is skipped."""
+
+from __future__ import annotations
+
+import json
+import platform
+import re
+import tempfile
+from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.errors import MotionkitError
+from motionkit.files import read_json, write_json
+from motionkit.lab.floors import FLOORS
+from motionkit.lab.held_out import held_out
+from motionkit.lab.paper.datasets import select
+from motionkit.lab.paper.derivatives import control_derivatives
+from motionkit.lab.paper.model_results import check_result, made_from
+from motionkit.lab.paper.protocol import LONGEST, measure, model_continues
+from motionkit.lab.paper.side_by_side import side_by_side
+from motionkit.lab.paper.variants import VARIANTS, Variant, chosen, parameters, variant
+from motionkit.lab.statistics import rounded
+from motionkit.models.architectures import network_class
+from motionkit.models.checkpoint import load_model
+from motionkit.models.model import MotionModel
+from motionkit.models.network import parameter_count
+from motionkit.training.options import TrainOptions
+from motionkit.training.presets import train_options
+from motionkit.training.report import TrainEvent
+from motionkit.training.trainer import train
+
+CURVE_POINTS = 100  # of a training curve in a result
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What all runs of a call have in common: equal budgets.
+
+    Attributes:
+        data: the dataset folder.
+        selection: which data set of it (lab/paper/datasets.py).
+        budget: a name in BUDGETS.
+        steps: training steps; the budget's by default.
+        results, checkpoints: folders to write to.
+        longest: frames that are made of a test sequence at most.
+    """
+
+    data: Path
+    selection: str = "D_L"
+    budget: str = "cpu"
+    steps: int | None = None
+    results: Path = Path("experiments/results")
+    checkpoints: Path = Path("experiments/checkpoints")
+    longest: int = LONGEST
+    device: str = "auto"
+
+    @property
+    def folder(self) -> str:
+        """Name of the folder for runs of this budget."""
+        return f"{self.selection}/{self.budget}" + ("" if self.steps is None else f"-{self.steps}")
+
+
+def slug(name: str) -> str:
+    """Return a variant's name as it stands in file names."""
+    return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
+
+
+def result_file(plan: Plan, each: Variant, seed: int) -> Path:
+    """Return where the result of a run is written."""
+    return plan.results / plan.folder / f"{slug(each.name)}-{seed}.json"
+
+
+def options_of(plan: Plan, each: Variant, seed: int) -> TrainOptions:
+    """Return the training options of a run: the budget's, with what the variant changes."""
+    return train_options(
+        each.preset,
+        steps=plan.steps,
+        budget=plan.budget,
+        config=dict(each.config),
+        seed=seed,
+        score_seconds=0.0,
+        log_every=10,
+        **each.options,
+    )
+
+
+def is_done(plan: Plan, each: Variant, seed: int, made: dict[str, str] | None) -> bool:
+    """Return whether the result of a run is there; results of before they had "made" count.
+
+    Args:
+        made: what a result of now would be made from, by made_from; None where that is not known.
+
+    Raises:
+        MotionkitError: the result is damaged, or was made from other data, or with another number of frames.
+    """
+    file = result_file(plan, each, seed)
+    if not file.exists():
+        return False
+    result = read_result(file)
+    if result["longest"] != plan.longest:
+        raise MotionkitError(
+            f"{file}: made with --frames {result['longest']}, not {plan.longest}; give these, choose another "
+            "--results, or delete it"
+        )
+    found = result.get("made", made)
+    other = [part for part in ("training", "test") if made and found and found[part] != made[part]]
+    if other:
+        raise MotionkitError(
+            f"{file}: made from other {' and '.join(other)} clips than those of {plan.data} ({plan.selection}); choose "
+            "another --results, or delete it"
+        )
+    return True
+
+
+Task = tuple[Variant, int]  # with a seed
+
+
+def tasks_of(plan: Plan, names: tuple[str, ...], seeds: int, every_seed: bool = False) -> list[Task]:
+    """Return the runs that names, groups and "all" stand for at the plan's budget, the first seed of everything first.
+
+    Networks have as many seeds as their table needs, or all with every_seed; floors have one.
+    """
+    variants = [each for each in chosen(names) if each.runs_at(plan.budget)]
+    needed = {each.name: (seeds if every_seed else each.seeds) if each.preset else 1 for each in variants}
+    return [(each, seed) for seed in range(seeds) for each in variants if seed < needed[each.name]]
+
+
+def unfinished(plan: Plan, tasks: Sequence[Task]) -> list[Task]:
+    """Return the runs without a result, once it is known that theirs can be written.
+
+    Raises:
+        MotionkitError: a result is there that is damaged, or of other data or other frames; or none can be written.
+    """
+    made = made_from(select(plan.data, plan.selection))
+    left = [(each, seed) for each, seed in tasks if not is_done(plan, each, seed, made)]
+    if left:
+        check_writable(plan)
+    return left
+
+
+def listed(plan: Plan, known: bool) -> tuple[list[dict[str, Any]], list[str]]:
+    """Return a row of plain values for each variant, and why results are not counted.
+
+    Args:
+        known: whether the dataset is there, so that results of other data are not counted.
+    """
+    made = made_from(select(plan.data, plan.selection)) if known else None
+    minutes, faults = _usual_minutes(plan), list[str]()
+
+    def counts(each: Variant, seed: int) -> bool:
+        try:
+            return is_done(plan, each, seed, made)
+        except MotionkitError as error:
+            faults.append(str(error))
+            return False
+
+    rows = [
+        {
+            "name": each.name,
+            "group": each.group,
+            "text": each.text,
+            "parameters": parameters(each),
+            "paper_parameters": each.paper_parameters,
+            "seeds": each.seeds,
+            "done": sum(counts(each, seed) for seed in range(each.seeds)),
+            "minutes": minutes.get(each.name),
+        }
+        for each in VARIANTS
+    ]
+    return rows, faults
+
+
+def _usual_minutes(plan: Plan) -> dict[str, float]:
+    """Minutes that runs of this folder took here; files that are no results are left out."""
+    minutes = {}
+    for path in (plan.results / plan.folder).glob("*.json"):
+        with suppress(MotionkitError):
+            result = read_result(path)
+            if "timing" in result:
+                minutes[result["name"]] = result["timing"]["seconds"] / 60
+    return minutes
+
+
+def check_writable(plan: Plan) -> None:
+    """Check that results and checkpoints can be written, before hours of training. Raises MotionkitError if not."""
+    for folder in (plan.results / plan.folder, plan.checkpoints / plan.folder):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                pass
+        except OSError as error:
+            raise MotionkitError(
+                f"{folder}: cannot be written ({error.strerror or error}); choose another --results"
+            ) from None
+
+
+def run_one(
+    plan: Plan, each: Variant, seed: int, say: Callable[[str], None], progress: Callable[[float], None]
+) -> Path:
+    """Do one run unless its result is there, and return its file.
+
+    Raises:
+        DatasetError: if the dataset does not fit.
+        MotionkitError: a result is there that is damaged, or of other data or other frames.
+    """
+    file = result_file(plan, each, seed)
+    dataset = select(plan.data, plan.selection)
+    made = made_from(dataset)
+    if is_done(plan, each, seed, made):
+        return file
+    result: dict[str, Any] = {
+        "name": each.name,
+        "group": each.group,
+        "seed": seed,
+        "data": plan.selection,
+        "made": made,
+    }
+    if each.preset:
+        result |= _trained(plan, each, seed, dataset, say, lambda share: progress(0.9 * share))
+    else:
+        result |= _floor(plan, each, dataset, progress)
+    write_json(file, result)
+    progress(1.0)
+    return file
+
+
+def run_all(
+    plan: Plan,
+    tasks: Sequence[Task],
+    jobs: int,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+) -> Generator[Path, None, None]:
+    """Do runs of (variant, seed), some at a time in processes of their own, and yield each file as it is written.
+
+    Raises:
+        DatasetError: if the dataset does not fit.
+        MotionkitError: a process of a run was killed.
+        KeyboardInterrupt: Ctrl-C; runs in flight have written their checkpoints.
+    """
+    if jobs > 1:
+        works = [
+            (f"{each.name}, seed {seed}", partial(_quiet_run, plan, each.name, seed)) for each, seed in tasks
+        ]
+        yield from side_by_side(works, jobs, say, progress)
+        return
+    for number, (each, seed) in enumerate(tasks):
+        say(f"{each.name}, seed {seed}")
+        yield run_one(plan, each, seed, say, lambda share, n=number: progress((n + share) / len(tasks)))  # type: ignore[misc]
+
+
+def _quiet_run(plan: Plan, name: str, seed: int, progress: Callable[[float], None]) -> Path:
+    return run_one(plan, variant(name), seed, lambda text: None, progress)
+
+
+# ---- one run ----
+
+
+def _trained(
+    plan: Plan,
+    each: Variant,
+    seed: int,
+    dataset: Dataset,
+    say: Callable[[str], None],
+    progress: Callable[[float], None],
+) -> dict[str, Any]:
+    torch.set_num_threads(1)  # sums in one order, so that a seed gives the same figures
+    options = options_of(plan, each, seed)
+    folder = plan.checkpoints / plan.folder
+    path = folder / f"{slug(each.name)}-{seed}.safetensors"
+    checkpoint = path.with_suffix(".run") / "checkpoint.safetensors"
+
+    stopping = False
+
+    def on_event(event: TrainEvent) -> None:
+        nonlocal stopping
+        stopping |= event.kind == "stop"
+        if event.kind == "note" and not stopping:  # how a stopped run continues is for the caller to say
+            say(event.text)
+        if event.kind == "log" and options.steps:
+            progress(event.step / options.steps)
+
+    done = train(dataset, path, options, checkpoint.exists(), None, plan.device, on_event)
+    if not done.finished:
+        raise KeyboardInterrupt
+    model = load_model(path)
+    return {
+        "budget": {
+            "name": plan.budget,
+            "steps": done.steps,
+            "batch": options.optimizer.batch,
+            "window": options.sampler.window,
+            "rate": options.optimizer.rate,
+        },
+        "parameters": parameter_count(network_class(model.config.architecture).from_weights(model.network)),
+        "losses": _final(path.with_suffix(".run") / "log.jsonl"),
+        "curve": _curve(path.with_suffix(".run") / "log.jsonl"),
+        **_tested(plan, dataset, model, seed),
+        "timing": {"seconds": round(done.seconds, 1), "machine": machine(plan.device)},
+    }
+
+
+def _tested(plan: Plan, dataset: Dataset, model: MotionModel, seed: int) -> dict[str, Any]:
+    sequences = held_out(dataset, plan.longest)
+    measured = measure(dataset, model_continues(model, dataset, seed), sequences, lambda share: None)
+    return {
+        "longest": plan.longest,
+        **measured,
+        "derivatives": control_derivatives(model, dataset, sequences[0]),
+    }
+
+
+def _floor(plan: Plan, each: Variant, dataset: Dataset, progress: Callable[[float], None]) -> dict[str, Any]:
+    floor = FLOORS[each.name](dataset)
+    sequences = held_out(dataset, plan.longest)
+    measured = measure(dataset, floor, sequences, progress)
+    return {"parameters": 0, "longest": plan.longest, **measured}
+
+
+def _log(path: Path) -> list[dict[str, Any]]:
+    """Return the lines of a training log, the last of those with the same step."""
+    lines = [json.loads(line) for line in path.read_text("utf-8").splitlines()]
+    return list({line["step"]: line for line in lines if line["kind"] == "log"}.values())
+
+
+def _final(path: Path) -> dict[str, float]:
+    """Return the means of each loss over the last tenth of the log."""
+    lines = _log(path)
+    last = lines[-max(1, len(lines) // 10) :]
+    names = [name for name in last[0] if name not in ("kind", "step", "seconds", "rate")]
+    return {name: rounded(sum(line[name] for line in last) / len(last), 5) for name in names}
+
+
+def _curve(path: Path) -> list[list[float]]:
+    """Return [step, total loss] at up to CURVE_POINTS places, each the mean of the steps around it."""
+    lines = _log(path)
+    size = -(-len(lines) // CURVE_POINTS)
+    parts = [lines[i : i + size] for i in range(0, len(lines), size)]
+    return [[part[-1]["step"], rounded(sum(line["total"] for line in part) / len(part), 5)] for part in parts]
+
+
+def machine(device: str) -> str:
+    """Return the processor a run used, for people."""
+    if device.startswith("cuda") or (device == "auto" and torch.cuda.is_available()):
+        return torch.cuda.get_device_name()
+    return f"CPU, one thread ({platform.machine()})"
+
+
+def read_results(folder: Path) -> list[dict[str, Any]]:
+    """Return all results below a folder, by data set, budget, name and seed.
+
+    Raises:
+        MotionkitError: for a file that is none.
+    """
+    return [
+        read_result(path) | {"folder": path.parent.relative_to(folder).as_posix()}
+        for path in sorted(folder.rglob("*.json"))
+    ]
+
+
+def read_result(path: Path) -> dict[str, Any]:
+    """Return one result with all that tables and figures take from it.
+
+    Raises:
+        MotionkitError: the file is none, a field is missing or of another type, or its names are unknown.
+    """
+    try:
+        result = read_json(path, "the result of an experiment", MotionkitError)
+        check_result(result)
+    except MotionkitError as error:
+        fault = str(error).removeprefix(f"{path}: ")
+        raise MotionkitError(
+            f"{path}: not the result of an experiment ({fault}); delete it and run it again"
+        ) from None
+    return result

@@ -1,0 +1,382 @@
+"""Results as tables, in Markdown and LaTeX, the paper's figure beside ours. Nothing is trained here."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from motionkit.lab.paper.datasets import SELECTIONS
+from motionkit.lab.paper.protocol import means
+from motionkit.lab.paper.published import BODY_MOVEMENT, paper_row
+from motionkit.lab.paper.shipped import GROUP
+from motionkit.lab.paper.variants import VARIANTS, Variant
+from motionkit.lab.statistics import Figure, figure
+from motionkit.names import counted
+from motionkit.tables import Table
+from motionkit.training.budgets import BUDGETS
+
+Results = Sequence[dict[str, Any]]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of figures.
+
+    Attributes:
+        metric: its id in results.
+        title: with its unit.
+        goal: "truth" if the best value is nearest to the recorded one, "low" or "high".
+        digits: after the point.
+        paper: place in the paper's rows, -1 for none.
+    """
+
+    metric: str
+    title: str
+    goal: str
+    digits: int
+    paper: int = -1
+
+    def loss(self, value: float, truth: Figure | None) -> float:
+        """Return how bad a value is; truth is the recorded one."""
+        if self.goal == "truth":
+            return abs(value - truth.mean) if truth else math.inf
+        return value if self.goal == "low" else -value
+
+
+MAIN = (
+    Column("bm-euler", "BM (deg/frame)", "truth", 1, 0),
+    Column("afs", "AFS (cm/frame)", "low", 3, 1),
+    Column("ssim-channel", "SSIM", "high", 3, 2),
+    Column("mpjpe", "MPJPE (cm)", "low", 2, 3),
+    Column("path-mean", "path (cm/frame)", "low", 2),
+)
+RESEARCH = (
+    Column("l2p", "L2P (cm)", "low", 1),
+    Column("l2q", "L2Q", "low", 3),
+    Column("npss", "NPSS", "low", 3),
+    Column("skate-ratio", "foot skate", "low", 3),
+    Column("jerk", "jerk (m/s³)", "truth", 0),
+)
+PARTS_MOVED = (
+    Column("bm-upper", "BM of the upper body", "truth", 1),
+    Column("bm-lower", "BM of the lower body", "truth", 1),
+)
+GROUP_TITLES = {
+    "parts": "Body parts (paper table 6)",
+    "fusion": "Feature fusion and consistency loss (paper table 7)",
+    "memory": "Receptive field and backbone (paper table 8)",
+    "losses": "Losses and data (paper table 9)",
+    "baselines": "Networks of other papers, and floors (paper tables 1 to 3)",
+}
+
+
+def named(results: Results, name: str) -> list[dict[str, Any]]:
+    """Return the results of a variant."""
+    return [result for result in results if result["name"] == name]
+
+
+def in_folder(results: Results, folder: str) -> list[dict[str, Any]]:
+    """Return the results of a data set and budget."""
+    return [result for result in results if result["folder"] == folder]
+
+
+def names_of(results: Results) -> list[str]:
+    """Return the names of variants in results, in their order."""
+    return list(dict.fromkeys(result["name"] for result in results))
+
+
+def figure_of(results: Results, metric: str, group: str = "all", recorded: bool = False) -> Figure | None:
+    """Return a metric's figure over results of one variant; None where no run has it."""
+    values = []
+    for result in results:
+        pair = result["groups"].get(group, {}).get(metric)
+        if pair is not None and pair[recorded] is not None:
+            values.append(float(pair[recorded]))
+    return figure(values)
+
+
+def clear_best(figures: dict[str, Figure], column: Column, truth: Figure | None) -> str | None:
+    """Return who is best by more than the spread over seeds, None if nobody is or the seeds cannot tell."""
+
+    def loss(figure: Figure) -> float:
+        return column.loss(figure.mean, truth)
+
+    ranked = sorted(figures, key=lambda name: loss(figures[name]))
+    if len(ranked) < 2:
+        return None
+    first, second = figures[ranked[0]], figures[ranked[1]]
+    if min(first.seeds, second.seeds) < 2:
+        return None
+    return ranked[0] if loss(second) - loss(first) > max(first.spread, second.spread) else None
+
+
+def tables(results: Results) -> list[Table]:
+    """Return all tables: for each data set and budget the groups of variants, beside TPTN."""
+    out = []
+    for folder in protocol_folders(results):
+        out += _folder_tables(folder, in_folder(results, folder))
+    return out + _shipped_tables(results)
+
+
+def protocol_folders(results: Results) -> list[str]:
+    """Return the folders of results that follow the protocol: all but those of the shipped model."""
+    return sorted({result["folder"] for result in results if result["group"] != GROUP})
+
+
+def _shipped_tables(results: Results) -> list[Table]:
+    """The shipped model beside each folder's networks, all on the sequences it has not seen."""
+    out = []
+    for folder in protocol_folders(results):
+        here = in_folder(results, folder)
+        selection, longest = here[0]["data"], here[0]["longest"]
+        shipped = [r for r in results if (r["group"], r["data"], r["longest"]) == (GROUP, selection, longest)]
+        if not shipped:
+            continue
+        names = {_recording(row) for row in shipped[0]["sequences"]}
+        by_name: dict[str, list[dict[str, Any]]] = defaultdict(list)
+        for each in (*shipped, *here):
+            kept = _of_names(each, names)
+            if kept and each["group"] in (GROUP, "tptn", "baselines", "floors"):
+                by_name[each["name"]].append(each | {"groups": {"all": means(kept)}})
+        own = [Variant(name, GROUP, "") for name in names_of(shipped)]
+        members = [*own, *(v for v in VARIANTS if v.name in by_name)]
+        title = f"The shipped model as shipped, on {len(names)} recordings it has not seen: {_named(folder)}"
+        out.append(_table(title, "", members, by_name, MAIN))
+    return out
+
+
+def _of_names(result: dict[str, Any], names: set[str]) -> list[dict]:
+    """The rows of these recordings, nothing if some are missing."""
+    rows = [row for row in result["sequences"] if _recording(row) in names]
+    return rows if len(rows) == len(names) else []
+
+
+def _recording(row: dict[str, Any]) -> str:
+    """The recording of a test sequence, whatever folder it lay in."""
+    return str(row["sequence"]).rpartition("/")[2]
+
+
+def _folder_tables(folder: str, results: Results) -> list[Table]:
+    by_name = {name: named(results, name) for name in names_of(results)}
+    selection = results[0]["data"]
+    out = []
+    for group, title in GROUP_TITLES.items():
+        members = [
+            v
+            for v in VARIANTS
+            if v.name == "TPTN"
+            or v.group == group
+            or (group == "baselines" and v.group in ("tptn", "floors"))
+        ]
+        present = [v for v in members if v.name in by_name]
+        if not any(v.group != "tptn" for v in present):
+            continue
+        columns = (*MAIN, *PARTS_MOVED) if group == "fusion" else MAIN
+        # The paper has variants of its network on the small data set alone.
+        told = selection if selection == "D_L" or group == "baselines" else ""
+        if not told:
+            title = title.partition(" (")[0]
+        out.append(_table(f"{title}: {_named(folder)}", told, present, by_name, columns))
+        if group == "baselines":
+            for part in ("non-dance", "dance"):
+                if any(part in r["groups"] for r in results) and any("dance" in r["groups"] for r in results):
+                    out.append(
+                        # The paper's figures are of all sequences.
+                        _table(f"{title}, {part}: {_named(folder)}", "", present, by_name, MAIN, part)
+                    )
+            out.append(
+                _table(f"Metrics of other papers: {_named(folder)}", selection, present, by_name, RESEARCH)
+            )
+            out.append(_distribution(f"Sets of motions: {_named(folder)}", present, by_name))
+    out.append(_derivatives(f"Derivatives of the predicted trajectory: {_named(folder)}", by_name))
+    return [table for table in out if table.rows]
+
+
+def _named(folder: str) -> str:
+    selection, _, budget = folder.partition("/")
+    return f"{selection}, budget {budget}"
+
+
+def _table(
+    title: str,
+    selection: str,
+    variants: Sequence[Variant],
+    by_name: dict[str, list[dict[str, Any]]],
+    columns: tuple[Column, ...],
+    part: str = "all",
+) -> Table:
+    truths = {c.metric: figure_of(by_name[variants[0].name], c.metric, part, recorded=True) for c in columns}
+    found = {
+        c.metric: {v.name: f for v in variants if (f := figure_of(by_name[v.name], c.metric, part))}
+        for c in columns
+    }
+    best = {c.metric: clear_best(found[c.metric], c, truths[c.metric]) for c in columns}
+    rows = [("recorded", "", "", *(_recorded_cell(truths[c.metric], c, selection) for c in columns))]
+    for v in variants:
+        cells = []
+        for c in columns:
+            text = _cell(found[c.metric].get(v.name), c.digits)
+            text = f"**{text}**" if best[c.metric] == v.name else text
+            cells.append(_beside(text, _paper_value(selection, v.name, c)))
+        rows.append((v.name, str(len(by_name[v.name])), _parameters(v, by_name[v.name]), *cells))
+    return Table(title, ("", "seeds", "parameters (M)", *(c.title for c in columns)), tuple(rows))
+
+
+def _paper_value(selection: str, name: str, column: Column) -> float | str:
+    if column in PARTS_MOVED:
+        pair = BODY_MOVEMENT.get(name) if selection == "D_L" else None
+        return "" if pair is None else pair[PARTS_MOVED.index(column)]
+    row = paper_row(selection, name)
+    return "" if row is None or column.paper < 0 else row[column.paper]
+
+
+def _recorded_cell(figure: Figure | None, column: Column, selection: str) -> str:
+    # Recordings are the same for every seed.
+    alone = None if figure is None else replace(figure, seeds=1)
+    return _beside(_cell(alone, column.digits), _paper_value(selection, "recorded", column))
+
+
+def _cell(figure: Figure | None, digits: int) -> str:
+    if figure is None:
+        return "-"
+    spread = f" ± {figure.spread:.{digits}f}" if figure.seeds > 1 and figure.spread > 0.0 else ""
+    return f"{figure.mean:.{digits}f}{spread}"
+
+
+def _beside(ours: str, paper: float | str) -> str:
+    return f"{ours} ({paper:g})" if isinstance(paper, float) else ours
+
+
+def _parameters(v: Variant, results: Results) -> str:
+    ours = f"{results[0]['parameters'] / 1e6:.2f}" if results[0]["parameters"] else "-"
+    return ours if v.paper_parameters is None else f"{ours} ({v.paper_parameters:g})"
+
+
+def _distribution(title: str, variants: Sequence[Variant], by_name: dict[str, list[dict[str, Any]]]) -> Table:
+    rows = []
+    for v in variants:
+        values = {
+            k: figure([r["distribution"][k] for r in by_name[v.name] if r["distribution"][k] is not None])
+            for k in ("fid-pose", "diversity")
+        }
+        rows.append((v.name, _cell(values["fid-pose"], 2), _cell(values["diversity"], 2)))
+    spread = by_name[variants[0].name][0]["distribution"]["diversity-gt"]
+    recorded = figure([] if spread is None else [spread])
+    rows.insert(0, ("recorded", "0.00", _cell(recorded, 2)))
+    return Table(title, ("", "Frechet distance (fid-pose)", "diversity"), tuple(rows))
+
+
+def _derivatives(title: str, by_name: dict[str, list[dict[str, Any]]]) -> Table:
+    rows = []
+    for v in VARIANTS:
+        found = [r["derivatives"] for r in by_name.get(v.name, []) if r.get("derivatives")]
+        if found:
+            gains = (figure([d[key] for d in found]) for key in ("trajectory", "features"))
+            rows.append((v.name, *(_cell(gain, 2) for gain in gains)))
+    return Table(title, ("", "by the trajectory fed in", "by the features fed in"), tuple(rows))
+
+
+def budget_lines(results: Results) -> list[str]:
+    """Say in a line per folder what its runs were given, and how many there are."""
+    lines = []
+    for folder in protocol_folders(results):
+        here = in_folder(results, folder)
+        trained = [r for r in here if "budget" in r]
+        selection = SELECTIONS[here[0]["data"]]
+        line = f"**{_named(folder)}**: {selection.text}; {counted(len(here), 'result')}."
+        if trained:
+            b = trained[0]["budget"]
+            seconds = sorted(r["timing"]["seconds"] for r in trained)
+            least, most = (f"{each / 60:.0f}" for each in (seconds[0], seconds[-1]))
+            minutes = f"{least} minutes" if least == most else f"{least} to {most} minutes"
+            line += (
+                f" Each network: {b['steps']} steps of {b['batch']} windows of {b['window']} frames, "
+                f"rate {b['rate']:g}; {minutes} ({trained[0]['timing']['machine']})."
+            )
+            changes = BUDGETS[b["name"]].config if b["name"] in BUDGETS else {}
+            if changes:
+                words = ", ".join(f"{option} {value:g}" for option, value in changes.items())
+                line += (
+                    f" So short a training needs part transformers that begin near a copy of the present frame, with "
+                    f"little dropout: {words}. Absolute head is TPTN without these changes."
+                )
+        most = f"At most {here[0]['longest']} frames are made of a sequence."
+        lines.append(f"{line} {_test_set(here)} {most} {_command(here, folder)}")
+    return lines
+
+
+def _test_set(here: Results) -> str:
+    """Say what a folder's runs were tested on, and how far recordings differ that were prepared at different times."""
+    rows = here[0]["sequences"]
+    mirrored = sum("(mirrored)" in row["sequence"] for row in rows)
+    frames = sum(row["frames"] for row in rows)
+    said = f"Tested on {len(rows)} sequences, {frames:,} frames"
+    said += f", {mirrored} of them mirror images of training clips." if mirrored else "."
+    moved = {round(each.mean, 2) for r in here if (each := figure_of([r], "bm-euler", recorded=True))}
+    if len(moved) > 1:
+        least, most = min(moved), max(moved)
+        said += (
+            " The recordings were prepared at different times by changing code, so that the recorded BM of these "
+            f"results goes from {least:.2f} to {most:.2f}."
+        )
+    return said
+
+
+def _command(here: list[dict[str, Any]], folder: str) -> str:
+    """How the runs of a folder are made again, in words."""
+    budget, _, steps = folder.partition("/")[2].partition("-")
+    words = f"--set {here[0]['data']} --budget {budget} --frames {here[0]['longest']}"
+    needed = {variant.name: variant.seeds for variant in VARIANTS}
+    more = any(result["seed"] >= needed.get(result["name"], 1) for result in here)
+    return (
+        f"Command: `motionkit experiment run all {words}{f' --steps {steps}' if steps else ''} --seeds 3"
+        f"{' --every-seed' if more else ''}`."
+    )
+
+
+def missing(results: Results, folder: str) -> list[str]:
+    """Return the variants, with how many runs, that a folder still lacks."""
+    here = in_folder(results, folder)
+    budget = folder.partition("/")[2].partition("-")[0]
+    lacking = [
+        (v.name, v.seeds - len({result["seed"] for result in named(here, v.name)}))
+        for v in VARIANTS
+        if v.runs_at(budget)
+    ]
+    return [f"{name} ({count})" if count > 1 else name for name, count in lacking if count > 0]
+
+
+def markdown(table: Table) -> str:
+    """Return a table in Markdown, below its title."""
+    return "\n".join([f"### {table.title}", "", *table.markdown()]) + "\n"
+
+
+def latex(table: Table) -> str:
+    """Return a table in LaTeX (booktabs)."""
+
+    def cell(text: str) -> str:
+        if text.startswith("**"):
+            inner, _, rest = text[2:].partition("**")
+            text = f"\\textbf{{{inner}}}{rest}"
+        for sign, code in (("±", "$\\pm$"), ("³", "$^3$"), ("_", "\\_"), ("%", "\\%")):
+            text = text.replace(sign, code)
+        return text
+
+    rows = [" & ".join(map(cell, row)) + r" \\" for row in table.texts()]
+    lines = [
+        r"\begin{table}",
+        r"\centering",
+        rf"\begin{{tabular}}{{l{'c' * (len(table.columns) - 1)}}}",
+        r"\toprule",
+        " & ".join(map(cell, table.columns)) + r" \\",
+        r"\midrule",
+        *rows,
+        r"\bottomrule",
+        r"\end{tabular}",
+        rf"\caption{{{cell(table.title)}}}",
+        r"\end{table}",
+    ]
+    return "\n".join(lines) + "\n"

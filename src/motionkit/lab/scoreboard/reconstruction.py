@@ -1,0 +1,228 @@
+"""Reconstruction of held-out clips (the paper's tables): roll out a clip from its first frames and its controls."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.control.speeds import acceleration_limit
+from motionkit.control.synthesize import SynthesisOptions, finish_motions
+from motionkit.data.dataset import Dataset
+from motionkit.features.control import Controls
+from motionkit.inference.rollout import RolloutState, run
+from motionkit.inference.start import INIT_FRAMES
+from motionkit.lab.floors import last_frame, nearest_clip
+from motionkit.lab.held_out import LEAST_REST, Continue, HeldOut, compared, decoded, held_out, recorded_motion
+from motionkit.lab.scoreboard.report import Goal, Section, at_least, at_most
+from motionkit.lab.scoreboard.sequence_controls import SequenceControls
+from motionkit.lab.scoreboard.settings import EvaluationSettings
+from motionkit.lab.scoreboard.trial import Trial
+from motionkit.lab.statistics import weighted_mean
+from motionkit.metrics.body import Body, body_of
+from motionkit.models.model import MotionModel
+from motionkit.motion.motion import Motion
+from motionkit.tables import Table
+from motionkit.training.verdict.rolling import Progress, Take
+
+METRICS = ("bm-euler", "afs", "afs-ground", "ssim-channel", "ssim-window", "mpjpe", "path-mean")
+# The recording itself, delayed by this many frames: a scale for the other scores.
+DELAYS = {"3 frames late": 3, "20 frames late": 20}
+ALONE = "without references"
+FLOORS = ("last frame", "nearest clip")
+VARIANTS = ("ground truth", "model", "raw network", ALONE, *DELAYS, *FLOORS)
+TARGET_SLIDING, TARGET_RAW_SLIDING = 0.6, 1.3  # relative to the recordings; the paper's own is 1.29
+
+
+Means = dict[
+    tuple[str, str], dict[str, float]
+]  # by type or "all", and variant: metric to its mean over frames
+
+
+def held_out_clips(
+    model: MotionModel, dataset: Dataset, longest: float, split: str = "test"
+) -> list[HeldOut]:
+    """Return the clips of a split that are long enough and whose types the model has, rolled out for `longest` s."""
+    found = held_out(dataset, round(longest * model.fps), split, (INIT_FRAMES,))
+    return [
+        clip
+        for clip in found
+        if {dataset.types[k] for k in np.unique(clip.data.types).tolist()} <= set(model.types)
+    ]
+
+
+def roll_like(
+    model: MotionModel,
+    dataset: Dataset,
+    clips: list[HeldOut],
+    settings: EvaluationSettings,
+    progress: Progress,
+) -> list[Take]:
+    """Roll out every clip from its first frames with its own types, trajectory and phase (SequenceControls)."""
+    frames = max(clip.frames for clip in clips)
+    asked = [SequenceControls(model, dataset.types, clip.data, clip.initial) for clip in clips]
+
+    def controls(frame: int, ground: Array) -> Controls:
+        return Controls.concatenated([ask(frame, ground[i : i + 1]) for i, ask in enumerate(asked)])
+
+    state = RolloutState(model, len(clips), settings.noise, settings.first_seed)
+    state.start(
+        [c.data.features[: c.initial] for c in clips],
+        [c.data.contacts[: c.initial] for c in clips],
+        np.stack([ask.weights[0] for ask in asked]),
+        np.stack([c.data.ground[c.initial - 1] for c in clips]),
+    )
+    rollout = run(state, frames, controls, lambda frame: progress(frame / frames))
+    skeleton = model.character("default")
+    takes = []
+    for index, clip in enumerate(clips):
+        # The way is given, as on a path: feet that are locked do not change it.
+        mine, options = rollout.first(clip.frames), SynthesisOptions(raw=True)
+        most = acceleration_limit(model, asked[index].shown)
+        held, raw = finish_motions(model, mine, index, skeleton, options, most)
+        assert raw is not None, "the options ask for it"
+        takes.append(Take(body_of(held), body_of(raw)))
+    return takes
+
+
+def reconstruction_section(trial: Trial, progress: Progress) -> Section:
+    """Measure the section: the model beside ground truth and baselines, per type and overall."""
+    model, dataset, settings = trial.model, trial.dataset, trial.settings
+    title = "Reconstruction of held-out clips"
+    clips = held_out_clips(model, dataset, settings.reconstruction_seconds, settings.split)
+    if not clips:
+        return Section("reconstruction", title, notes=[_why_none(model, dataset, settings.split)])
+    means = _measured(trial, clips, progress)
+    groups = ["all", *sorted({clip.kind for clip in clips})]
+    rows = [
+        (group, variant, *(means.get((group, variant), {}).get(m) for m in METRICS))
+        for group in groups
+        for variant in VARIANTS
+        if variant != ALONE or trial.without_references is not None
+    ]
+    counts = []
+    for group in groups:
+        frames = [clip.frames for clip in clips if group in ("all", clip.kind)]
+        counts.append((group, len(frames), sum(frames) / model.fps))
+    tables = [
+        Table("Metrics per type", ("type", "motion", *METRICS), rows),
+        Table("Held-out clips", ("type", "clips", "seconds compared"), counts),
+    ]
+    return Section("reconstruction", title, tables, _goals(means), _notes(settings))
+
+
+def _measured(trial: Trial, clips: list[HeldOut], progress: Progress) -> Means:
+    """The means of all variants over the clips, each clip rolled out as often as the settings repeat."""
+    repeated = clips * trial.settings.repeats
+    takes = _takes(trial, repeated, lambda share: progress(0.5 * share))
+    training = [trial.dataset.clips[number] for number in trial.real.training]
+    floors = dict(
+        zip(FLOORS, (last_frame(trial.dataset), nearest_clip(trial.dataset, training)), strict=True)
+    )
+    found: dict[tuple[str, str], dict[str, list[tuple[float, float]]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
+    for number, clip in enumerate(repeated):
+        recorded = recorded_motion(trial.dataset, clip, trial.model.character("default"))
+        candidates = {name: made[number] for name, made in takes.items()}
+        if number < len(clips):
+            candidates |= _baselines(trial, clip, recorded, floors)
+        truth = recorded.cut(clip.initial, clip.initial + clip.frames)
+        for variant, candidate in candidates.items():
+            for metric, (made, real) in compared(candidate, truth, METRICS).items():
+                for group in (clip.kind, "all"):
+                    if made is not None:
+                        found[group, variant][metric].append((made, clip.frames))
+                    if variant == "model" and real is not None:
+                        found[group, "ground truth"][metric].append((real, clip.frames))
+        progress(0.5 + 0.5 * (number + 1) / len(repeated))
+    return {key: {m: weighted_mean(values) for m, values in each.items()} for key, each in found.items()}
+
+
+def _takes(trial: Trial, clips: list[HeldOut], progress: Progress) -> dict[str, list[Motion]]:
+    """What the model makes of each clip, as users get it, raw, and without reference recordings where it has some."""
+    model, bare = trial.model, trial.without_references
+    takes = roll_like(model, trial.dataset, clips, trial.settings, lambda share: progress(0.6 * share))
+    out = {
+        "model": [as_motion(model, take.default) for take in takes],
+        "raw network": [as_motion(model, take.raw) for take in takes],
+    }
+    if bare is not None:
+        alone = roll_like(
+            bare, trial.dataset, clips, trial.settings, lambda share: progress(0.6 + 0.4 * share)
+        )
+        out[ALONE] = [as_motion(model, take.default) for take in alone]
+    return out
+
+
+def _baselines(
+    trial: Trial, clip: HeldOut, recorded: Motion, floors: dict[str, Continue]
+) -> dict[str, Motion]:
+    """The recording itself, delayed, and the floors."""
+    body = trial.model.character("default")
+    out = {
+        name: recorded.cut(clip.initial - delay, clip.initial - delay + clip.frames)
+        for name, delay in DELAYS.items()
+    }
+    return out | {name: decoded(trial.dataset, clip, make(clip, 0), body) for name, make in floors.items()}
+
+
+def _notes(settings: EvaluationSettings) -> list[str]:
+    return [
+        f"{settings.repeats} roll-outs per held-out clip start from its first {INIT_FRAMES} frames, use its types, "
+        "phase and trajectory, which is asked for where it lies on the ground, as a path is, and last at most "
+        f"{settings.reconstruction_seconds:g} s; metrics (docs/metrics.md) are means over frames, in cm, and in "
+        "degrees per frame at 60 fps",
+        "frames late: the recording itself, delayed by this many frames",
+        "baselines: the last given frame, held, and the continuation of the training clip whose half second before is "
+        "nearest",
+        "model: as synthesize makes motion by default, feet locked; raw network: feet not locked; without references: "
+        "with --reference none; sliding (afs) of all is measured from the floor of the recording, afs-ground above "
+        "y = 0",
+    ]
+
+
+def _why_none(model: MotionModel, dataset: Dataset, split: str) -> str:
+    """Why a split has no clip to measure, in words."""
+    least = INIT_FRAMES + LEAST_REST
+    clips = dataset.select(split)
+    if not clips:
+        return f"not measured: the dataset has no {split} clips; preprocess holds some out where types have several"
+    long = [clip for clip in clips if clip.frames >= least]
+    if not long:
+        return f"not measured: none of the {len(clips)} {split} clips has {least} frames"
+    held = {dataset.types[kind] for clip in long for kind in np.unique(dataset.clip_types(clip)).tolist()}
+    unknown = ", ".join(sorted(held - set(model.types)))
+    return f"not measured: the {len(long)} {split} clips hold types that the model does not have: {unknown}"
+
+
+def as_motion(model: MotionModel, body: Body) -> Motion:
+    return Motion(model.character("default"), body.rotations, body.positions[:, 0], body.fps)
+
+
+def _goals(means: Means) -> list[Goal]:
+    truth, model, raw, near = (
+        means.get(("all", variant), {})
+        for variant in ("ground truth", "model", "raw network", "nearest clip")
+    )
+
+    def ratio(metric: str, of: dict[str, float]) -> float | None:
+        base = truth.get(metric)
+        return of[metric] / base if base and metric in of else None
+
+    above = "foot sliding of the raw network / real, heights above y = 0 (afs-ground)"
+    goals = [
+        Goal("body movement / real (bm-euler)", ratio("bm-euler", model), "0.95 to 1.05", 0.95, 1.05),
+        at_most("foot sliding / real (afs)", ratio("afs", model), TARGET_SLIDING),
+        at_most("foot sliding of the raw network / real (afs)", ratio("afs", raw), TARGET_RAW_SLIDING),
+        at_most(above, ratio("afs-ground", raw), TARGET_RAW_SLIDING),
+        at_least("SSIM (ssim-window)", model.get("ssim-window"), 0.992),
+    ]
+    for metric in ("ssim-channel", "ssim-window", "mpjpe", "path-mean"):
+        more = metric.startswith("ssim")
+        limit = near.get(metric)
+        target = f"{'>' if more else '<'} nearest clip" + ("" if limit is None else f", {limit:.3g}")
+        limits = (limit, None) if more else (None, limit)
+        goals.append(Goal(f"{metric} against the nearest clip", model.get(metric), target, *limits))
+    return goals

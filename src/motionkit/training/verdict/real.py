@@ -1,0 +1,202 @@
+"""Recorded motion to compare with: stretches of each type, training poses and motion profiles."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.data.dataset import Dataset
+from motionkit.data.phases import type_stretches
+from motionkit.errors import DatasetError
+from motionkit.metrics.body import Body, body_of
+from motionkit.metrics.detectors import detection_windows
+from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS
+
+SHORTEST = 24  # frames; stretches below 0.4 s are left out
+BANK_EVERY = 8  # frames between the stored poses of a training clip
+POSE_EVERY = 6  # frames between the poses whose nearest neighbour is sought
+PROFILE_SECONDS = 7.0
+# Limits of a MotionProfile: these quantiles over the recorded windows, widened by these factors. The limit of
+# the distance ratio is at least MIN_RATIO, for types with few recordings.
+LOWEST, HIGHEST = 0.02, 0.98
+CALM, BUSY = 0.1, 0.9  # the same of joint speeds that are usual for a whole roll-out
+SLOWER, FASTER, FARTHER, MIN_RATIO = 0.7, 1.4, 1.25, 1.3
+TIE = 1.0  # cm per joint; below it one type is as near as another
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Recorded motion of one type: type, clip number in the dataset, clip name, split and body."""
+
+    type: str
+    clip: int
+    name: str
+    split: str
+    body: Body
+
+
+@dataclass(frozen=True)
+class MotionProfile:
+    """Limits measured on the recordings of a type; they judge types without a detector.
+
+    Attributes:
+        kind: index of the type.
+        joint_speed: mean joint speed over all recordings in rad/s.
+        usual: joint speeds of calm and of busy recorded windows; the mean is not outside.
+        speeds: limits of joint speed in rad/s.
+        movements: limits of body movement (bm-euler) in degrees per frame.
+        distance: largest mean distance to the nearest recorded pose of the type in cm per joint.
+        ratio: largest ratio of that distance to the distance to the nearest pose of any type.
+    """
+
+    kind: int
+    joint_speed: float
+    usual: tuple[float, float]
+    speeds: tuple[float, float]
+    movements: tuple[float, float]
+    distance: float
+    ratio: float
+
+    @property
+    def judges(self) -> bool:
+        """Whether it tells its type from others: not with one recording, which cannot be compared with another."""
+        return bool(np.isfinite([self.distance, self.ratio]).all())
+
+    def shows(self, body: Body, distances: Array) -> bool:
+        """Whether a motion is within the limits. distances (N,) are those to the poses of each type in cm."""
+        if not self.speeds[0] <= body.joint_speed() <= self.speeds[1]:
+            return False
+        if not self.movements[0] <= body.body_movement() <= self.movements[1]:
+            return False
+        mine = float(distances[self.kind])
+        return mine <= self.distance and mine <= self.ratio * max(float(distances.min()), TIE)
+
+    def description(self) -> str:
+        """Return the limits in words."""
+        return (
+            f"joint speed {self.speeds[0]:.2f} to {self.speeds[1]:.2f} rad/s, body movement "
+            f"{self.movements[0]:.0f} to {self.movements[1]:.0f} degrees per frame, distance to the nearest recorded "
+            f"pose of the type at most {self.distance:.1f} cm per joint and {self.ratio:.2f} times that to any type"
+        )
+
+
+class RealMotion:
+    """The recordings of a dataset. A mirrored copy in the split of its recording counts as training poses only.
+
+    Attributes:
+        types, fps: those of the dataset.
+        held_out: the split that is held out: "test", or "validation", for which test clips are not read.
+        stretches: the recorded stretches.
+        training: bodies of the training clips by clip number.
+        longest: seconds of the longest training stretch of each type, short ones included.
+    """
+
+    def __init__(self, dataset: Dataset, held_out: str = "test") -> None:
+        self.types, self.fps, self.held_out = dataset.types, dataset.fps, held_out
+        self.stretches: list[Stretch] = []
+        self.training: dict[int, Body] = {}
+        self.longest: dict[str, float] = {}
+        poses, kinds, clips = [], [], []
+        # A mirrored clip whose recording is in the same split adds nothing; where types have one recording, one of the
+        # two trains and the other is held out.
+        plain = {(clip.start, clip.split) for clip in dataset.clips if not clip.mirrored}
+        for number, clip in enumerate(dataset.clips):
+            if (clip.mirrored and (clip.start, clip.split) in plain) or (
+                clip.split == "test" and held_out != "test"
+            ):
+                continue
+            data = dataset.read(clip)
+            body = body_of(dataset.motion(clip, data))
+            for start, end, kind in type_stretches(data.types):
+                if clip.split == "train":
+                    name, seconds = dataset.types[kind], (end - start) / self.fps
+                    self.longest[name] = max(self.longest.get(name, 0.0), seconds)
+                if end - start >= SHORTEST:
+                    part = body.cut(start, end)
+                    self.stretches.append(Stretch(dataset.types[kind], number, clip.name, clip.split, part))
+            if clip.split == "train":
+                self.training[number] = body
+                some, kind_ids = body.poses(BANK_EVERY), data.types[::BANK_EVERY]
+                poses += [some, mirrored_poses(some)]
+                kinds += [kind_ids, dataset.mirrored_type_ids[kind_ids]]
+                clips.append(np.full(2 * len(some), number))
+        if not poses:
+            raise DatasetError(f"{dataset.folder}: the dataset has no training clips to compare with")
+        order = np.argsort(np.concatenate(kinds), kind="stable")
+        bank, self._clips = np.concatenate(poses)[order], np.concatenate(clips)[order]
+        # Around their mean, squared distances of near poses are exact enough in float32, which takes half the time.
+        self._centre = bank.mean(axis=0).astype(np.float32)
+        self._poses = np.ascontiguousarray(bank - self._centre, np.float32)
+        self._squares = np.square(self._poses).sum(axis=1)
+        counts = np.bincount(np.concatenate(kinds), minlength=len(self.types))
+        self._edges = [0, *np.cumsum(counts, 0).tolist()]
+        self._profiles: dict[str, MotionProfile | None] = {}
+
+    def of_type(self, kind: str, split: str | None = None) -> list[Stretch]:
+        """Return the stretches of a type, of one split or of both."""
+        return [s for s in self.stretches if s.type == kind and split in (None, s.split)]
+
+    def pose_distances(self, body: Body, without: int = -1) -> Array:
+        """Return distances (T', N) in cm per joint to the nearest training pose of each type, every POSE_EVERY frames.
+
+        The distance to a type without poses is infinite.
+
+        Args:
+            without: number of a clip whose poses are left out.
+        """
+        wanted = body.poses(POSE_EVERY).astype(np.float32) - self._centre
+        squares = np.square(wanted).sum(axis=1)[:, None] + self._squares - 2.0 * (wanted @ self._poses.T)
+        distances = np.sqrt(np.maximum(squares, 0.0)) / np.float32(JOINT_COUNT**0.5)
+        distances[:, self._clips == without] = np.inf
+        out = np.full((len(distances), len(self.types)), np.inf, np.float32)
+        for kind, (start, end) in enumerate(pairwise(self._edges)):
+            if end > start:
+                out[:, kind] = distances[:, start:end].min(axis=1)
+        return out
+
+    def profile(self, kind: str) -> MotionProfile | None:
+        """Return the motion profile of a type; None for a type without training clips."""
+        if kind not in self._profiles:
+            found = self.of_type(kind, "train")
+            self._profiles[kind] = self._measure_profile(kind, found) if found else None
+        return self._profiles[kind]
+
+    def _measure_profile(self, kind: str, found: list[Stretch]) -> MotionProfile:
+        speeds, movements, distances, ratios = [], [], [], []
+        index = self.types.index(kind)
+        for stretch in found:
+            for window in detection_windows(stretch.body, PROFILE_SECONDS):
+                speeds.append(window.joint_speed())
+                movements.append(window.body_movement())
+                means = self.pose_distances(window, without=stretch.clip).mean(axis=0)
+                distances.append(float(means[index]))
+                # Of a single type with a single clip nothing is left to compare with.
+                nearest = float(means.min())
+                ratios.append(float(means[index]) / max(nearest, 1e-6) if nearest < np.inf else np.inf)
+        frames = np.array([float(len(s.body)) for s in found])
+        rates = np.array([s.body.joint_speed() for s in found])
+        mean = float((frames * rates).sum() / frames.sum())
+        return MotionProfile(
+            index,
+            mean,
+            (min(mean, _quantile(speeds, CALM)), max(mean, _quantile(speeds, BUSY))),
+            (SLOWER * _quantile(speeds, LOWEST), FASTER * _quantile(speeds, HIGHEST)),
+            (SLOWER * _quantile(movements, LOWEST), FASTER * _quantile(movements, HIGHEST)),
+            FARTHER * _quantile(distances, HIGHEST),
+            max(MIN_RATIO, _quantile(ratios, HIGHEST)),
+        )
+
+
+def mirrored_poses(poses: Array) -> Array:
+    """Return the mirror images of poses (N, 69)."""
+    joints = poses.reshape(-1, JOINT_COUNT, 3)[:, list(MIRROR_JOINTS)]
+    return (joints * np.array([-1.0, 1.0, 1.0], np.float32)).reshape(len(joints), -1)
+
+
+def _quantile(values: list[float], share: float) -> float:
+    """Return the quantile of the finite values; infinity if there are none."""
+    finite = np.array([v for v in values if v < float("inf")])
+    return float(np.quantile(finite, share)) if len(finite) else float("inf")

@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from motionkit.data.dataset import Dataset
+from motionkit.models.model import MotionModel
+from motionkit.training.verdict.judge import Judge
+from motionkit.training.verdict.real import RealMotion
+from motionkit.training.verdict.types import (
+    QUICK_TYPES,
+    TypeVerdict,
+    quick_verdicts,
+    reasons_of,
+    verdict_page,
+    verdict_table,
+)
+
+
+@pytest.fixture(autouse=True)
+def short_paths(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A model that hardly moves takes long for a path."""
+    monkeypatch.setattr("motionkit.training.verdict.types.WALK_RADIUS", 0.5)
+    monkeypatch.setattr("motionkit.training.verdict.types.RUN_RADIUS", 1.0)
+
+
+GOOD = TypeVerdict("walk", 9, 40.0, 8, 8, 1.0, 0.4, 1.0, 0.6)
+
+
+def test_a_model_that_hardly_moves_is_told_so(tiny_model: MotionModel, dataset: Dataset) -> None:
+    settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
+    verdicts = quick_verdicts(tiny_model, Judge(RealMotion(dataset)), settings)
+    assert {v.type for v in verdicts} <= set(tiny_model.types) and len(verdicts) > 2
+    bad = [v for v in verdicts if not v.works]
+    assert bad and all(v.reasons and v.type in v.sentence() for v in bad)
+    assert all(v.rollouts == 1 and v.clips >= 1 and v.seconds > 0.0 for v in verdicts)
+
+
+def test_a_type_without_training_clips_is_not_passed_over(tiny_model: MotionModel, dataset: Dataset) -> None:
+    real = RealMotion(dataset)
+    real.stretches = [stretch for stretch in real.stretches if stretch.type != "cartwheel"]
+    settings = replace(QUICK_TYPES, seeds=1, repeats=1, accuracy_seconds=2.0)
+    found = {v.type: v for v in quick_verdicts(tiny_model, Judge(real), settings)}
+    assert list(found) == [name for name in tiny_model.types if name in real.types]
+    longest = real.longest["cartwheel"]
+    assert longest > 1.0 and f"too short: at most {longest:.1f} s, and 0.4 s" in found["cartwheel"].sentence()
+    del real.longest["cartwheel"]
+    found = {v.type: v for v in quick_verdicts(tiny_model, Judge(real), settings)}
+    assert found["cartwheel"].sentence() == "cartwheel does not work: there are no clips to learn from"
+
+
+@pytest.mark.parametrize(("speed", "reason"), [(0.69, "0.69"), (0.7, ""), (1.4, ""), (1.41, "1.4")])
+def test_a_type_must_move_as_much_in_the_mean_as_its_clips(
+    tiny_model: MotionModel, dataset: Dataset, speed: float, reason: str
+) -> None:
+    """Even where every roll-out is as slow as the calmest clips are."""
+    reasons = reasons_of(replace(GOOD, joint_speed=speed), Judge(RealMotion(dataset)), [])
+    assert reasons == ((f"it moves {reason} times as much as the clips",) if reason else ())
+
+
+@pytest.mark.parametrize(
+    ("changes", "works"), [({}, True), ({"reasons": ("shown in 3 of 8 roll-outs",)}, False)]
+)
+def test_a_verdict_is_plain(changes: dict, works: bool) -> None:
+    verdict = replace(GOOD, **changes)
+    assert verdict.works == works
+    assert verdict.sentence() == (
+        "walk works: shown in 8 of 8 roll-outs" if works else "walk does not work: shown in 3 of 8 roll-outs"
+    )
+    row = verdict_table([verdict]).rows[0]
+    assert row[:3] == ("walk", "works" if works else "does not work", "8 of 8")
+    page = verdict_page([verdict, GOOD], QUICK_TYPES)
+    assert page.startswith("# Which types work\n") and f"- {verdict.sentence()}\n" in page
+    assert f"{1 + works} of 2 types work" in page and "8 roll-outs of 6 s" in page
+    assert not any(word in page for word in ("Scoreboard", "split", "mixed_seconds", "Targets", "measured"))
