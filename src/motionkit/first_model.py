@@ -6,7 +6,7 @@ import math
 import os
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -258,11 +258,13 @@ def _look(data: Path, watcher: Watcher) -> None:
 
 
 def _preprocess(data: Path, folder: Path, mirror: bool, watcher: Watcher) -> Dataset:
-    from motionkit.api import preprocess
     from motionkit.data.options import PreprocessOptions
+    from motionkit.data.preprocess import preprocess
+    from motionkit.models.bundled import reference_rotations
 
     # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
     options = PreprocessOptions(mirror=mirror, held_out=())
+    options = replace(options, reference_rotations=reference_rotations("bundled", options.layout))
     report = preprocess([data], folder, options, watcher.progress)
     clips = sum(file.clips for file in report.files)  # without mirror images
     words = (counted(clips, "clip"), duration(report.seconds), counted(len(report.types), "type"))
@@ -318,7 +320,7 @@ def _train(
 
 def _show(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) -> list[Path]:
     """Write a page and a sheet of every type of the dataset."""
-    from motionkit.api import synthesize
+    from motionkit.requests import synthesis_request
     from motionkit.view.write import write_view
 
     names = [name for name in model.types if name in dataset.types]
@@ -326,7 +328,7 @@ def _show(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) 
     for done, name in enumerate(names):
         watcher.progress("showing", done, len(names))
         seconds = max(SHOWN_SECONDS, model.phase_seconds(name))
-        motions.append(_straight_ahead(synthesize(f"{name}:{seconds:g}", model=model).motion))
+        motions.append(_straight_ahead(synthesis_request(f"{name}:{seconds:g}", model=model).run().motion))
     files = [folder / PAGE, *([folder / SHEET] if find_spec("PIL") else [])]
     for path in files:
         write_view(path, *motions, names=names)
