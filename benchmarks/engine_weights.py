@@ -18,8 +18,10 @@ import numpy as np
 from common import print_table
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, plan_controls
+from motionkit.control.opening import Shown, last_poses
+from motionkit.control.plan import plan_types
+from motionkit.control.planned_controls import plan_controls
+from motionkit.control.script import TypePart
 from motionkit.export.onnx_export import WEIGHTS, OnnxStep, build_graph
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.layout import FEATURE_COUNT
@@ -37,7 +39,8 @@ ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight
 def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Controls:
     """The controls of each frame."""
     seen = type_start(model, kind, 1).features[0]
-    recorded = plan_controls(model, [TypePart(kind, frames / model.fps)], last_poses(model, seen))
+    plan = plan_types(model, [TypePart(kind, frames / model.fps)])
+    recorded = plan_controls(model, plan, Shown(last_poses(model, seen)))
     if speed is None:
         return recorded
     ahead = np.zeros((len(TRAJECTORY_OFFSETS), 2), np.float32)

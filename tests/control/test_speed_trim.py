@@ -9,7 +9,7 @@ import pytest
 
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.gait_limits import GaitLimits
-from motionkit.control.speed_trim import LEAD, LEAD_SECONDS, LIMITS, WAIT_SECONDS, SpeedTrim
+from motionkit.control.memory import LEAD, LEAD_SECONDS, LIMITS, WAIT_SECONDS, SpeedTrim
 from motionkit.inference.character import CharacterStream
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel

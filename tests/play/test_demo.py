@@ -21,7 +21,7 @@ import motionkit as mk
 from motionkit.arrays import Array, Floats
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import PathPart, make_path
-from motionkit.control.reference_player import drawn_evenly
+from motionkit.control.recording_choice import drawn_evenly
 from motionkit.errors import ModelError, MotionkitError
 from motionkit.inference.character import CharacterStream, model_first_type
 from motionkit.inference.step import NetworkStep

@@ -71,8 +71,9 @@ def command(
 
     A gait goes no slower and no faster than its recordings look right, and the command says so.
     """
-    from motionkit.control.follow import expected_seconds, follow_path
+    from motionkit.control.follow import follow_path
     from motionkit.control.path import read_path, shape_path
+    from motionkit.control.plan import plan_path
     from motionkit.control.speeds import check_speeds, other_speeds, short_performances
     from motionkit.control.steering import walking_type
     from motionkit.control.synthesize import SynthesisOptions
@@ -99,7 +100,7 @@ def command(
     if strict:
         check_speeds(model, target)
     options = SynthesisOptions(1, seed, make_noise(noise, temperature, model), character, init, ik, fps)
-    announce(expected_seconds(model, target), model.fps, options)
+    announce(plan_path(model, target).seconds, model.fps, options)
     for line in other_speeds(model, target) + short_performances(model, target):
         remark(line)
     with progress_bar() as bar:

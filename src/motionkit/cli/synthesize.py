@@ -117,7 +117,8 @@ def command(
         if count > MAX_MOTIONS:
             raise click.UsageError(f"--view shows up to {MAX_MOTIONS} motions, found --count {count}")
     from motionkit.control.keys import check_length, read_keys
-    from motionkit.control.script import parse_types, whole_performances
+    from motionkit.control.plan import plan_types
+    from motionkit.control.script import parse_types
     from motionkit.control.synthesize import SynthesisOptions, synthesize
 
     if loops and keys_file is not None:
@@ -148,8 +149,7 @@ def command(
     check_length(keys, min(sum(part.seconds for part in plan) for plan in plans))
     drawn = make_noise(noise, temperature, model)
     options = SynthesisOptions(count, seed, drawn, character, init, ik, fps, keys=keys)
-    whole = [whole_performances(model, plan) for plan in plans]
-    lengths = [sum(max(1, round(part.seconds * model.fps)) for part in plan) for plan in whole]
+    lengths = [len(plan_types(model, plan).track) for plan in plans]
     if min(lengths) < 2:
         raise MotionkitError(f"expected at least 2 frames, {2.0 / model.fps:.2g} s, found 1")
     frames = max(lengths)

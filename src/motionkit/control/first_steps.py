@@ -1,4 +1,4 @@
-"""The first steps of a gait from standing: for them a body is shown recordings, and then goes by its trajectory alone.
+"""The first steps of a gait from standing: a body is shown recordings for them, then it goes by its trajectory alone.
 
 Steered by the trajectory alone from the start, it leans after it and drops by 8 cm before the first foot follows.
 """

@@ -6,6 +6,7 @@ import math
 
 from motionkit.control.steering import RUN_SPEED, STANDS_BELOW, Pair, nearest_turn
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 
 # Radians; a gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
 MOST_ASIDE, MOST_ASIDE_RUNNING = math.pi / 4, math.pi / 6
@@ -36,9 +37,9 @@ class GaitLimits:
             facing: radians, None for any.
         """
         known, speed = self.model.types[kind], math.hypot(*velocity)
-        if known.stands:
+        if known.kind is MotionKind.STANCE:
             return (0.0, 0.0), facing
-        if speed < STANDS_BELOW or not known.goes or known.gait is None:
+        if speed < STANDS_BELOW or known.kind is not MotionKind.GAIT or known.gait is None:
             return velocity, facing
         slowest, fastest = self.speeds(kind)
         share = min(max(speed, slowest), fastest) / speed

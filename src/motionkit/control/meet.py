@@ -16,6 +16,7 @@ import numpy as np
 
 from motionkit.arrays import Array, lerp
 from motionkit.control.keys import Key, smoothed_step, travel_direction
+from motionkit.control.plan import Plan
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.heading import heading_angles
@@ -185,19 +186,17 @@ class KeyedController:
         self,
         model: MotionModel,
         base: Controller,
-        keys: Sequence[Key],
+        plan: Plan,
         begin: Beginning,
-        types: Array,
         share: float,
     ) -> None:
-        """types are the type ids (T,) of the frames, share the length of the legs relative to the default body's."""
-        self.model, self.base, self.keys = model, base, keys
+        """Take a plan with keys; share is the length of the legs relative to the default body's."""
+        self.model, self.base, keys = model, base, plan.keys
         self.way = planned_way(keys, begin.ground, model.fps, share)
-        self.stretches = matched_stretches(model, keys, begin, types, self.way)
+        self.stretches = matched_stretches(model, keys, begin, plan.track, self.way)
         if self.way is not None:
             self.way = recorded_way(self.way, self.stretches, begin.ground)
-        steered = {model.type_id(name) for name, kind in model.types.items() if kind.steered}
-        self.steered = np.array([i in steered for i in range(len(model.types))], np.float32)
+        self.steered = np.array([kind.kind.steered for kind in model.types.values()], np.float32)
         met = {stretch.end for stretch in self.stretches}
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
         self.poses = [pose for pose in poses if pose[0] not in met]

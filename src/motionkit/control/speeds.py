@@ -8,12 +8,20 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.path import METRE, SPACING, Path2D
+from motionkit.control.steering import RUN_SPEED, WALK_SPEED, steered_type
 from motionkit.errors import ControlError
 from motionkit.models.model import MotionModel
 
 DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
 SLOWEST = 20.0  # cm/s, at least
 SHORT = 0.5  # share of its time in which a performance may not be shown
+# cm/s^2 by which a path's speed changes at most: what 98 % of the frames of recorded runs brake less than.
+ACCELERATION = 220.0
+CREEP = 10.0  # cm/s, the slowest way to a stop
+# Cosine between the ways before and after a turn that bodies slow down for, to so many cm/s (faster ones leap around
+# it), and how many points of the path to both sides tell.
+SHARP, TURN_SPEED, BESIDE_TURN = -0.8, 30.0, 3
+TOO_SLOW = 0.99  # of the slowest recorded speed of a run, below which a body walks
 
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
@@ -55,8 +63,7 @@ def short_performances(model: MotionModel, path: Path2D) -> list[str]:
     lines = []
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
     for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
-        kind = model.types.get(part.type)
-        seconds = 0.0 if kind is None or not kind.has_phase else model.phase_seconds(part.type)
+        seconds = model.phase_seconds(part.type) if model.kind(part.type).phased else 0.0
         if float(length / speed) < SHORT * seconds:
             lines.append(
                 f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
@@ -87,3 +94,44 @@ def _recorded(model: MotionModel, kind: str) -> str:
     span = model.speed_range(kind)
     assert span is not None, "only types with recorded speeds have limits"
     return f"{span[0] / METRE:.2f} to {span[1] / METRE:.2f} m/s by its recordings"
+
+
+def speed_profile(model: MotionModel, path: Path2D) -> Array:
+    """Speed (N,) in cm/s at each point of the path, which changes no faster than bodies brake and start, to each stop.
+
+    The beginning is as fast as its part: start poses are in motion.
+    """
+    speeds = part_speeds(model, path)[path.part].astype(np.float64)
+    sharp = _sharp_turns(path)
+    speeds[sharp] = np.minimum(speeds[sharp], TURN_SPEED)
+    for place, _ in path.stops:
+        speeds[path.nearest(place)] = CREEP
+    # The square of the speed changes evenly along the way: no point's is more than so much above another's.
+    slope = 2.0 * ACCELERATION * SPACING * np.arange(len(speeds))
+    squares = np.minimum.accumulate(speeds * speeds - slope) + slope
+    squares = np.minimum.accumulate((squares + slope)[::-1])[::-1] - slope
+    return np.sqrt(squares).astype(np.float32)
+
+
+def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
+    """The number (N,) of the type shown at each point: who runs walks where the path is slower than any recorded run.
+
+    Args:
+        speeds: (N,) speed_profile. It is slow around stops and sharp turns.
+    """
+    shown = np.array([model.type_id(part.type) for part in path.parts])[path.part]
+    walk = steered_type(model, (0.0, WALK_SPEED), 0.0)
+    slower = model.speed_range(walk)
+    for number, part in enumerate(path.parts):
+        gait, span = model.types[part.type].gait, model.speed_range(part.type)
+        if gait and span and slower and gait.speed > RUN_SPEED and slower[0] < span[0]:
+            shown[(path.part == number) & (speeds < TOO_SLOW * span[0])] = model.type_id(walk)
+    return shown
+
+
+def _sharp_turns(path: Path2D) -> Array:
+    """Whether the path turns sharply at each point (N,)."""
+    before, after = path.tangents[: -2 * BESIDE_TURN], path.tangents[2 * BESIDE_TURN :]
+    sharp = np.zeros(len(path.points), bool)
+    sharp[BESIDE_TURN : len(sharp) - BESIDE_TURN] = (before * after).sum(axis=-1) < SHARP
+    return sharp

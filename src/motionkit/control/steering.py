@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from motionkit.control.script import TypePart
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 
 TURN_COST = 3.0  # of a radian between wanted and usual facing, in roots of cm/s
 BACKWARDS_SHARE = 0.2
@@ -80,11 +81,11 @@ def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> st
     Its usual speed is nearest (in square roots, so that slow types have narrow bands) and its body faces the
     direction of motion as wanted. A model without steered types chooses among all that have no phase.
     """
-    known = [name for name, kind in model.types.items() if kind.steered]
+    known = [name for name in model.types if model.kind(name).steered]
     if math.hypot(*velocity) >= GOES_FROM:
         # Between the speeds of standing and going no body glides along.
-        known = [name for name in known if not model.types[name].stands] or known
-    names = known or [name for name in model.types if not model.phase_seconds(name)] or list(model.types)
+        known = [name for name in known if model.kind(name) is MotionKind.GAIT] or known
+    names = known or [name for name in model.types if not model.kind(name).phased] or list(model.types)
     speed, direction = math.hypot(*velocity), math.atan2(*velocity)
 
     def cost(kind: str) -> float:
@@ -120,8 +121,10 @@ class Gaits:
 
 def usual_gaits(model: MotionModel) -> Gaits:
     """The types of a model that stand, walk, run and go backwards, whatever they are called."""
-    found = {name: kind.gait for name, kind in model.types.items() if kind.steered and kind.gait is not None}
-    going = {name: gait for name, gait in found.items() if not model.types[name].stands}
+    found = {
+        name: kind.gait for name, kind in model.types.items() if kind.kind.steered and kind.gait is not None
+    }
+    going = {name: gait for name, gait in found.items() if model.kind(name) is MotionKind.GAIT}
     ahead = {name: gait.speed for name, gait in going.items() if abs(nearest_turn(gait.facing)) < FORWARDS}
     runs = {name: speed for name, speed in ahead.items() if speed > RUN_SPEED}
     return Gaits(

@@ -12,12 +12,22 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.control.easing import acceleration_limit, eased_turns, eased_way
 from motionkit.control.flight import come_down, falling_freely
-from motionkit.control.keys import Key, check_length
+from motionkit.control.keys import Key
 from motionkit.control.meet import Beginning, KeyedController, meet_keys
-from motionkit.control.opening import opening
-from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track, whole_performances
+from motionkit.control.opening import Opening, opening
+from motionkit.control.plan import plan_keys, plan_types
+from motionkit.control.planned_controls import CrowdController
+from motionkit.control.script import TypePart
 from motionkit.errors import ControlError
-from motionkit.inference.rollout import Noise, Rollout, RolloutState, default_noise, rollout_motion, run
+from motionkit.inference.rollout import (
+    Controller,
+    Noise,
+    Rollout,
+    RolloutState,
+    default_noise,
+    rollout_motion,
+    run,
+)
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.foot_ik import hold_root, lock_feet
@@ -105,47 +115,30 @@ def synthesize(
         ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
     """
     options = options or SynthesisOptions()
-    count = options.count
-    if count < 1:
-        raise ControlError(f"expected a count of at least 1, found {count}")
-    plans = _plans(parts)
-    check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
+    asked = _asked(model, parts, options)
     names = [name.strip() for name in options.character.split(",")]
     skeletons = [model.character(name) for name in names]
-    for plan in plans:
-        type_track(model, plan)  # an unknown type is refused before any frame is sought for it
-    turn = [i % len(plans) for i in range(count)]
-    kinds = [plans[t][0].type for t in turn]
+    count = options.count
+    turn = [i % len(asked) for i in range(count)]
+    kinds = [asked[t][0].type for t in turn]
     bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
     init = None if options.init is None else clip_motion(model, options.init)
     openings = [
         opening(model, kind, body, init, options.seed + i)
         for i, (kind, body) in enumerate(zip(kinds, bodies, strict=True))
     ]
-    starts, near = [each.start for each in openings], [each.near for each in openings]
-    behind = [each.behind for each in openings]
-    plans = [whole_performances(model, plan, shown) for plan, shown in zip(plans, behind, strict=False)]
-    weights = [plan_weights(model, plan) for plan in plans]
-    state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
-    state.set_skeletons(bodies)
-    ground = np.concatenate([start.ground for start in starts])
-    state.start(
-        [start.features[0] for start in starts],
-        [start.contacts[0] for start in starts],
-        np.stack([weights[t][0] for t in turn]),
-        ground,
-        [each.length for each in openings],
-    )
-    speeds = [each.speed for each in openings]
-    controller = crowd_controller(model, plans, near, behind, options.seed, speeds, lambda: state.features)
+    planned = [
+        plan_types(model, each, first.shown.behind) for each, first in zip(asked, openings, strict=False)
+    ]
+    weights = [plan.weights for plan in planned]
+    state = _begun(model, options, bodies, openings, [weights[t][0] for t in turn])
+    shown = [each.shown for each in openings]
+    controller: Controller = CrowdController(model, planned, shown, options.seed, state)
     if options.keys:
-        if len(plans) > 1:
-            raise ControlError("keys are met by characters with the same types; give one list of types")
-        check_length(options.keys, min(sum(part.seconds for part in plan) for plan in plans))
-        share = model.body_scale(names[0])
-        begin = Beginning(ground[0], near[0])
-        types = type_track(model, plans[0])
-        controller = KeyedController(model, controller, options.keys, begin, types, share)
+        keyed = plan_keys(planned[0], options.keys)
+        begin = Beginning(openings[0].start.ground[0], shown[0].poses)
+        controller = KeyedController(model, controller, keyed, begin, model.body_scale(names[0]))
+    plans = [plan.parts for plan in planned]
     frames = [len(each) for each in weights]
     limits = [acceleration_limit(model, [part.type for part in plan]) for plan in plans]
     started = time.perf_counter()
@@ -161,6 +154,27 @@ def synthesize(
     return SynthesisResult(tuple(motions), seconds)
 
 
+def _begun(
+    model: MotionModel,
+    options: SynthesisOptions,
+    bodies: list[Skeleton],
+    openings: Sequence[Opening],
+    weights: Sequence[Array],
+) -> RolloutState:
+    """A roll-out that has shown the opening of each character, with type weights (N,) of its first frame."""
+    state = RolloutState(model, options.count, options.noise or default_noise(model), options.seed)
+    state.set_skeletons(bodies)
+    starts = [each.start for each in openings]
+    state.start(
+        [start.features[0] for start in starts],
+        [start.contacts[0] for start in starts],
+        np.stack(weights),
+        np.concatenate([start.ground for start in starts]),
+        [each.length for each in openings],
+    )
+    return state
+
+
 def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
     """Refuse more motion than memory holds, before any is asked for; raises ControlError."""
     fps = max(model_fps, options.fps or 0.0)
@@ -172,16 +186,24 @@ def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> N
         )
 
 
-def _plans(parts: Sequence[TypePart] | Sequence[Sequence[TypePart]]) -> list[list[TypePart]]:
-    """One list of parts for every kind of character."""
-    plans: list[list[TypePart]] = []
+def _asked(
+    model: MotionModel, parts: Sequence[TypePart] | Sequence[Sequence[TypePart]], options: SynthesisOptions
+) -> list[list[TypePart]]:
+    """One list of parts for every kind of character; raises ControlError for what cannot be synthesized."""
+    asked: list[list[TypePart]] = []
     alone: list[TypePart] = []
     for part in parts:
         if isinstance(part, TypePart):
             alone.append(part)
         else:
-            plans.append(list(part))
-    return plans or [alone]
+            asked.append(list(part))
+    asked = asked or [alone]
+    check_size(max(sum(part.seconds for part in each) for each in asked), model.fps, options)
+    for part in (part for each in asked for part in each):
+        model.type_id(part.type)
+    if options.keys and len(asked) > 1:
+        raise ControlError("keys are met by characters with the same types; give one list of types")
+    return asked
 
 
 def finish_motion(

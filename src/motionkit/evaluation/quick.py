@@ -26,6 +26,7 @@ from motionkit.evaluation.settings import EvaluationSettings
 from motionkit.evaluation.trial import Trial
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.floor import floor_height, foot_positions
 
 QUICK_TYPES = EvaluationSettings(seeds=8, accuracy_seconds=6.0, repeats=2)
@@ -210,7 +211,7 @@ def _path_distances(
     trials = []
     for kind in kinds:
         each = model.types[kind]
-        if each.steered and not each.stands and each.gait is not None:
+        if each.kind is MotionKind.GAIT and each.gait is not None:
             runs = each.gait.speed > RUN_SPEED
             path = shape_path("figure-eight", RUN_RADIUS if runs else WALK_RADIUS, [kind], None)
             trials.append(PathTrial(kind, path, RUNS_WITHIN if runs else WALKS_WITHIN))

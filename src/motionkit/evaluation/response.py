@@ -22,6 +22,7 @@ from motionkit.evaluation.report import Cell, Goal, Section, Table
 from motionkit.evaluation.rolling import Driven, Progress, roll_live
 from motionkit.evaluation.trial import Trial
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 
 BEFORE_SECONDS, AFTER_SECONDS = 2.0, 4.0
 HELD_SECONDS = 0.25
@@ -79,7 +80,7 @@ def commands(model: MotionModel) -> list[Command]:
 
     def ahead(kind: str, angle: float = 0.0, share: float = 1.0) -> Wish:
         each = model.types[kind]
-        if each.stands or each.gait is None:
+        if each.kind is MotionKind.STANCE or each.gait is None:
             return Wish((0.0, 0.0), None, kind)
         speed = share * each.gait.speed
         return Wish((speed * math.sin(angle), speed * math.cos(angle)), angle - each.gait.facing, kind)

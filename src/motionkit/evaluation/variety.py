@@ -98,7 +98,7 @@ def variety_section(trial: Trial, progress: Progress) -> Section:
             judge("drawn", kind, drawn_learnt >= DRAWN)
         if take_apart is not None:
             judge("far", kind, near >= FROM_RECORDINGS * take_apart)
-        if seconds >= LONG_SECONDS and real_loop is None and not trial.model.types[kind].steered:
+        if seconds >= LONG_SECONDS and real_loop is None and not trial.model.kind(kind).steered:
             judge("loop", kind, loop is None)
         progress(0.7 + 0.3 * (number + 1) / len(kinds))
     columns = (

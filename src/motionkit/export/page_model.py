@@ -18,7 +18,7 @@ import numpy as np
 
 from motionkit.arrays import Array, spans
 from motionkit.control.motion_index import MotionIndex
-from motionkit.control.reference_player import ReferencePlayer, few_clips
+from motionkit.control.recording_choice import Entries, RecordingChoice, few_clips
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.character import model_first_type
 from motionkit.inference.kernel_image import BASE, KernelImage, kernel_image
@@ -27,7 +27,7 @@ from motionkit.inference.start import type_start
 from motionkit.inference.step_weights import pack
 from motionkit.models.config import ModelConfig
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionType, ReferenceClip
+from motionkit.models.motion_type import MotionKind, MotionType, ReferenceClip
 from motionkit.motion.skeleton import Skeleton
 
 FORMAT = "motionkit-page-2"
@@ -121,38 +121,36 @@ def _skeleton(skeleton: Skeleton) -> dict[str, Any]:
 
 def _types(model: MotionModel) -> list[dict[str, Any]]:
     """Every type with its reference clips, which count on through the arrays in the same order."""
-    player, rows = ReferencePlayer(model), Counter[str]()
+    recordings, rows = RecordingChoice(model), Counter[str]()
     out = []
     for name, kind in model.types.items():
-        gait, player.kind = kind.gait, name
-        clips = _clip_entries(_clips(kind, model.fps), player, rows)
+        gait, clips = kind.gait, _clips(kind, model.fps)
+        clips_told = _clip_entries(clips, recordings.entry_frames(name, clips), rows) if clips else []
         out.append(
             {
                 "name": name,
                 "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
                 "seconds": model.phase_seconds(name),
-                "steered": kind.steered,
+                "steered": kind.kind.steered,
                 "speeds": model.speed_range(name),
-                "performed": kind.performed,
-                "phased": kind.has_phase,
+                "performed": kind.kind is MotionKind.PERFORMANCE,
+                "phased": kind.kind.phased,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,
-                "clips": [] if kind.steered else clips,
-                "first": clips if kind.steered else [],
+                "clips": [] if kind.kind.steered else clips_told,
+                "first": clips_told if kind.kind.steered else [],
             }
         )
     return out
 
 
 def _clip_entries(
-    clips: tuple[ReferenceClip, ...], player: ReferencePlayer, rows: Counter[str]
+    clips: tuple[ReferenceClip, ...], may_enter: Entries, rows: Counter[str]
 ) -> list[dict[str, Any]]:
     """The clips of a type: where their rows begin in the arrays, and which frames may be entered.
 
     rows counts those of the clips before in each array, and is moved on.
     """
-    if not clips:
-        return []
-    entries = {id(clip): frames for clip, frames in player.entry_frames(clips)}
+    entries = {id(clip): frames for clip, frames in may_enter}
     index = MotionIndex(clips)
     out = []
     for clip, first in zip(clips, index.first, strict=True):
@@ -177,8 +175,8 @@ def _clip_entries(
 
 def _clips(kind: MotionType, fps: float) -> tuple[ReferenceClip, ...]:
     """The reference clips of a type that a page shows: gaits are steered without, but for their first steps."""
-    if kind.steered:
-        return few_clips(kind.reference_clips, fps) if kind.goes else ()
+    if kind.kind.steered:
+        return few_clips(kind.reference_clips, fps) if kind.kind is MotionKind.GAIT else ()
     return kind.reference_clips
 
 

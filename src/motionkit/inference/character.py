@@ -17,6 +17,7 @@ from motionkit.inference.pose import BodyKinematics, PoseDecoder
 from motionkit.inference.rollout import Noise, RolloutState
 from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.skeleton import JOINT_COUNT
 
 _POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
@@ -177,4 +178,4 @@ def model_first_type(model: MotionModel) -> str:
     known = {name: kind for name, kind in model.types.items() if kind.start_poses}
     if not known:
         raise ControlError("the model has no start poses")
-    return next((name for name, kind in known.items() if kind.stands), next(iter(known)))
+    return next((name for name, kind in known.items() if kind.kind is MotionKind.STANCE), next(iter(known)))
