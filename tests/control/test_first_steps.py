@@ -7,8 +7,8 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.control.drive import Driver, Wish
-from motionkit.control.first_steps import FIRST_STEPS, FirstSteps
 from motionkit.control.follow import follow_path
+from motionkit.control.memory import FIRST_STEPS, FirstSteps
 from motionkit.control.path import PathPart, make_path
 from motionkit.control.recording_choice import ENTRY, RecordingChoice, few_clips
 from motionkit.control.synthesize import SynthesisOptions

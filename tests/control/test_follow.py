@@ -9,7 +9,7 @@ from motionkit.arrays import Array, spans
 from motionkit.control.follow import PathFollower, follow_path
 from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
 from motionkit.control.plan import plan_path
-from motionkit.control.speeds import ACCELERATION, speed_profile
+from motionkit.control.speeds import PROFILE, speed_profile
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
 from motionkit.metrics.trajectory import trajectory_distance
@@ -109,7 +109,10 @@ def test_a_stop_is_held_and_braked_for(tiny_model: MotionModel) -> None:
         pytest.approx(1.0, abs=0.4),
     ]
     assert [idle[start:end].max() for start, end in stops] == [1.0, 1.0] and idle[0] == 0.0
-    assert np.abs(np.diff(np.convolve(speeds, np.ones(20) / 20, "valid"))).max() * 60 < 1.6 * ACCELERATION
+    assert (
+        np.abs(np.diff(np.convolve(speeds, np.ones(20) / 20, "valid"))).max() * 60
+        < 1.6 * PROFILE.acceleration
+    )
     assert len(speeds) / 60 == pytest.approx(follower.plan.seconds, rel=0.15)
 
 
@@ -153,7 +156,7 @@ def test_the_speed_changes_no_faster_than_bodies_brake(tiny_model: MotionModel) 
     path = make_path([PathPart(p, "cartwheel", v) for p, v in zip(line, (360.0, 100.0, 300.0), strict=True)])
     speeds = speed_profile(tiny_model, path)
     accelerations = np.diff(speeds.astype(np.float64) ** 2) / (2.0 * SPACING)
-    assert np.abs(accelerations).max() <= 1.001 * ACCELERATION
+    assert np.abs(accelerations).max() <= 1.001 * PROFILE.acceleration
     assert (speeds <= np.array([360.0, 100.0, 300.0])[path.part] + 1e-3).all()
     for part, speed in enumerate((360.0, 100.0, 300.0)):
         assert speeds[path.part == part].max() == pytest.approx(speed)

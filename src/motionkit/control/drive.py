@@ -8,10 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.first_steps import FirstSteps
 from motionkit.control.follow import PathFollower
 from motionkit.control.gait_limits import GaitLimits
-from motionkit.control.memory import Performance, Performances, Request, SpeedTrim, TypeBlend
+from motionkit.control.memory import FirstSteps, Performance, Performances, Request, SpeedTrim, TypeBlend
 from motionkit.control.path import Path2D
 from motionkit.control.plan import plan_path
 from motionkit.control.reference_player import ReferencePlayer

@@ -11,7 +11,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.easing import acceleration_limit
-from motionkit.control.first_steps import FirstSteps
+from motionkit.control.memory import FirstSteps
 from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
 from motionkit.control.path import Path2D
@@ -29,7 +29,7 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import rotate_ground
 
 PATIENCE = 1.6  # times the expected duration, after which the end is given up
-BLEND_SAMPLES = 16
+BLEND_SAMPLES = 16  # places that the types around one are read at; chosen
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,8 +60,8 @@ class FollowResult:
 class PathFollower:
     """Turns a planned path into the controls of every frame for one character; a Controller.
 
-    Who walks or runs takes the speed and the turns of the path, and the first steps after a stop from recordings; other
-    types are moved by recordings, which choice picks among.
+    Gaits take speed and turns from the path, and the first steps after a stop from recordings; other types are moved by
+    recordings, which choice picks among.
     """
 
     def __init__(self, model: MotionModel, plan: Plan, choice: int = 0, behind: int = 0) -> None:
@@ -98,7 +98,7 @@ class PathFollower:
             asked = self._steered(path.parts[part].type, trajectory, standing, goes_on)
         else:
             asked = self._recorded(part, trajectory)
-        # On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
+        # On a path the trajectory comes first: feet do not hold the root, and that of the recording does not count.
         free = np.zeros(1, np.float32)
         if self.model.plain:
             asked = replace(asked, types_ahead=np.stack([self.type_weights(arc) for arc in ahead])[None])

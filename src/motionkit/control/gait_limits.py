@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 
-from motionkit.control.steering import RUN_SPEED, STANDS_BELOW, Pair, nearest_turn
+from motionkit.control.steering import STANDS_BELOW, Pair, nearest_turn
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 
-# Radians; a gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
+# Radians between the facing and a gait's usual one; beyond them walks hardly lift their feet and runs slide. Measured
+# on roll-outs.
 MOST_ASIDE, MOST_ASIDE_RUNNING = math.pi / 4, math.pi / 6
 
 
@@ -28,7 +29,7 @@ class GaitLimits:
     def nearest(self, kind: str, velocity: Pair, facing: float | None) -> tuple[Pair, float | None]:
         """Return the velocity and facing nearest to a wish at which a steered type steps.
 
-        Who stands is not moved. A gait goes no slower and no faster than recorded, and turns towards where it goes
+        A standing body is not moved. A gait goes no slower and no faster than recorded, and turns towards its direction
         as far as it has to.
 
         Args:
@@ -46,7 +47,7 @@ class GaitLimits:
         if facing is not None:
             own = math.atan2(*velocity) - known.gait.facing
             aside = nearest_turn(facing - own)
-            most = MOST_ASIDE_RUNNING if known.gait.speed > RUN_SPEED else MOST_ASIDE
+            most = MOST_ASIDE_RUNNING if known.gait.runs else MOST_ASIDE
             if abs(aside) > most:
                 facing = own + math.copysign(most, aside)
         return (share * velocity[0], share * velocity[1]), facing

@@ -20,12 +20,23 @@ from motionkit.features.reference import REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 
-TRIM_SECONDS = 1.0
-WAIT_SECONDS = 0.5
-SAME_WISH = 0.1
-LEAD, LEAD_SECONDS = 0.3, 0.35
-LIMITS = (0.75, 1.35)
-AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
+AFTER_EVENT = 10  # frames of the recording that follow a strike or jump; chosen
+FIRST_STEPS = 45  # frames of a gait from standing that recordings are shown for; chosen
+
+
+@dataclass(frozen=True)
+class TrimSettings:
+    """Integral controller for speed; all numbers are chosen, by live roll-outs."""
+
+    seconds: float = 1.0  # in which a lack of speed is asked for once more
+    wait: float = 0.5  # s after a change of wish, in which the body is still on its way to it
+    same_wish: float = 0.1  # share of the speed; what differs less is the same wish
+    lead: float = 0.3  # share of a change of speed that is asked for beyond it at first
+    lead_seconds: float = 0.35  # for how long
+    limits: tuple[float, float] = (0.75, 1.35)  # shares of the wished speed that are asked for
+
+
+TRIM = TrimSettings()
 
 
 class Bodies(Protocol):
@@ -83,7 +94,12 @@ class FoundStances:
 
 
 class SpeedTrim:
-    """How much of the wanted speed one character is asked for, found for each of its gaits as it goes.
+    """Integral controller for speed: the share of the wished speed that one character is asked for, for each gait.
+
+    A well trained network is off the speed of its trajectory by a tenth, one trained for two hours by a fourth, and
+    locked feet keep the root back. On a path the place asked for runs ahead of a body that lags, which makes up for it.
+    A held key has no place: the lack of speed is summed up here while the wish stays the same. Nor does a body change
+    its speed at once: as the wish changes, more of the change is asked for than is wished.
 
     The share is kept while another gait goes, and over a change of speed: a body that goes at 0.9 of a speed goes at
     about 0.9 of another one.
@@ -109,18 +125,18 @@ class SpeedTrim:
         if speed < STANDS_BELOW or self.model.kind(kind) is not MotionKind.GAIT:
             self._kind = ""
             return velocity
-        if kind != self._kind or math.dist(velocity, self._wish) > SAME_WISH * speed:
+        if kind != self._kind or math.dist(velocity, self._wish) > TRIM.same_wish * speed:
             change = speed - math.hypot(*self._wish) if kind == self._kind else 0.0
-            self._lead = LEAD * min(max(change, -speed), speed)
+            self._lead = TRIM.lead * min(max(change, -speed), speed)
             self._kind, self._wish, self._since = kind, velocity, 0
         self._since += 1
         share = self.shares.get(kind, 1.0)
-        found = self._since > WAIT_SECONDS * self.model.fps
+        found = self._since > TRIM.wait * self.model.fps
         if found:
             along = (gone[0] * velocity[0] + gone[1] * velocity[1]) / speed
-            share += (1.0 - along / speed) / (TRIM_SECONDS * self.model.fps)
-            share = min(max(share, LIMITS[0]), LIMITS[1])
-        lead = self._lead if self._since <= LEAD_SECONDS * self.model.fps else 0.0
+            share += (1.0 - along / speed) / (TRIM.seconds * self.model.fps)
+            share = min(max(share, TRIM.limits[0]), TRIM.limits[1])
+        lead = self._lead if self._since <= TRIM.lead_seconds * self.model.fps else 0.0
         share = self._within(kind, speed, share * speed + lead) / speed
         if found:
             self.shares[kind] = share
@@ -130,6 +146,35 @@ class SpeedTrim:
         """The speed to ask for: not beyond those of the recordings for the sake of one within them."""
         slowest, fastest = self.limits.speeds(kind)
         return max(min(asked, max(fastest, wanted)), min(slowest, wanted))
+
+
+class FirstSteps:
+    """The first steps of a gait from standing: one character is shown few recordings for FIRST_STEPS frames.
+
+    Steered by the trajectory alone from the start, it leans after it and drops by 8 cm before the first foot follows.
+    """
+
+    def __init__(self, model: MotionModel, choice: int = 0) -> None:
+        self._player = ReferencePlayer(model, choice, own_share=0.0, few=True)
+        self._kind, self._left = "", 0
+
+    def begin(self, kind: str) -> None:
+        """A body that stands begins to go in this gait."""
+        self._player.forget()
+        self._player.begin(kind, speed=0.0)
+        self._kind, self._left = kind, FIRST_STEPS
+
+    def takes(self, kind: str) -> bool:
+        """Whether the first steps in this gait are still to come; those in another gait are over."""
+        if kind != self._kind:
+            self._left = 0
+        return self._left > 0
+
+    def reference(self, asked: Controls, trajectory: Array) -> Controls:
+        """Controls (1, ...) of the next frame with a reference; asked are those without, trajectory (1, 24)."""
+        self._left -= 1
+        shown = self._player.play(1, trajectory)
+        return replace(asked, reference=shown.reference, reference_gain=shown.reference_gain)
 
 
 class TypeBlend:

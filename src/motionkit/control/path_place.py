@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,14 +13,21 @@ from motionkit.control.path import SPACING
 from motionkit.control.plan import Route
 from motionkit.features.control import TRAJECTORY_OFFSETS, TYPE_BLEND_FRAMES
 
-# The place on the path is sought from a little behind the last one to a little ahead, so that a path
-# that crosses itself is not cut short.
-SEARCH_BACK, SEARCH_AHEAD = 30.0, 60.0
-ARRIVED = 8.0  # cm before a stop at which it has been reached
-# Where a path turns back on itself: cosine between the ways there and back, how much further (cm) the body has to go
-# along the first to a place beyond the turn, and how far that may be beside it.
-BACK, NO_FURTHER, BESIDE = -0.9, 1.0, 15.0
-NEARER = 5.0  # cm by which the way back has to be nearer than the way there before the turn
+
+@dataclass(frozen=True)
+class SearchSettings:
+    """Where the place on a path is sought; all numbers are chosen. A path that crosses itself is not cut short."""
+
+    behind: float = 30.0  # cm behind the last place
+    ahead: float = 60.0  # cm ahead of it
+    arrived: float = 8.0  # cm before a stop at which it has been reached
+    back: float = -0.9  # cosine between two directions where a path turns back on itself
+    no_further: float = 1.0  # cm that a body still has to go to a place beyond such a turn
+    beside: float = 15.0  # cm that this place may lie beside it
+    nearer: float = 5.0  # cm by which the way back has to be nearer than the way there before the turn
+
+
+SEARCH = SearchSettings()
 
 
 class PathPlace:
@@ -50,13 +58,13 @@ class PathPlace:
     def move(self, point: Array) -> None:
         """Find the place of a body that is at a point (2,)."""
         arc = self._nearest(point)
-        # Where a path turns back on itself, the way there is as near as the way back: who has no further to go to a
-        # place beyond the turn is on the way back, and stays there.
+        # Where a path turns back on itself, the way there is as near as the way back: a body that has no further to go
+        # to a place beyond the turn is on the way back, and stays there.
         self.arc, beyond = arc, self.ahead(TRAJECTORY_OFFSETS[:1], arc)
         (there,), (way_back,) = self.path.at(beyond)
         way = self.path.tangents[self.path.nearest(arc)]
-        if float(way_back @ way) < BACK and float((there - point) @ way) < NO_FURTHER:
-            if float(np.linalg.norm(there - point)) < BESIDE:
+        if float(way_back @ way) < SEARCH.back and float((there - point) @ way) < SEARCH.no_further:
+            if float(np.linalg.norm(there - point)) < SEARCH.beside:
                 self.least = self.arc = float(beyond[0])
 
     def standing(self) -> float:
@@ -65,7 +73,7 @@ class PathPlace:
             return 0.0
         place, seconds = self.stops[0]
         if self.stood is None:
-            if self.arc < place - ARRIVED:
+            if self.arc < place - SEARCH.arrived:
                 return 0.0
             self.stood = 0
         self.stood += 1
@@ -93,14 +101,14 @@ class PathPlace:
         return float(self.route.speeds[self.path.nearest(arc)])
 
     def _nearest(self, point: Array) -> float:
-        first = max(0, int(max(self.arc - SEARCH_BACK, self.least) / SPACING))
-        last = min(len(self.path.points), int((self.arc + SEARCH_AHEAD) / SPACING) + 2)
+        first = max(0, int(max(self.arc - SEARCH.behind, self.least) / SPACING))
+        last = min(len(self.path.points), int((self.arc + SEARCH.ahead) / SPACING) + 2)
         away = np.linalg.norm(self.path.points[first:last] - point, axis=-1)
         nearest = first + int(away.argmin())
         # The way back is no better than the way there for being nearer by a little.
         ways = self.path.tangents[first:last] @ self.path.tangents[self.path.nearest(self.arc)]
-        if float(ways[nearest - first]) < BACK:
-            there = np.flatnonzero((ways > 0.0) & (away < away.min() + NEARER))
+        if float(ways[nearest - first]) < SEARCH.back:
+            there = np.flatnonzero((ways > 0.0) & (away < away.min() + SEARCH.nearer))
             nearest = first + int(there[away[there].argmin()]) if len(there) else nearest
         # Past the last point the way on is counted along its direction, so that the end can be reached.
         beyond = float(((point - self.path.points[-1]) * self.path.tangents[-1]).sum())

@@ -23,48 +23,32 @@ Entries = list[tuple[ReferenceClip, list[int]]]
 
 @dataclass(frozen=True)
 class EntrySettings:
-    """Where clips are entered. All numbers are chosen, by the motion of roll-outs.
+    """Where clips are entered; all numbers are chosen, by the motion of roll-outs."""
 
-    Attributes:
-        candidates: random entry frames of which the one most like the present pose is taken, at a change of type. Few:
-            of many, the one most like a standing body is one where nothing happens.
-        candidates_within: the same to go on within a type.
-        suited: performances whose beginning costs up to so many times as much as that of the best, and 1, are as good.
-        movement: entry frames move more than the first of these shares of all frames, and less than the second.
-        still: share of the usual movement of all; a clip that nowhere moves more is one of standing, and not entered.
-        seconds: of a clip that must follow the frame it is entered at.
-        gait_seconds: the same of gaits and of standing; most runs are recorded for a second.
-        going: a gait brakes where a clip goes slower than this share of its usual speed in the coming second.
-        other_speed: cm/s by which a strike or jump may go faster or slower than the body, beyond the nearest of all: a
-            leap out of a run needs the run.
-        played: a frame is not entered if more than this share of the seconds from it on has been played.
-        few_seconds: of recordings of a type, where few are enough.
-    """
-
+    # Random entry frames of which the one most like the present pose is taken, at a change of type and within one. Few
+    # at a change: of many, the one most like a standing body is one where nothing happens.
     candidates: int = 24
     candidates_within: int = 200
-    suited: float = 2.0
+    suited: float = 2.0  # performances that begin at so many times the least cost, and 1, are as good
+    # Shares of all frames that an entry frame moves more, and less, than; and the share of the usual movement that a
+    # clip has to exceed somewhere to be entered.
     movement: tuple[float, float] = (0.4, 0.8)
     still: float = 0.2
-    seconds: float = 1.5
-    gait_seconds: float = 0.75
-    going: float = 0.6
+    seconds: float = 1.5  # of a clip that must follow the frame it is entered at
+    gait_seconds: float = 0.75  # the same of gaits and of standing: most runs are recorded for a second
+    going: float = 0.6  # share of a gait's usual speed below which, in the coming second, a clip brakes
+    # cm/s between strike or jump and body, beyond the nearest of all: a leap out of a run needs the run.
     other_speed: float = 60.0
-    played: float = 0.5
-    few_seconds: float = 12.0
+    played: float = 0.5  # a frame is not entered if a larger share of the seconds from it on has been played
+    few_seconds: float = 12.0  # of recordings of a type, where few are enough
 
 
 @dataclass(frozen=True)
 class MatchingSettings:
-    """When a player goes over to frames that suit the trajectory better; chosen: every change drags the feet.
+    """When another frame that suits the trajectory better is gone over to; chosen: every change drags the feet."""
 
-    Attributes:
-        every: frames between two searches, and frames that must follow in a clip.
-        clearly: share of the present cost below which another frame is gone over to.
-    """
-
-    every: int = 20
-    clearly: float = 0.4
+    every: int = 20  # frames between two searches, and frames that must follow in a clip
+    clearly: float = 0.4  # share of the present cost that another frame has to stay below
 
 
 ENTRY, MATCHING = EntrySettings(), MatchingSettings()

@@ -1,40 +1,48 @@
-"""How fast a path is gone along: what is asked for, within what recordings of the type show."""
+"""Speeds along a path: what is asked for, within what recordings of the type show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.path import METRE, SPACING, Path2D
-from motionkit.control.steering import RUN_SPEED, WALK_SPEED, steered_type
+from motionkit.control.steering import WALK_SPEED, steered_type
 from motionkit.errors import ControlError
 from motionkit.models.model import MotionModel
 
-DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
-SLOWEST = 20.0  # cm/s, at least
-SHORT = 0.5  # share of its time in which a performance may not be shown
-# cm/s^2 by which a path's speed changes at most: what 98 % of the frames of recorded runs brake less than.
-ACCELERATION = 220.0
-CREEP = 10.0  # cm/s, the slowest way to a stop
-# Cosine between the ways before and after a turn that bodies slow down for, to so many cm/s (faster ones leap around
-# it), and how many points of the path to both sides tell.
-SHARP, TURN_SPEED, BESIDE_TURN = -0.8, 30.0, 3
-TOO_SLOW = 0.99  # of the slowest recorded speed of a run, below which a body walks
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """Speeds along a path. All numbers but the acceleration are chosen."""
+
+    default: float = WALK_SPEED  # cm/s, for a type the model has no speed of
+    slowest: float = 20.0  # cm/s of a part at least
+    creep: float = 10.0  # cm/s at a stop
+    acceleration: float = 220.0  # cm/s^2 at most; 98 % of the frames of recorded runs brake less
+    sharp: float = -0.8  # cosine between the directions before and after a turn that bodies slow down for
+    turn_speed: float = 30.0  # cm/s at such a turn; faster bodies leap around it
+    beside_turn: int = 3  # points of the path to both sides that tell the directions
+    too_slow: float = 0.99  # share of the slowest recorded speed of a run, below which a body walks
+    short: float = 0.5  # share of its time in which a performance may not be shown
+
+
+PROFILE = ProfileSettings()
 
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
     """Speed (N,) in cm/s that is asked for on each part, else what is usual for its type."""
     known = [model.types.get(part.type) for part in path.parts]
     gaits = [None if kind is None else kind.gait for kind in known]
-    typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
+    typical = [PROFILE.default if gait is None else gait.speed for gait in gaits]
     wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
-    return np.maximum(np.array(wanted, np.float32), SLOWEST)
+    return np.maximum(np.array(wanted, np.float32), PROFILE.slowest)
 
 
 def part_speeds(model: MotionModel, path: Path2D) -> Array:
-    """Speed (N,) in cm/s with which each part is gone along: a gait's goes no further than its speed range.
+    """Speed (N,) in cm/s of each part: for gaits within their speed range.
 
     Beyond it a network glides: feet hardly leave the ground, or hardly touch it.
     """
@@ -64,7 +72,7 @@ def short_performances(model: MotionModel, path: Path2D) -> list[str]:
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
     for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
         seconds = model.phase_seconds(part.type) if model.kind(part.type).phased else 0.0
-        if float(length / speed) < SHORT * seconds:
+        if float(length / speed) < PROFILE.short * seconds:
             lines.append(
                 f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
                 f"{float(length) / METRE:.1f} m, in which it may not be shown"
@@ -103,18 +111,18 @@ def speed_profile(model: MotionModel, path: Path2D) -> Array:
     """
     speeds = part_speeds(model, path)[path.part].astype(np.float64)
     sharp = _sharp_turns(path)
-    speeds[sharp] = np.minimum(speeds[sharp], TURN_SPEED)
+    speeds[sharp] = np.minimum(speeds[sharp], PROFILE.turn_speed)
     for place, _ in path.stops:
-        speeds[path.nearest(place)] = CREEP
+        speeds[path.nearest(place)] = PROFILE.creep
     # The square of the speed changes evenly along the way: no point's is more than so much above another's.
-    slope = 2.0 * ACCELERATION * SPACING * np.arange(len(speeds))
+    slope = 2.0 * PROFILE.acceleration * SPACING * np.arange(len(speeds))
     squares = np.minimum.accumulate(speeds * speeds - slope) + slope
     squares = np.minimum.accumulate((squares + slope)[::-1])[::-1] - slope
     return np.sqrt(squares).astype(np.float32)
 
 
 def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
-    """The number (N,) of the type shown at each point: who runs walks where the path is slower than any recorded run.
+    """The type id (N,) at each point: a run becomes a walk where the path is slower than any recorded run.
 
     Args:
         speeds: (N,) speed_profile. It is slow around stops and sharp turns.
@@ -124,14 +132,15 @@ def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
     slower = model.speed_range(walk)
     for number, part in enumerate(path.parts):
         gait, span = model.types[part.type].gait, model.speed_range(part.type)
-        if gait and span and slower and gait.speed > RUN_SPEED and slower[0] < span[0]:
-            shown[(path.part == number) & (speeds < TOO_SLOW * span[0])] = model.type_id(walk)
+        if gait and span and slower and gait.runs and slower[0] < span[0]:
+            shown[(path.part == number) & (speeds < PROFILE.too_slow * span[0])] = model.type_id(walk)
     return shown
 
 
 def _sharp_turns(path: Path2D) -> Array:
     """Whether the path turns sharply at each point (N,)."""
-    before, after = path.tangents[: -2 * BESIDE_TURN], path.tangents[2 * BESIDE_TURN :]
+    beside = PROFILE.beside_turn
+    before, after = path.tangents[: -2 * beside], path.tangents[2 * beside :]
     sharp = np.zeros(len(path.points), bool)
-    sharp[BESIDE_TURN : len(sharp) - BESIDE_TURN] = (before * after).sum(axis=-1) < SHARP
+    sharp[beside : len(sharp) - beside] = (before * after).sum(axis=-1) < PROFILE.sharp
     return sharp

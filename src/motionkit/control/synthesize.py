@@ -13,7 +13,7 @@ from motionkit.arrays import Array
 from motionkit.control.easing import acceleration_limit, eased_turns, eased_way
 from motionkit.control.flight import come_down, falling_freely
 from motionkit.control.keys import Key
-from motionkit.control.meet import Beginning, KeyedController, meet_keys
+from motionkit.control.meet import KeyedController, meet_keys
 from motionkit.control.opening import Opening, opening
 from motionkit.control.plan import plan_keys, plan_types
 from motionkit.control.planned_controls import CrowdController
@@ -136,8 +136,7 @@ def synthesize(
     controller: Controller = CrowdController(model, planned, shown, options.seed, state)
     if options.keys:
         keyed = plan_keys(planned[0], options.keys)
-        begin = Beginning(openings[0].start.ground[0], shown[0].poses)
-        controller = KeyedController(model, controller, keyed, begin, model.body_scale(names[0]))
+        controller = KeyedController(model, controller, keyed, openings[0], model.body_scale(names[0]))
     plans = [plan.parts for plan in planned]
     frames = [len(each) for each in weights]
     limits = [acceleration_limit(model, [part.type for part in plan]) for plan in plans]

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.control.path import shape_path
-from motionkit.control.steering import NEUTRAL_SECONDS, RUN_SPEED
+from motionkit.control.steering import NEUTRAL_SECONDS
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body
 from motionkit.evaluation.detectors import detection_windows
@@ -198,7 +198,7 @@ def _verdict(
         len(bodies),
         sum(body.joint_speed() for body in late) / len(late) / max(profile.joint_speed, 1e-6),
         path,
-        RUNS_WITHIN if gait is not None and gait.speed > RUN_SPEED else WALKS_WITHIN,
+        RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN,
         float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
     return replace(verdict, reasons=reasons_of(verdict, judge, late))
@@ -212,7 +212,7 @@ def _path_distances(
     for kind in kinds:
         each = model.types[kind]
         if each.kind is MotionKind.GAIT and each.gait is not None:
-            runs = each.gait.speed > RUN_SPEED
+            runs = each.gait.runs
             path = shape_path("figure-eight", RUN_RADIUS if runs else WALK_RADIUS, [kind], None)
             trials.append(PathTrial(kind, path, RUNS_WITHIN if runs else WALKS_WITHIN))
     if not trials:

@@ -18,6 +18,7 @@ MOVEMENT_FRAMES = 120
 # Share of the recorded seconds that is left out at each end of a range of speeds, share by which it is widened, and
 # share of the usual speed that it reaches to both sides at least.
 SPEED_SHARE, SPEED_MARGIN, LEAST_MARGIN = 0.02, 0.1, 0.25
+RUN_SPEED = 200.0  # cm/s that runs are faster than; chosen between recorded walks and runs
 JUMP_OF_PHASE = 0.1  # in a frame, between one strike or jump and the next
 # A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
 # Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
@@ -48,6 +49,11 @@ class Gait:
     speed: float
     facing: float
     cycle_seconds: float = 0.0
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is faster than a walk."""
+        return self.speed > RUN_SPEED
 
 
 @dataclass(frozen=True)

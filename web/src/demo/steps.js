@@ -1,4 +1,4 @@
-// The first steps of a gait from standing, as Python's FirstSteps (control/first_steps.py).
+// The first steps of a gait from standing, as Python's FirstSteps (control/memory.py).
 
 import { Player } from "./player.js";
 

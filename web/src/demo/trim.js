@@ -1,4 +1,4 @@
-// The speed a steered body goes at, made the wanted one: Python's SpeedTrim (control/speed_trim.py).
+// Integral controller for speed: Python's SpeedTrim (control/memory.py).
 
 import { STANDS_BELOW, stands } from "./springs.js";
 
