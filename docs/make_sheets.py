@@ -26,7 +26,7 @@ POSES, WIDTH = 10, 1100
 
 def type_motions(model: MotionModel) -> list[tuple[str, Motion]]:
     """Six seconds of every type; what is performed once, between two walks."""
-    performed = {name for name, kind in model.types.items() if kind.kind is MotionKind.PERFORMANCE}
+    performed = {name for name in model.types if model.kind(name) is MotionKind.PERFORMANCE}
     out = []
     for kind in model.types:
         once = f"walking:1.5,{kind}:{model.phase_seconds(kind):.2f},walking:1.5"

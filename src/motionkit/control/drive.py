@@ -83,7 +83,7 @@ class GaitDriver:
         return np.array([self.steering.trajectory(velocity, facing)], np.float32), settled
 
     def first_steps_of(self, kind: str, stood: bool, asked: Controls) -> Controls:
-        """The controls (1, ...) of a gait or of standing, with recordings for the first steps of who has stood."""
+        """The controls (1, ...) of a gait or of standing, with recordings for the first steps from standing."""
         if stood and self.model.kind(kind) is MotionKind.GAIT:
             self.first_steps.begin(kind)
         if self.first_steps.takes(kind):
@@ -105,7 +105,7 @@ class Driver:
         options: DriveOptions | None = None,
         choice: int = 0,
     ) -> None:
-        """kind is the type of the frames the character starts from; by default that of one who stands.
+        """kind is the type of the frames the character starts from; by default that of standing.
 
         choice picks among the recordings of what is wished for: two characters with the same one dance alike.
         """
@@ -234,7 +234,7 @@ class Driver:
 
     def _free(self, kind: str) -> Controls:
         """Controls (1, ...) of a type alone."""
-        return Controls.of_types(self.blend.of_type(kind)[None])
+        return Controls.of_types(self.model.type_weights(kind)[None])
 
 
 def without_trajectory(controls: Controls) -> Controls:

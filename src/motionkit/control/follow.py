@@ -162,12 +162,11 @@ def follow_path(
     skeleton = model.character(options.character)
     if options.count != 1:
         raise ControlError("a path is followed by one character at a time")
-    first = path.parts[0].type
-    weights = np.zeros((1, len(model.types)), np.float32)
-    weights[0, model.type_id(first)] = 1.0
+    plan = plan_path(model, path)
+    first = plan.segments[0].type
+    weights = model.type_weights(first)[None]
     body = model.moved_skeleton(options.character)
     begin = opening(model, first, body, options.init)
-    plan = plan_path(model, path)
     follower = PathFollower(model, plan, options.seed, begin.shown.behind)
     check_size(plan.seconds, model.fps, options)
     tangent = path.tangents[0]

@@ -189,7 +189,7 @@ class KeyedController:
         self.stretches = matched_stretches(model, keys, begin, plan.track, self.way)
         if self.way is not None:
             self.way = recorded_way(self.way, self.stretches, begin.start.ground[0])
-        self.steered = np.array([kind.kind.steered for kind in model.types.values()], np.float32)
+        self.steered = np.array([known.kind.steered for known in model.types.values()], np.float32)
         met = {stretch.end for stretch in self.stretches}
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
         self.poses = [pose for pose in poses if pose[0] not in met]

@@ -114,12 +114,12 @@ class SpeedTrim:
         self._since = 0  # frames for which the wish is the same
 
     def __call__(self, kind: str, velocity: Pair, gone: Pair) -> Pair:
-        """Return the velocity to ask a gait for in this frame; others are asked for what is wanted.
+        """Return the velocity to ask a gait for in this frame; others are asked for what is wished.
 
         Args:
             kind: the type that goes.
-            velocity: wanted, x and z in cm/s.
-            gone: at which the body goes, x and z in cm/s.
+            velocity: wished, x and z in cm/s.
+            gone: of the body, x and z in cm/s.
         """
         speed = math.hypot(*velocity)
         if speed < STANDS_BELOW or self.model.kind(kind) is not MotionKind.GAIT:
@@ -184,7 +184,7 @@ class TypeBlend:
         """Begin in a type; frames is what a change takes."""
         self.model, self.frames = model, frames
         self.type = self.target = kind
-        self.weights = self.before = self.of_type(kind)
+        self.weights = self.before = model.type_weights(kind)
         self.blended = frames
 
     def __call__(self, kind: str, goal: Array) -> Array:
@@ -199,12 +199,6 @@ class TypeBlend:
         self.weights = self.before + share * (goal - self.before)
         self.type = kind or self.model.type_names[int(goal.argmax())]
         return self.weights
-
-    def of_type(self, kind: str) -> Array:
-        """The weights (N,) of one type alone."""
-        weights = np.zeros(len(self.model.types), np.float32)
-        weights[self.model.type_id(kind)] = 1.0
-        return weights
 
 
 @dataclass(frozen=True)

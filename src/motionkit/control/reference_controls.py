@@ -57,23 +57,20 @@ class ReferenceControls:
         rhythm = rhythm_of(self.model, kind)
         phase = np.full(count, -1.0, np.float32) if rhythm is None else rhythm.phases(at, count)
         free = replace(self._of_type(kind, count), phase=phase)
-        known = self.model.types.get(kind)
-        if trajectories is None and known is not None and known.velocity is not None:
-            trajectories = np.tile(straight_trajectory(known.velocity, self.model.fps), (count, 1))
+        velocity = self.model.types[kind].velocity
+        if trajectories is None and velocity is not None:
+            trajectories = np.tile(straight_trajectory(velocity, self.model.fps), (count, 1))
         return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
 
     def _shown(self, kind: str, reference: Array) -> Controls:
         """Controls (T, ...) of a type with references (T, 72), at the type's gain; 0 for models without references."""
-        free, known = self._of_type(kind, len(reference)), self.model.types.get(kind)
-        gain = known.preset.reference_gain if known is not None and self.model.uses_references else 0.0
+        free = self._of_type(kind, len(reference))
+        gain = self.model.types[kind].preset.reference_gain if self.model.uses_references else 0.0
         return replace(free, reference=reference, reference_gain=free.reference_gain + np.float32(gain))
 
     def _of_type(self, kind: str, count: int) -> Controls:
-        """Controls (count, ...) of a type alone; zeros for a type the model does not have."""
-        weights = np.zeros((count, len(self.model.types)), np.float32)
-        if kind in self.model.types:
-            weights[:, self.model.type_id(kind)] = 1.0
-        return Controls.of_types(weights)
+        """Controls (count, ...) of a type alone."""
+        return Controls.of_types(np.tile(self.model.type_weights(kind), (count, 1)))
 
     def _trajectory(
         self,

@@ -34,11 +34,12 @@ PROFILE = ProfileSettings()
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
     """Speed (N,) in cm/s that is asked for on each part, else what is usual for its type."""
-    known = [model.types.get(part.type) for part in path.parts]
-    gaits = [None if kind is None else kind.gait for kind in known]
-    typical = [PROFILE.default if gait is None else gait.speed for gait in gaits]
-    wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
-    return np.maximum(np.array(wanted, np.float32), PROFILE.slowest)
+    speeds = []
+    for part in path.parts:
+        gait = model.types[part.type].gait if part.type in model.types else None
+        usual = PROFILE.default if gait is None else gait.speed
+        speeds.append(usual if part.speed is None else part.speed)
+    return np.maximum(np.array(speeds, np.float32), PROFILE.slowest)
 
 
 def part_speeds(model: MotionModel, path: Path2D) -> Array:
@@ -46,11 +47,7 @@ def part_speeds(model: MotionModel, path: Path2D) -> Array:
 
     Beyond it a network glides: feet hardly leave the ground, or hardly touch it.
     """
-    return _within_ranges(model, path, asked_speeds(model, path))
-
-
-def _within_ranges(model: MotionModel, path: Path2D, asked: Array) -> Array:
-    speeds = asked.copy()
+    speeds = asked_speeds(model, path)
     for number, part in enumerate(path.parts):
         span = model.speed_range(part.type)
         if span is not None and part.speed is not None:
@@ -71,7 +68,7 @@ def short_performances(model: MotionModel, path: Path2D) -> list[str]:
     lines = []
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
     for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
-        seconds = model.phase_seconds(part.type) if model.kind(part.type).phased else 0.0
+        seconds = model.phase_seconds(part.type)
         if float(length / speed) < PROFILE.short * seconds:
             lines.append(
                 f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
@@ -91,8 +88,7 @@ def check_speeds(model: MotionModel, path: Path2D) -> None:
 
 def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float, float]]:
     """Number, type, asked speed and speed gone in cm/s of each part where these differ."""
-    wanted = asked_speeds(model, path)
-    speeds = wanted.tolist(), _within_ranges(model, path, wanted).tolist()
+    speeds = asked_speeds(model, path).tolist(), part_speeds(model, path).tolist()
     for number, (part, asked, gone) in enumerate(zip(path.parts, *speeds, strict=True), 1):
         if asked != gone:
             yield number, part.type, asked, gone

@@ -88,10 +88,10 @@ def nearest_turn(angle: float) -> float:
 
 
 def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> str:
-    """The steered type for a wanted velocity (x, z in cm/s) and facing (radians, None for any).
+    """The steered type for a wished velocity (x, z in cm/s) and facing (radians, None for any).
 
     Its usual speed is nearest (in square roots, so that slow types have narrow bands) and its body faces the
-    direction of motion as wanted. A model without steered types chooses among all that have no phase.
+    direction of motion as wished. A model without steered types chooses among all that have no phase.
     """
     known = [name for name in model.types if model.kind(name).steered]
     if math.hypot(*velocity) >= GOES_FROM:
@@ -133,7 +133,9 @@ class Gaits:
 def usual_gaits(model: MotionModel) -> Gaits:
     """The types of a model that stand, walk, run and go backwards, whatever they are called."""
     found = {
-        name: kind.gait for name, kind in model.types.items() if kind.kind.steered and kind.gait is not None
+        name: known.gait
+        for name, known in model.types.items()
+        if known.kind.steered and known.gait is not None
     }
     going = {name: gait for name, gait in found.items() if model.kind(name) is MotionKind.GAIT}
     ahead = {
@@ -211,8 +213,8 @@ class Steering:
         """The 24 trajectory numbers in the heading frame, after observe.
 
         Args:
-            velocity: wanted, x and z in cm/s; slower than STANDS_BELOW stands where it came to a halt.
-            facing: wanted heading in radians; None keeps the facing one stopped with, or the present one.
+            velocity: wished, x and z in cm/s; below STANDS_BELOW the character stands where it stopped.
+            facing: wished heading in radians; None keeps the facing it stopped with, or the present one.
         """
         assert self._before is not None and self._facing is not None
         x, z, heading = self._before
@@ -237,7 +239,7 @@ class Steering:
         """How far feet may hold the root, 0 to 1: not while a body that is to go another way, or faster, does not yet.
 
         Args:
-            velocity: wanted, x and z in cm/s.
+            velocity: wished, x and z in cm/s.
         """
         speed = math.hypot(*velocity)
         if speed < STANDS_BELOW:

@@ -128,8 +128,7 @@ def long_rollout(
     frames = round(seconds * model.fps)
     state = RolloutState(model, 1, default_noise(model), seed)
     state.set_skeletons([dataset.skeleton(sequence.clip)])
-    weights = np.zeros((1, len(model.types)), np.float32)
-    weights[0, model.type_id(kind)] = 1.0
+    weights = model.type_weights(kind)[None]
     asked, data = Controls.of_types(weights), sequence.data
     state.start(
         data.features[None, :INITIAL],

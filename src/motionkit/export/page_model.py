@@ -123,21 +123,21 @@ def _types(model: MotionModel) -> list[dict[str, Any]]:
     """Every type with its reference clips, which count on through the arrays in the same order."""
     recordings, rows = RecordingChoice(model), Counter[str]()
     out = []
-    for name, kind in model.types.items():
-        gait, clips = kind.gait, _clips(kind, model.fps)
-        clips_told = _clip_entries(clips, recordings.entry_frames(name, clips), rows) if clips else []
+    for name, known in model.types.items():
+        gait, clips = known.gait, _clips(known, model.fps)
+        shown = _clip_entries(clips, recordings.entry_frames(name, clips), rows) if clips else []
         out.append(
             {
                 "name": name,
                 "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
                 "seconds": model.phase_seconds(name),
-                "steered": kind.kind.steered,
+                "steered": known.kind.steered,
                 "speeds": model.speed_range(name),
-                "performed": kind.kind is MotionKind.PERFORMANCE,
-                "phased": kind.kind.phased,
-                "gain": kind.preset.reference_gain if model.uses_references else 0.0,
-                "clips": [] if kind.kind.steered else clips_told,
-                "first": clips_told if kind.kind.steered else [],
+                "performed": known.kind is MotionKind.PERFORMANCE,
+                "phased": known.kind.phased,
+                "gain": known.preset.reference_gain if model.uses_references else 0.0,
+                "clips": [] if known.kind.steered else shown,
+                "first": shown if known.kind.steered else [],
             }
         )
     return out
@@ -173,11 +173,11 @@ def _clip_entries(
     return out
 
 
-def _clips(kind: MotionType, fps: float) -> tuple[ReferenceClip, ...]:
+def _clips(known: MotionType, fps: float) -> tuple[ReferenceClip, ...]:
     """The reference clips of a type that a page shows: gaits are steered without, but for their first steps."""
-    if kind.kind.steered:
-        return few_clips(kind.reference_clips, fps) if kind.kind is MotionKind.GAIT else ()
-    return kind.reference_clips
+    if known.kind.steered:
+        return few_clips(known.reference_clips, fps) if known.kind is MotionKind.GAIT else ()
+    return known.reference_clips
 
 
 def _shown_clips(model: MotionModel) -> list[ReferenceClip]:

@@ -91,7 +91,7 @@ class CharacterStream:
         features, contacts = (
             np.concatenate(p) for p in zip(*((s.features, s.contacts) for s in starts), strict=True)
         )
-        weights = self._weights(kind).repeat(count, axis=0)
+        weights = np.tile(model.type_weights(kind), (count, 1))
         self.state.start(features, contacts, weights, None, model.phase_seconds(kind) * model.fps)
 
     def _take_body(self, index: int, character: str) -> None:
@@ -104,12 +104,6 @@ class CharacterStream:
         self.height_correction.rise[index] = 0.0
         if self.feet is not None:
             self.feet.reset(index)
-
-    def _weights(self, kind: str) -> Array:
-        """Type weights (1, N) of one type alone."""
-        weights = np.zeros((1, len(self.model.types)), np.float32)
-        weights[0, self.model.type_id(kind)] = 1.0
-        return weights
 
     def reset(
         self,
@@ -124,7 +118,7 @@ class CharacterStream:
             ControlError: for an unknown character or type.
         """
         model, kind = self.model, type or model_first_type(self.model)
-        weights = self._weights(kind)
+        weights = model.type_weights(kind)[None]
         start = on_body(model, type_start(model, kind, 1), model.moved_skeleton(character))
         self._take_body(index, character)
         ground = np.array([place], np.float32)
@@ -178,4 +172,4 @@ def model_first_type(model: MotionModel) -> str:
     known = {name: kind for name, kind in model.types.items() if kind.start_poses}
     if not known:
         raise ControlError("the model has no start poses")
-    return next((name for name, kind in known.items() if kind.kind is MotionKind.STANCE), next(iter(known)))
+    return next((name for name in known if model.kind(name) is MotionKind.STANCE), next(iter(known)))

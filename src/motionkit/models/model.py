@@ -93,6 +93,12 @@ class MotionModel:
             return self.type_names.index(name)
         raise ControlError(unknown_name("motion type", name, self.type_names))
 
+    def type_weights(self, name: str) -> Array:
+        """Weights (N,) of one motion type alone; raises ControlError for an unknown one."""
+        weights = np.zeros(len(self.types), np.float32)
+        weights[self.type_id(name)] = 1.0
+        return weights
+
     def kind(self, name: str) -> MotionKind:
         """What a motion type is; FREE for one that the model does not have."""
         return self.types[name].kind if name in self.types else MotionKind.FREE
@@ -146,7 +152,8 @@ class MotionModel:
             return self
         changes: dict[str, dict[str, Any]] = {}
         for name, kind in self.types.items():
-            rhythm = None if kind.kind is MotionKind.PERFORMANCE else recorded_rhythm(kind.reference_clips)
+            performed = kind.kind is MotionKind.PERFORMANCE
+            rhythm = None if performed else recorded_rhythm(kind.reference_clips)
             changes[name] = {"reference_clips": (), "rhythm": rhythm, "speeds": self.speed_range(name)}
             changes[name]["preset"] = kind.preset.without_references
             if rhythm is not None or kind.kind is MotionKind.GAIT:

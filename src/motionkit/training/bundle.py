@@ -98,14 +98,14 @@ def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
     return replace(plain, preset=sampling_preset(plain, dataset.phase_events.get(kind)))
 
 
-def sampling_preset(kind: MotionType, event: str | None) -> SamplingPreset:
+def sampling_preset(known: MotionType, event: str | None) -> SamplingPreset:
     """How frames of a type are drawn.
 
     Args:
         event: what its phase follows: "kick", "punch", "jump", "" for whole performances, None for no phase.
     """
-    if kind.kind.steered:
-        return STANDING if kind.kind is MotionKind.STANCE else GAIT
+    if known.kind.steered:
+        return STANDING if known.kind is MotionKind.STANCE else GAIT
     if event is None:
         return OTHER
     return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)
