@@ -9,7 +9,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.follow import PathFollower
-from motionkit.control.gait_limits import GaitLimits
+from motionkit.control.gait_limits import within_limits
 from motionkit.control.memory import FirstSteps, Performance, Performances, Request, SpeedTrim, TypeBlend
 from motionkit.control.path import Path2D
 from motionkit.control.plan import plan_path
@@ -63,8 +63,7 @@ class GaitDriver:
         """choice picks among the recordings of first steps."""
         self.model = model
         self.steering = Steering(model.fps, options)
-        self.limits = GaitLimits(model)
-        self.trim = SpeedTrim(self.limits)
+        self.trim = SpeedTrim(model)
         self.first_steps = FirstSteps(model, choice)
 
     @property
@@ -77,7 +76,7 @@ class GaitDriver:
         if facing is None and math.hypot(*velocity) >= STANDS_BELOW:
             gait = self.model.types[kind].gait
             facing = math.atan2(*velocity) - (0.0 if gait is None else gait.facing)
-        velocity, facing = self.limits.nearest(kind, velocity, facing)
+        velocity, facing = within_limits(self.model, kind, velocity, facing)
         velocity = self.trim(kind, velocity, self.steering.measured)
         settled = np.array([self.steering.settled(velocity)], np.float32)
         return np.array([self.steering.trajectory(velocity, facing)], np.float32), settled

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.gait_limits import GaitLimits
+from motionkit.control.gait_limits import speed_limits
 from motionkit.control.plan import Stand
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.standing import SETTLING, like_recorded
@@ -105,8 +105,8 @@ class SpeedTrim:
     about 0.9 of another one.
     """
 
-    def __init__(self, limits: GaitLimits) -> None:
-        self.model, self.limits = limits.model, limits
+    def __init__(self, model: MotionModel) -> None:
+        self.model = model
         self.shares: dict[str, float] = {}
         self._kind = ""
         self._wish: Pair = (0.0, 0.0)
@@ -144,7 +144,7 @@ class SpeedTrim:
 
     def _within(self, kind: str, wanted: float, asked: float) -> float:
         """The speed to ask for: not beyond those of the recordings for the sake of one within them."""
-        slowest, fastest = self.limits.speeds(kind)
+        slowest, fastest = speed_limits(self.model, kind)
         return max(min(asked, max(fastest, wanted)), min(slowest, wanted))
 
 

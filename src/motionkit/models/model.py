@@ -109,10 +109,16 @@ class MotionModel:
 
     def speed_range(self, kind: str) -> tuple[float, float] | None:
         """Slowest and fastest speed in cm/s at which a gait looks right, by its recordings; None for other types."""
-        if self.kind(kind) is not MotionKind.GAIT:
-            return None
-        known = self.types[kind]
-        return known.speeds or recorded_speeds(known.reference_clips, self.fps)
+        return self._speed_ranges.get(kind)
+
+    @cached_property
+    def _speed_ranges(self) -> dict[str, tuple[float, float] | None]:
+        """The speed range of each gait; kept, because live characters ask in every frame."""
+        return {
+            name: known.speeds or recorded_speeds(known.reference_clips, self.fps)
+            for name, known in self.types.items()
+            if known.kind is MotionKind.GAIT
+        }
 
     def root_hold(self, type_weights: Array) -> Array:
         """Share (...) of the sliding of feet in contact that is taken out of the root's way, by type weights (..., N).
