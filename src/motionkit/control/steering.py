@@ -132,26 +132,16 @@ class Gaits:
 
 def usual_gaits(model: MotionModel) -> Gaits:
     """The types of a model that stand, walk, run and go backwards, whatever they are called."""
-    found = {
-        name: known.gait
-        for name, known in model.types.items()
-        if known.kind.steered and known.gait is not None
-    }
-    going = {name: gait for name, gait in found.items() if model.kind(name) is MotionKind.GAIT}
-    ahead = {
-        name: gait for name, gait in going.items() if abs(nearest_turn(gait.facing)) < GAIT_CHOICE.forwards
-    }
-    back = [
-        name
-        for name, gait in going.items()
-        if abs(nearest_turn(gait.facing)) > math.pi - GAIT_CHOICE.forwards
-    ]
-    runs = [name for name, gait in ahead.items() if gait.runs]
-    walks = [name for name, gait in ahead.items() if not gait.runs]
+    found = {name: known.gait for name, known in model.types.items() if known.kind.steered and known.gait}
+    stands = [name for name in found if model.kind(name) is MotionKind.STANCE]
+    turned = {name: abs(nearest_turn(gait.facing)) for name, gait in found.items() if name not in stands}
+    ahead = [name for name, turn in turned.items() if turn < GAIT_CHOICE.forwards]
+    back = [name for name, turn in turned.items() if turn > math.pi - GAIT_CHOICE.forwards]
+    walks = [name for name in ahead if not found[name].runs]
     return Gaits(
-        min((name for name in found if name not in going), key=lambda name: found[name].speed, default=None),
+        min(stands, key=lambda name: found[name].speed, default=None),
         min(walks, key=lambda name: abs(found[name].speed - WALK_SPEED), default=None),
-        max(runs, key=lambda name: found[name].speed, default=None),
+        max((name for name in ahead if found[name].runs), key=lambda name: found[name].speed, default=None),
         max(back, key=lambda name: abs(found[name].facing), default=None),
     )
 
