@@ -18,6 +18,7 @@ import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.files import files_below
+from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import read_bvh, write_bvh
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.kinematics import motion_kinematics
@@ -27,7 +28,7 @@ from motionkit.motion.skeleton import JOINT_NAMES
 from motionkit.play.on_rig import LiveRig, with_rig
 from motionkit.play.requests import parse_request
 from motionkit.play.session import Session
-from motionkit.rig.on_rig import on_rig, read_rig
+from motionkit.rig.on_rig import read_rig
 from motionkit.rig.pose import map_file, median_offsets
 from motionkit.rig.retarget import retarget
 from motionkit.rig.rig import Rig

@@ -24,7 +24,8 @@ from motionkit.cli.main import cli
 from motionkit.models.bundled import BUNDLED_MODEL, load_bundled_model
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
-from motionkit.view.figure_data import Shown, figure_data, in_metres, rig_data
+from motionkit.rig.upright import in_metres
+from motionkit.view.figure_data import Shown, figure_data, rig_data
 from motionkit.view.viewer import page_asset
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -88,7 +89,7 @@ def make_gallery(folder: Path) -> None:
     rig: dict[str, Any] = {}
     for loop in every:
         shown = _make(loop)
-        rig = rig or rig_data(in_metres(shown.motion)[0])
+        rig = rig or rig_data(in_metres(shown.motion).motion)
         data = {name: value for name, value in figure_data(shown).items() if rig.get(name) != value}
         (scripts / f"{loop.key}.js").write_text(
             f"loopData({json.dumps(loop.key)}, {_text(data)});\n", "utf-8"

@@ -98,7 +98,8 @@ def retarget(
         MotionkitError: for a file that cannot be read, or a rig that is not a human one.
     """
     from motionkit.export.clip import Clip
-    from motionkit.rig.on_rig import on_rig, read_clip, read_on_any_rig
+    from motionkit.finish.on_rig import on_rig
+    from motionkit.rig.on_rig import read_clip, read_on_any_rig
 
     target = read_rig(rig) if isinstance(rig, (str, Path)) else rig
     if isinstance(motion, (str, Path)):

@@ -41,6 +41,16 @@ def smoothed(values: Array, half: int) -> Array:
     return sliding_window_view(padded, 2 * half + 1, axis=0) @ kernel
 
 
+def peak_smoothed(size: Array, values: Array, half: int) -> Array:
+    """Each of values (T, k) replaced by the one of largest size (T,) within `half` frames, then smoothed as widely.
+
+    The result is thus never smaller than needed.
+    """
+    around = sliding_window_view(np.pad(size, half, constant_values=-1.0), 2 * half + 1)
+    largest = values[around.argmax(axis=-1) + np.arange(len(size)) - half]
+    return smoothed(largest, half)
+
+
 def lower_median(values: Array, axis: int = 0) -> Array:
     """The median along an axis; for an even number of values, the lower of the middle two."""
     middle = (values.shape[axis] - 1) // 2

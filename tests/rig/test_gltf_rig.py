@@ -12,11 +12,12 @@ import pytest
 
 from motionkit.errors import MotionkitError
 from motionkit.export.formats import write_motion
+from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_angle, quat_inverse, quat_multiply, quat_normalize, quat_rotate
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, canonical_skeleton
-from motionkit.rig.on_rig import on_rig, read_rig
+from motionkit.rig.on_rig import read_rig
 from motionkit.rig.retarget import retarget
 from motionkit.rig.to_rig import rig_bvh
 from synthetic_motions import make_walk

@@ -13,6 +13,7 @@ import pytest
 import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
+from motionkit.finish.on_rig import on_rig
 from motionkit.motion.bvh import BvhFile, motion_to_bvh, read_bvh, write_bvh
 from motionkit.motion.bvh_text import read_hierarchy
 from motionkit.motion.contacts import foot_contacts
@@ -27,7 +28,7 @@ from motionkit.motion.rotations import (
     quat_rotate,
 )
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton, canonical_skeleton
-from motionkit.rig.on_rig import on_rig, read_clip, read_rig
+from motionkit.rig.on_rig import read_clip, read_rig
 from motionkit.rig.pose import up_turn
 from motionkit.rig.retarget import retarget
 from motionkit.rig.rig import Rig, make_rig

@@ -18,8 +18,7 @@ from motionkit.motion.rotations import quat_inverse
 from motionkit.rig.mirror import mirror_motion
 from motionkit.rig.retarget import retarget
 from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
-from motionkit.rig.upright import Upright
-from motionkit.view.figure_data import in_metres
+from motionkit.rig.upright import Upright, in_metres
 
 WALK = Path(__file__).resolve().parents[2] / "examples" / "data" / "06_06.bvh"
 AXES = {"X": (1, 0, 0), "-X": (-1, 0, 0), "Z": (0, 0, 1), "-Z": (0, 0, -1)}

@@ -10,8 +10,8 @@ import pytest
 from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_to_matrix
+from motionkit.rig.upright import in_metres
 from motionkit.view.body import BodyPose, make_body
-from motionkit.view.figure_data import in_metres
 from motionkit.view.isosurface import isosurface
 from motionkit.view.surface import Surface, point_normals
 from synthetic_motions import make_cartwheel, make_walk

@@ -21,8 +21,9 @@ from motionkit.motion.rotations import (
     quat_to_matrix,
 )
 from motionkit.motion.skeleton import Skeleton
+from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
-from motionkit.view.figure_data import Shown, figure_data, in_metres, pack
+from motionkit.view.figure_data import Shown, figure_data, pack
 from motionkit.view.surface import TINTS, Surface
 from synthetic_motions import make_walk
 

@@ -15,7 +15,8 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.view.figure_data import Shown, in_metres
+from motionkit.rig.upright import in_metres
+from motionkit.view.figure_data import Shown
 from motionkit.view.notebook import show
 from motionkit.view.viewer import viewer_page, write_viewer
 from synthetic_motions import make_cartwheel, make_walk

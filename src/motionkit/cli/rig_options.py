@@ -81,7 +81,7 @@ class RigChoice:
     def _on_rig(self, motion: Motion, ik: bool, way: RootMotion) -> Motion:
         if self.rig is None:
             return motion
-        from motionkit.rig.on_rig import on_rig
+        from motionkit.finish.on_rig import on_rig
 
         if way.root == "ground":
             raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")

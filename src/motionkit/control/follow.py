@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.easing import acceleration_limit
 from motionkit.control.memory import FirstSteps
 from motionkit.control.momentum import asked_speed
 from motionkit.control.opening import opening
@@ -18,6 +17,7 @@ from motionkit.control.path import Path2D
 from motionkit.control.path_place import PathPlace
 from motionkit.control.plan import Plan, plan_path
 from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls

@@ -22,11 +22,10 @@ from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.heading import heading_angles
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS, reference_signal
+from motionkit.finish.finish import Finish, finish
 from motionkit.inference.rollout import Controller
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionType
-from motionkit.motion.contacts import CONTACT_HEIGHTS
-from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.reach import reach
@@ -42,7 +41,7 @@ from motionkit.motion.rotations import (
     rotate_ground,
     wrap_angle,
 )
-from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES, leg_length
+from motionkit.motion.skeleton import JOINT_NAMES, leg_length
 
 SHOWN_SECONDS = 0.6  # a key's pose is among the references so long before and after it
 AFTER = 70  # frames of a recording that are known after a key: those it is shown for, and what references look ahead
@@ -53,7 +52,6 @@ LONGEST_STRETCH = 4.0  # s that a recorded stretch may take to a key
 # cm, cm and radians by which the way of a stretch may be off for a cost of 1, that of an embedding's value off by 1.
 TRAVEL_SCALES = np.array([15.0, 15.0, 0.3])
 AHEAD = 35.0  # cm that points of joints lie before the hips, where a key does not say
-FLOOR_FADE = 6.0  # cm above the height of recorded contacts at which predicted ones count no more
 SOLVED = 1.0  # cm; a joint that stays further from its point is out of reach
 
 
@@ -329,23 +327,13 @@ def meet_keys(
     goals = [_reached(motion, key) for key in keys]
     moved = _over_the_ground(motion, keys, goals)
     if ik:
-        moved = lock_feet(moved, _near_floor(moved, contacts))
+        moved = finish(moved, contacts, Finish())
     if before is not None and len(before) > 1:
         moved = _continued(moved, before, round(keys[0].seconds * motion.fps))
     for number, key in enumerate(keys):
         around = [keys[i].seconds for i in (number - 1, number + 1) if 0 <= i < len(keys)]
         moved = _posed(moved, key, [0.0, *around] if number == 0 else around)
     return moved
-
-
-def _near_floor(motion: Motion, contacts: Array) -> Array:
-    """Contacts (T, 4) of those parts of feet that are near the floor.
-
-    Where a body is upside down, contacts may be predicted before a foot is there; it would be torn down.
-    """
-    heights = motion_kinematics(motion)[1][:, list(FOOT_JOINTS), 1]
-    away = (heights - np.array(CONTACT_HEIGHTS)) / FLOOR_FADE
-    return contacts * np.clip(1.0 - away, 0.0, 1.0).astype(contacts.dtype)
 
 
 def _frame(motion: Motion, key: Key) -> int:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +11,7 @@ from motionkit.arrays import Array
 from motionkit.control.path import METRE, SPACING, Path2D
 from motionkit.control.steering import WALK_SPEED, steered_type
 from motionkit.errors import ControlError
+from motionkit.metrics.pace import PACE_SECONDS, ground_acceleration
 from motionkit.models.model import MotionModel
 
 
@@ -30,6 +31,9 @@ class ProfileSettings:
 
 
 PROFILE = ProfileSettings()
+# Of the recorded frames of a motion's types are below its limit; the others are outliers, and peaks that held feet add.
+RECORDED_SHARE = 0.997
+USUAL = 3.5  # m/s^2; any body accelerates so hard where it begins to do something else
 
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
@@ -140,3 +144,15 @@ def _sharp_turns(path: Path2D) -> Array:
     sharp = np.zeros(len(path.points), bool)
     sharp[beside : len(sharp) - beside] = (before * after).sum(axis=-1) < PROFILE.sharp
     return sharp
+
+
+def acceleration_limit(model: MotionModel, kinds: Iterable[str]) -> float | None:
+    """Acceleration over the ground in m/s^2 that recordings of some types keep below; None without recordings."""
+    shortest = 2 * round(PACE_SECONDS * model.fps)
+    clips = [clip for kind in dict.fromkeys(kinds) for clip in model.types[kind].reference_clips]
+    found = [
+        ground_acceleration(np.insert(clip.ground[:, :2], 1, 0.0, axis=1), model.fps)
+        for clip in clips
+        if len(clip) > shortest
+    ]
+    return max(float(np.quantile(np.concatenate(found), RECORDED_SHARE)), USUAL) if found else None

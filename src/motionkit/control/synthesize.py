@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.easing import acceleration_limit, eased_turns, eased_way
-from motionkit.control.flight import come_down, falling_freely
 from motionkit.control.keys import Key
 from motionkit.control.meet import KeyedController, meet_keys
 from motionkit.control.opening import Opening, opening
 from motionkit.control.plan import plan_keys, plan_types
 from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
+from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
+from motionkit.finish.finish import Finish, finish
 from motionkit.inference.rollout import (
     Controller,
     Noise,
@@ -30,7 +30,6 @@ from motionkit.inference.rollout import (
 )
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
-from motionkit.motion.foot_ik import hold_root, lock_feet
 from motionkit.motion.motion import Motion, resample
 from motionkit.motion.skeleton import Skeleton, leg_length
 from motionkit.seeds import check_seed
@@ -214,7 +213,7 @@ def finish_motion(
     most: float | None = None,
     hold: Array | float = 0.0,
 ) -> Motion:
-    """One character of a roll-out as a motion to write: on its skeleton, feet locked, flights falling, at its rate.
+    """One character of a roll-out as a motion to write: finished, on its skeleton, at its rate.
 
     A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
 
@@ -225,12 +224,9 @@ def finish_motion(
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
     if options.ik:
-        contacts = rollout.contacts[index]
-        motion = eased_way(hold_root(eased_turns(motion), contacts, hold), most)
-        motion = come_down(lock_feet(motion, contacts))
+        size = leg_length(skeleton) / leg_length(motion.skeleton)
+        motion = finish(motion, rollout.contacts[index], Finish(hold=hold, most=most, size=size))
     motion = on_character(motion, skeleton)
-    if options.ik:
-        motion = falling_freely(motion)
     return motion if options.fps is None else resample(motion, options.fps)
 
 

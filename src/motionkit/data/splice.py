@@ -15,7 +15,7 @@ import numpy as np
 from motionkit.arrays import Array, lerp
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.features.encode import encode_motion
-from motionkit.motion.foot_ik import lock_feet, locked_spans
+from motionkit.finish.feet import lock_feet, locked_spans
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (

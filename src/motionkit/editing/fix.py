@@ -14,10 +14,10 @@ from motionkit.arrays import Array
 from motionkit.data.cleaning import Limb, mend
 from motionkit.data.smoothing import smooth, smooth_rotations, window_at
 from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.finish.finish import Finish, finish
 from motionkit.metrics.report import evaluate_motion
 from motionkit.metrics.smoothness import mean_jerk
 from motionkit.motion.floor import floor_shift
-from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous, quat_inverse, quat_multiply, quat_normalize
@@ -145,7 +145,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
     raised = replace(motion, root_positions=motion.root_positions + up)
     if repairs.sliding:
         before = replace(canonical, root_positions=canonical.root_positions + up)
-        raised = _moved_like(raised, rig, before, lock_feet(before, upright.contacts))
+        raised = _moved_like(raised, rig, before, finish(before, upright.contacts, Finish(drawn=False)))
     sure = all(f"{side}ToeBase" in rig.places for side in SIDES) or abs(shift) > FAR_OFF
     if repairs.floor and not sure:
         notes = (*notes, "the rig has no toes, which show where its floor is: it was left where it is")

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.easing import acceleration_limit
+from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, finish_motions
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.evaluation.body import Body, body_of

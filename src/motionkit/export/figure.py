@@ -8,8 +8,8 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.motion.motion import Motion
+from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
-from motionkit.view.figure_data import in_metres
 from motionkit.view.surface import SHADES, TINTS, Surface, point_normals
 
 SHIRT = np.array([79.0, 134.0, 232.0])  # a figure's own colour, 0 to 255

@@ -18,7 +18,7 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
 from motionkit.rig.canonical import canonical_motion
-from motionkit.view.figure_data import in_metres
+from motionkit.rig.upright import in_metres
 
 CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)
 

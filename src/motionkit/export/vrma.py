@@ -35,7 +35,7 @@ from motionkit.motion.skeleton import (
 )
 from motionkit.rig.canonical import canonical_motion
 from motionkit.rig.gltf import GltfDocument
-from motionkit.view.figure_data import in_metres
+from motionkit.rig.upright import in_metres
 
 EXTENSION = "VRMC_vrm_animation"
 CM = 0.01

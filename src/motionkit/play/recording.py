@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from motionkit.export.clip import Clip
 from motionkit.export.formats import WRITERS, write_motion
+from motionkit.finish.on_rig import on_rig
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous
 from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
-from motionkit.rig.on_rig import on_rig
 from motionkit.rig.rig import Rig
 
 Floats = NDArray[np.float32]

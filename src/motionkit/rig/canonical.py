@@ -4,19 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from motionkit.motion.bvh import bvh_to_motion, motion_to_bvh, read_bvh
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES, PARENTS, Skeleton, leg_length
-from motionkit.rig.units import LONGEST_LEG, SHORTEST_LEG, guess_scale
-
-if TYPE_CHECKING:
-    from motionkit.rig.retarget import RetargetReport
-
-PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin of the smallest and the tallest people
+from motionkit.rig.retarget import RetargetReport, retarget, retarget_file
+from motionkit.rig.units import LONGEST_LEG, PLAUSIBLE_LEG, SHORTEST_LEG, guess_scale
 
 
 def load_canonical(
@@ -39,8 +34,6 @@ def load_canonical(
     bvh = read_bvh(path)
     order = _canonical_order(bvh.skeleton)
     if order is None:
-        from motionkit.rig.retarget import retarget_file
-
         motion, report = retarget_file(path, scale=scale, fps=fps)
         return motion, _mapping_notes(Path(path).name, report)
     motion = _reordered(bvh_to_motion(bvh, fps=fps), order)
@@ -76,8 +69,6 @@ def canonical_motion(motion: Motion, own_body: bool = False, scale: float | None
     order = _canonical_order(motion.skeleton)
     if order is not None:
         return _reordered(motion, order)
-    from motionkit.rig.retarget import retarget
-
     return retarget(motion_to_bvh(motion), scale, own_body=own_body)[0]
 
 

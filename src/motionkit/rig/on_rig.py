@@ -1,4 +1,4 @@
-"""Any motion on a user's rig, its feet on the floor: what --rig and `motionkit retarget` write."""
+"""Reads rigs, their motions, and motions to put on them, from files of any kind."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
-from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.motion import Motion, resample
+from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import STANDING_HEIGHTS, canonical_skeleton, leg_length
 from motionkit.rig.gltf_rig import read_gltf_rig
 from motionkit.rig.map_file import read_rig_map
 from motionkit.rig.names import map_around
 from motionkit.rig.retarget import RetargetReport, retarget
 from motionkit.rig.rig import Rig, make_rig, read_bvh_rig
-from motionkit.rig.to_rig import rig_bvh, to_rig
+from motionkit.rig.to_rig import rig_bvh
 
 GLTF_ENDINGS = (".glb", ".vrm")
 NO_RIGS = (".vrma", ".gltf", ".fbx", ".usd", ".usda", ".usdc", ".usdz")  # known, but not read
@@ -51,26 +50,8 @@ def read_rig(path: str | Path, map_path: str | Path | None = None) -> Rig:
         raise SkeletonError(f"{path}: {error}") from None
 
 
-def on_rig(motion: Motion, rig: Rig, ik: bool = True, clip: Motion | None = None) -> Motion:
-    """A motion on the skeleton of a rig, in its unit and axes; to_rig.rig_bvh makes a BVH file of it.
-
-    Args:
-        motion: on the canonical joints, in cm, the floor at height zero.
-        rig: from read_rig.
-        ik: hold the feet of the rig still while those of the motion touch the floor.
-        clip: motion of the rig, whose other joints (fingers, props) move as they do there; from read_clip.
-
-    Raises:
-        SkeletonError: clip has other joints than the rig.
-    """
-    if clip is not None:
-        clip = resample(clip, motion.fps)
-    contacts = foot_contacts(_places(motion), motion.fps) if ik else None
-    return to_rig(motion, rig, contacts, clip)
-
-
 def from_rig(motion: Motion, rig: Rig) -> Motion:
-    """A motion on a rig, as on_rig makes it, on the canonical joints, in cm."""
+    """A motion on a rig, as finish.on_rig makes it, on the canonical joints, in cm."""
     return retarget(rig_bvh(motion, rig), rig=rig)[0]
 
 
@@ -100,7 +81,7 @@ def read_motion(
         motion, report = retarget(bvh, scale, rig=rig)
     except SkeletonError as error:
         raise SkeletonError(f"{path}: {error}") from None
-    floor = floor_height(foot_positions(_places(motion)), motion.fps)
+    floor = floor_height(foot_positions(canonical_places(motion)), motion.fps)
     up = np.array([0.0, STANDING_HEIGHTS[1] - floor, 0.0], motion.root_positions.dtype)
     return replace(motion, root_positions=motion.root_positions + up), report
 
@@ -113,7 +94,7 @@ def read_on_any_rig(
     return read_motion(path, target if own else None, scale)
 
 
-def _places(motion: Motion) -> Array:
+def canonical_places(motion: Motion) -> Array:
     """Joint positions (T, 23, 3) of a motion whose lengths are scaled to canonical legs."""
     share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)
     return motion_kinematics(motion)[1] * share

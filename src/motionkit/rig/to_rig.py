@@ -1,8 +1,8 @@
-"""Motion of the canonical joints on a user's rig: its rest pose, axes and lengths, its feet held on the floor.
+"""Motion of the canonical joints on a user's rig: its rest pose, axes and lengths.
 
 The inverse of retarget: the global rotation of a joint of the rig is that of its canonical joint times the inverse of
 the difference between the rest poses. In between stands a body with the canonical joints and the rig's own bones,
-scaled to canonical legs: wherever a canonical joint of that body is, so is the rig's joint. Feet are held on that body.
+scaled to canonical legs: wherever a canonical joint of that body is, so is the rig's joint.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ import numpy as np
 from motionkit.arrays import Array, Doubles
 from motionkit.errors import SkeletonError
 from motionkit.motion.bvh import BvhFile, motion_to_bvh
-from motionkit.motion.foot_ik import lock_feet
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_identity, quat_inverse, quat_multiply, quat_normalize, quat_rotate
@@ -27,14 +26,12 @@ from motionkit.rig.up_axis import up_turn
 THIGHS = [JOINT_NAMES.index(f"{side}UpLeg") for side in SIDES]
 
 
-def to_rig(motion: Motion, rig: Rig, contacts: Array | None = None, clip: Motion | None = None) -> Motion:
-    """Put a motion on a rig.
+def to_rig(motion: Motion, rig: Rig, clip: Motion | None = None) -> Motion:
+    """Put a motion on a rig, its feet as they come; finish.on_rig holds them.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
         rig: the rig.
-        contacts: (T, 4) labels or probabilities of left foot, left toe, right foot, right toe: these are held where
-            they stand. None leaves the feet as they come.
         clip: motion of the rig at the rate of motion: joints without a canonical joint move as they do there, and as
             in its last frame once it is over. In their rest pose by default.
 
@@ -44,12 +41,7 @@ def to_rig(motion: Motion, rig: Rig, contacts: Array | None = None, clip: Motion
     Raises:
         SkeletonError: clip has other joints than the rig.
     """
-    body = on_body(motion, rig)
-    if contacts is not None and (stance := _stance(motion, rig, contacts)) is not None:
-        body = _lifted(body, stance - (_stance(body, rig, contacts) or 0.0))
-        body = lock_feet(body, contacts)
-        body = _lifted(body, standing_height(rig, stance) - (_stance(body, rig, contacts) or 0.0))
-    return from_body(body, rig, clip)
+    return from_body(on_body(motion, rig), rig, clip)
 
 
 def rig_bvh(motion: Motion, rig: Rig) -> BvhFile:
@@ -101,7 +93,7 @@ def on_body(motion: Motion, rig: Rig) -> Motion:
     return Motion(body, to_local(rotations), roots.astype(np.float32), motion.fps)
 
 
-def _stance(motion: Motion, rig: Rig, contacts: Array) -> float | None:
+def stance(motion: Motion, rig: Rig, contacts: Array) -> float | None:
     """The height at which toes, or ankles for a rig without toes, stand, for canonical legs; None if they never do."""
     part = stance_part(rig.joints)
     joints = [JOINT_NAMES.index(f"{side}{part}") for side in SIDES]
@@ -109,11 +101,6 @@ def _stance(motion: Motion, rig: Rig, contacts: Array) -> float | None:
     standing = heights[contacts[:, [1, 3] if part == "ToeBase" else [0, 2]] > 0.5]
     share = leg_length(canonical_skeleton()) / leg_length(motion.skeleton)
     return float(np.quantile(standing, STANCE_QUANTILE)) * share if len(standing) else None
-
-
-def _lifted(motion: Motion, height: float) -> Motion:
-    up = np.array([0.0, height, 0.0], motion.root_positions.dtype)
-    return replace(motion, root_positions=motion.root_positions + up)
 
 
 def standing_height(rig: Rig, usual: float) -> float:

@@ -1,35 +1,54 @@
-"""Detects the unit of a file's lengths from the length of the legs."""
+"""The one table of length units, and the unit of a file, by the size of its body."""
 
 from __future__ import annotations
 
-from motionkit.errors import SkeletonError
-from motionkit.motion.skeleton import LEG_TO_STATURE
+from typing import NamedTuple
 
-# cm per file unit. The CMU unit is an inch divided by 0.45.
-KNOWN_UNITS: dict[str, float] = {
-    "centimetres": 1.0,
-    "metres": 100.0,
-    "millimetres": 0.1,
-    "inches": 2.54,
-    "CMU units": 2.54 / 0.45,
-    "decimetres": 10.0,
-}
+import numpy as np
+
+from motionkit.arrays import Array
+from motionkit.errors import SkeletonError
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import JOINT_NAMES, LEG_TO_STATURE, Skeleton
+from motionkit.rig.names import map_rig
+
+
+class Unit(NamedTuple):
+    """A unit of length: its name, its symbol, and cm per unit."""
+
+    name: str
+    symbol: str
+    cm: float
+
+
+# The CMU unit is an inch divided by 0.45.
+UNITS = (
+    Unit("centimetres", "cm", 1.0),
+    Unit("metres", "m", 100.0),
+    Unit("millimetres", "mm", 0.1),
+    Unit("inches", "inches", 2.54),
+    Unit("CMU units", "CMU units", 2.54 / 0.45),
+    Unit("decimetres", "dm", 10.0),
+)
 # Standing height in cm: the plausible range, and the most likely height.
 SHORTEST, TALLEST, TYPICAL = 130.0, 215.0, 172.0
+PLAUSIBLE_LEG = (40.0, 140.0)  # cm, thigh plus shin of the smallest and the tallest people
 # Leg length in file units; kilometres and micrometres are out of range. Dividing by less would overflow.
 SHORTEST_LEG, LONGEST_LEG = 1e-3, 1e6
+METRES_UP_TO = 3.0  # size in file units up to which a rig that is not human is in metres
+# The longest chains from the root end at the toes and at the head or a hand; twice their length, over the height.
+CHAINS_TO_STATURE = 1.17
 
 
-def stature(leg: float) -> float:
-    """Standing height of a body with this leg length (thigh plus shin), in the same unit."""
-    return leg / LEG_TO_STATURE
+def likely_unit(height: float) -> Unit | None:
+    """The unit in which a standing height is most likely a human's; None if it is in none of them."""
+    fitting = [unit for unit in UNITS if SHORTEST <= height * unit.cm <= TALLEST]
+    return min(fitting, key=lambda unit: abs(height * unit.cm - TYPICAL)) if fitting else None
 
 
 def guess_scale(leg: float) -> tuple[float, str]:
-    """Detect the unit from a leg length in file units.
-
-    The known unit with the most likely stature wins. If none gives a human stature, the body is scaled to a typical
-    one.
+    """Detect the unit from a leg length in file units; a body of no human stature is scaled to a typical one.
 
     Returns:
         cm per file unit, and how it was determined.
@@ -38,15 +57,10 @@ def guess_scale(leg: float) -> tuple[float, str]:
         SkeletonError: the leg length is out of range.
     """
     check_leg(leg)
-    errors = {
-        name: abs(stature(leg * scale) - TYPICAL)
-        for name, scale in KNOWN_UNITS.items()
-        if SHORTEST <= stature(leg * scale) <= TALLEST
-    }
-    if errors:
-        name = min(errors, key=lambda unit: errors[unit])
-        return KNOWN_UNITS[name], f"detected from leg length: {name}"
-    scale = TYPICAL / stature(leg)
+    unit = likely_unit(leg / LEG_TO_STATURE)
+    if unit is not None:
+        return unit.cm, f"detected from leg length: {unit.name}"
+    scale = TYPICAL / (leg / LEG_TO_STATURE)
     return scale, f"no known unit fits a leg of {leg:.4g}, scaled to a stature of {TYPICAL:.0f} cm"
 
 
@@ -56,3 +70,49 @@ def check_leg(leg: float) -> None:
         raise SkeletonError(
             f"expected a leg length of {SHORTEST_LEG:g} to {LONGEST_LEG:,.0f} file units, found {leg:.3g}"
         )
+
+
+def motion_unit(motion: Motion) -> tuple[float, str]:
+    """cm per unit of a motion of any rig, and how it was determined.
+
+    The canonical joints are in cm if their legs can be that long. A rig that is not human is in metres where it is
+    small, else in cm.
+    """
+    leg = rig_leg(motion.skeleton)
+    if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
+        return 1.0, "centimetres"
+    if leg > 0.0:
+        return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
+    if stature(motion) <= METRES_UP_TO:
+        return 100.0, "no human rig; taken as metres"
+    return 1.0, "no human rig; taken as centimetres"
+
+
+def rig_leg(skeleton: Skeleton) -> float:
+    """Thigh plus shin of a human rig in its unit, the mean of its whole legs; 0 for other rigs."""
+    try:
+        places = map_rig(skeleton).places
+    except SkeletonError:
+        return 0.0
+    rest = skeleton.rest_positions()
+    legs = [[f"{side}{part}" for part in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")]
+    chains = [rest[[places[name] for name in leg]] for leg in legs if all(name in places for name in leg)]
+    return float(np.mean([_path(chain) for chain in chains])) if chains else 0.0
+
+
+def stature(motion: Motion) -> float:
+    """The standing height of a body in its unit: by its legs, or by its longest chain of joints if it is not human."""
+    if leg := rig_leg(motion.skeleton):
+        return leg / LEG_TO_STATURE
+    parents = motion.skeleton.parents
+    middle = motion_kinematics(motion.cut(len(motion) // 2, len(motion) // 2 + 1))[1][0].astype(np.float64)
+    reach = np.zeros(len(parents))
+    for joint, parent in enumerate(parents):
+        if parent > 0 or (parent == 0 and parents.count(0) > 1):
+            reach[joint] = reach[parent] + np.linalg.norm(middle[joint] - middle[parent])
+    return max(float(2.0 * reach.max() / CHAINS_TO_STATURE), 1e-6)
+
+
+def _path(points: Array) -> float:
+    """The length of the path through points (N, 3)."""
+    return float(np.linalg.norm(np.diff(points, axis=0), axis=-1).sum())

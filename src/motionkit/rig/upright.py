@@ -17,15 +17,42 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_rotate
 from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.canonical import canonical_motion
-from motionkit.rig.up_axis import turned_world, up_turn
-from motionkit.view.figure_data import in_metres
+from motionkit.rig.units import motion_unit
+from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
 
-CM_PER_METRE = 100.0
+CM, CM_PER_METRE = 0.01, 100.0  # metres per cm, and cm per metre
 STILL_ROOT, MOVING_HIPS = (
     1.0,
     30.0,
 )  # cm within which a root stays that does not carry the way, and hips go that do
 _Y_UP = np.array([0.0, 1.0, 0.0], np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class InMetres:
+    """A motion in metres with Y up.
+
+    Attributes:
+        motion: the motion.
+        scale: metres per unit of the motion it was made of.
+        up: (3,) the axis of that motion which points up.
+        note: how unit and axis were determined.
+    """
+
+    motion: Motion
+    scale: float
+    up: Array
+    note: str
+
+
+def in_metres(motion: Motion) -> InMetres:
+    """Bring a motion of any rig, unit and up axis into metres with Y up."""
+    cm, note = motion_unit(motion)
+    up = up_axis(motion_kinematics(motion)[1], motion.skeleton)
+    scaled = motion.scaled(cm * CM)
+    if up[1] < 1.0:
+        scaled, note = turned_world(scaled, up_turn(up)), f"{note}; {up_name(up)} up"
+    return InMetres(scaled, cm * CM, up, note)
 
 
 @dataclass(frozen=True, eq=False)

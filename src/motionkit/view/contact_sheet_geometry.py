@@ -8,25 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from motionkit.errors import SkeletonError
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_rotate
-from motionkit.motion.skeleton import LEG_TO_STATURE, Skeleton
-from motionkit.rig.names import map_rig
 from motionkit.rig.sides import joint_sides
+from motionkit.rig.units import likely_unit, stature
 from motionkit.rig.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
 
-# Units of BVH files: name, cm per unit, and the range of statures in this unit.
-UNITS = (
-    ("m", 100.0, 0.9, 2.6),
-    ("CMU units", 2.54 / 0.45, 16.0, 45.0),
-    ("inches", 2.54, 45.0, 95.0),
-    ("cm", 1.0, 95.0, 260.0),
-    ("mm", 0.1, 900.0, 2600.0),
-)
 # A foot slides if its height is below this share of the stature and its speed along the floor above this many
 # statures per second: 4 cm and 0.5 m/s for a person of 1.75 m.
 LOW_SHARE = 0.025
@@ -72,11 +62,9 @@ class Figure:
         return self.positions[:, self.hips]
 
     def unit(self) -> tuple[str, float]:
-        """The likely unit by stature, as name and cm per unit; ("units", 1.0) if none fits."""
-        for name, cm, low, high in UNITS:
-            if low <= self.stature < high:
-                return name, cm
-        return "units", 1.0
+        """The likely unit by stature, as its symbol and cm per unit; ("units", 1.0) if none fits."""
+        unit = likely_unit(self.stature)
+        return ("units", 1.0) if unit is None else (unit.symbol, unit.cm)
 
 
 def motion_figure(motion: Motion) -> Figure:
@@ -93,17 +81,17 @@ def motion_figure(motion: Motion) -> Figure:
     count = len(skeleton)
     bones = [(parent, joint) for joint, parent in enumerate(skeleton.parents) if parent >= 0]
     bones += [(joint, count + n) for n, joint in enumerate(ends)]
-    stature = _stature(points, skeleton)
+    size = stature(motion)
     sides = joint_sides(skeleton.names)
     points_sides = sides + tuple(sides[joint] for joint in ends)
-    floor, floor_is_zero = _floor(points, stature)
-    hips = _hips(points, skeleton.parents, floor, stature)
+    floor, floor_is_zero = _floor(points, size)
+    hips = _hips(points, skeleton.parents, floor, size)
     stand = (
         range(hips + 1) if hips else range(0)
     )  # bones from the floor up to the hips are not part of the body
     return Figure(
         points,
-        tuple(bone for bone in bones if not _is_loose(points, bone, stature) and bone[1] not in stand),
+        tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in stand),
         points_sides,
         hips,
         _head(skeleton.names),
@@ -111,42 +99,9 @@ def motion_figure(motion: Motion) -> Figure:
         floor,
         floor_is_zero,
         _facing(points, sides),
-        stature,
+        size,
         motion.fps,
     )
-
-
-def _stature(points: Array, skeleton: Skeleton) -> float:
-    """An estimate of the standing height: from thigh and shin, or of rigs without them from the longest chain of bones.
-
-    The longest chains from the root end at the toes and at the head or a hand; twice their length is about a sixth
-    more than the height of the body.
-    """
-    middle = points[len(points) // 2]
-    if leg := _leg(middle, skeleton):
-        return leg / LEG_TO_STATURE
-    parents = skeleton.parents
-    reach = np.zeros(len(parents))
-    for joint, parent in enumerate(parents):
-        if parent > 0 or (parent == 0 and len([p for p in parents if p == 0]) > 1):
-            reach[joint] = reach[parent] + np.linalg.norm(middle[joint] - middle[parent])
-    return max(float(2.0 * reach.max() / 1.17), 1e-6)
-
-
-def _leg(points: Array, skeleton: Skeleton) -> float:
-    """Thigh plus shin of a human rig with joints at points (N, 3), the mean of both sides; 0 for other rigs."""
-    try:
-        places = map_rig(skeleton).places
-    except SkeletonError:
-        return 0.0
-    bones = [
-        (f"{side}{a}", f"{side}{b}")
-        for side in ("Left", "Right")
-        for a, b in (("UpLeg", "Leg"), ("Leg", "Foot"))
-    ]
-    if not all(end in places for _, end in bones):
-        return 0.0
-    return sum(float(np.linalg.norm(points[places[b]] - points[places[a]])) for a, b in bones) / 2.0
 
 
 def _is_loose(points: Array, bone: tuple[int, int], stature: float) -> bool:

@@ -10,29 +10,21 @@ import base64
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.arrays import Array
-from motionkit.errors import MotionkitError, SkeletonError
-from motionkit.motion.kinematics import motion_kinematics
+from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import matrix_to_quat
-from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
-from motionkit.rig.canonical import PLAUSIBLE_LEG
-from motionkit.rig.names import map_rig
 from motionkit.rig.sides import joint_sides
-from motionkit.rig.units import KNOWN_UNITS, LONGEST_LEG, SHORTEST_LEG, guess_scale
-from motionkit.rig.up_axis import turned_world, up_axis, up_name, up_turn
+from motionkit.rig.upright import CM, in_metres
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import SHADES
 
-CM = 0.01
-METRES_UP_TO = 3.0  # size in file units up to which a rig that is no human one is in metres
 QUATERNION_STEPS = 32767  # resolution of rotations: a few thousandths of a degree
 POINT_STEPS = 10_000  # resolution of body points: a tenth of a millimetre
 
@@ -143,68 +135,6 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
             "shades": [[*color, share] for color, share in SHADES.values()],
         },
     }
-
-
-@dataclass(frozen=True, eq=False)
-class InMetres:
-    """A motion in metres with Y up.
-
-    Attributes:
-        motion: the motion.
-        scale: metres per unit of the motion it was made of.
-        up: (3,) the axis of that motion which points up.
-        note: how unit and axis were determined.
-    """
-
-    motion: Motion
-    scale: float
-    up: Array
-    note: str
-
-
-def in_metres(motion: Motion) -> InMetres:
-    """Bring a motion of any rig, unit and up axis into metres with Y up."""
-    cm, note = _cm_per_unit(motion)
-    up = up_axis(motion_kinematics(motion)[1], motion.skeleton)
-    scaled = motion.scaled(cm * CM)
-    if up[1] < 1.0:
-        scaled, note = turned_world(scaled, up_turn(up)), f"{note}; {up_name(up)} up"
-    return InMetres(scaled, cm * CM, up, note)
-
-
-def _cm_per_unit(motion: Motion) -> tuple[float, str]:
-    leg = _leg(motion.skeleton)
-    if set(motion.skeleton.names) == set(JOINT_NAMES) and PLAUSIBLE_LEG[0] <= leg <= PLAUSIBLE_LEG[1]:
-        return 1.0, "centimetres"
-    if leg <= 0.0:
-        return _unit_of_other(motion_figure(motion).stature)
-    return guess_scale(min(max(leg, SHORTEST_LEG), LONGEST_LEG))
-
-
-def _unit_of_other(size: float) -> tuple[float, str]:
-    """The unit of a rig that is no human one, of which only a size is known: metres where it is small, else cm."""
-    if size <= METRES_UP_TO:
-        return KNOWN_UNITS["metres"], "no human rig; taken as metres"
-    return 1.0, "no human rig; taken as centimetres"
-
-
-def _leg(skeleton: Skeleton) -> float:
-    """Thigh plus shin of a human rig, 0 for other rigs."""
-    try:
-        places = map_rig(skeleton).places
-    except SkeletonError:
-        return 0.0
-    rest = skeleton.rest_positions()
-    chains = [
-        [places.get(f"{side}{part}") for part in ("UpLeg", "Leg", "Foot")] for side in ("Left", "Right")
-    ]
-    whole = [[joint for joint in chain if joint is not None] for chain in chains]
-    lengths = [
-        sum(float(np.linalg.norm(rest[b] - rest[a])) for a, b in pairwise(chain))
-        for chain in whole
-        if len(chain) == 3
-    ]
-    return sum(lengths) / len(lengths) if lengths else 0.0
 
 
 def _moving(motion: Motion) -> dict[str, Any] | None:

@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.rotations import quat_to_matrix
+from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
 from motionkit.view.contact_sheet import load_pillow
 from motionkit.view.contact_sheet_geometry import Figure, motion_figure
-from motionkit.view.figure_data import Shown, in_metres
+from motionkit.view.figure_data import Shown
 from motionkit.view.flesh import COARSE_STEP
 from motionkit.view.framing import DISTANCE, SIDE_ANGLE, Camera, Framing, frame_at
 from motionkit.view.picture_labels import Labels

@@ -1,8 +1,7 @@
 """Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
 Works on the canonical joints. While a foot is in contact, its toe is held in one place at the height of a standing
-one; the knee bends to reach it, and the hips move down where the leg is too short. Hands, head and trunk that would go
-through the floor raise the body. inference/foot_lock.py does the same with feet frame by frame.
+one, and the knee bends to reach it. Live characters do it frame by frame (inference).
 """
 
 from __future__ import annotations
@@ -10,14 +9,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
-from motionkit.arrays import Array, length, lower_median, smoothed, smoothstep
+from motionkit.arrays import Array, length, lower_median, peak_smoothed, smoothstep
+from motionkit.motion.contacts import CONTACT_HEIGHTS
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import (
-    ANKLES,
     HIPS,
-    KNEES,
     LEG_JOINTS,
     LOCK,
     TOE,
@@ -26,44 +23,20 @@ from motionkit.motion.leg_ik import (
     lowest_free,
     move_feet,
     pitched_feet,
-    root_slip,
 )
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_normalize, quat_to_matrix
-from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
+from motionkit.motion.skeleton import FOOT_JOINTS
 
 Span = tuple[int, int]  # first frame, and the frame after the last
 
 # Frames at 60 fps, as those of LOCK; motions of other rates have as many frames in the same time.
 MIN_LOCK_FRAMES = 4
-# How far feet hold the root is averaged over as many frames to both sides: it trembles as they do.
-HOLD_FRAMES = 6
 LIFT_FRAMES = 2  # a foot is lifted this many frames early, and begins to rise as many frames before that
 # A step lasts up to so many frames until the foot is at rest, where it moves less than so many cm a frame.
 LONGEST_STEP, STEP_REST = 32, 0.2
-RISE_FRAMES = 10  # a body is raised so many frames early for a hand that would go through the floor
+FLOOR_FADE = 6.0  # cm above the heights of recorded contacts at which predicted ones count no more
 RATE = 60.0
-# Joints that the floor keeps up by raising all of the body; feet are moved by themselves.
-ABOVE = np.delete(np.arange(JOINT_COUNT), FOOT_JOINTS)
-
-
-def hold_root(motion: Motion, contacts: Array, share: Array | float) -> Motion:
-    """Take sliding of feet in contact out of the root's way over the ground, smoothly.
-
-    Args:
-        motion: T frames on the canonical joints, in cm.
-        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
-        share: of the sliding (T,), or one for all frames; 0 keeps the way, 1 lets feet decide it.
-    """
-    shares = np.broadcast_to(np.asarray(share, np.float32), len(motion))[1:, None]
-    if not shares.any():
-        return motion
-    feet = motion_kinematics(motion)[1][:, list(FOOT_JOINTS)]
-    slip = shares * root_slip(feet[:-1], feet[1:], contacts[1:])
-    shift = np.zeros_like(motion.root_positions)
-    shift[1:, ::2] = -np.cumsum(slip, axis=0, dtype=np.float64)
-    shift[:, ::2] = smoothed(shift[:, ::2].astype(np.float64), _frames(HOLD_FRAMES, motion.fps))
-    return replace(motion, root_positions=motion.root_positions + shift)
 
 
 def lock_feet(motion: Motion, contacts: Array) -> Motion:
@@ -71,44 +44,37 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.
-        contacts: as for hold_root, which goes before.
+        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe. They count near the floor
+            only: of a body upside down they may be predicted before a foot is there, which would be torn down.
 
     Returns:
-        The motion with changed leg rotations and root positions.
+        The motion with changed leg rotations.
     """
     if len(motion) < 2:
         return motion
     turns, positions = motion_kinematics(motion)
-    rise = _rise(positions, motion.fps)
-    if rise.any():
-        motion = replace(motion, root_positions=motion.root_positions + rise)
-        positions = positions + rise[:, None]
-    left, steps = _toe_shifts(positions[:, TOES[0]], contacts[:, :2], motion.fps, [])
-    right, _ = _toe_shifts(positions[:, TOES[1]], contacts[:, 2:], motion.fps, steps)
+    touching = contacts * _near_floor(positions)
+    left, steps = _toe_shifts(positions[:, TOES[0]], touching[:, :2], motion.fps, [])
+    right, _ = _toe_shifts(positions[:, TOES[1]], touching[:, 2:], motion.fps, steps)
     shifts = np.stack([left, right], axis=1)
     backwards = knees_backwards(positions, quat_to_matrix(turns[:, HIPS]))
     moved = (length(shifts) > LOCK.least_change).any(axis=1) | backwards.any(axis=1)
     if not moved.any():
         return motion
     pitch, ankle_shifts = pitched_feet(positions, shifts)
-    drop = _hip_drop(motion, positions, ankle_shifts)
-    rotations, positions = motion.local_rotations.copy(), positions + drop[:, None]
-    moved |= (drop != 0.0).any(axis=1)
-    turned, places = rotations[moved], positions[moved]
-    world = quat_to_matrix(turns[moved])
-    move_feet(turned, places, world, pitch[moved], (ankle_shifts - drop[:, None])[moved])
+    rotations = motion.local_rotations.copy()
+    turned, world = rotations[moved], quat_to_matrix(turns[moved])
+    move_feet(turned, positions[moved], world, pitch[moved], ankle_shifts[moved])
     legs = LEG_JOINTS[:3].ravel()
     turned[:, legs] = quat_normalize(turned[:, legs])
     rotations[moved] = turned
-    return replace(motion, local_rotations=rotations, root_positions=motion.root_positions + drop)
+    return replace(motion, local_rotations=rotations)
 
 
-def _rise(positions: Array, fps: float) -> Array:
-    """How far the root moves up (T, 3), smoothly, so that hands, head and trunk stay above the ground."""
-    missing = np.maximum(-positions[:, ABOVE, 1].min(axis=1), 0.0)
-    rise = np.zeros_like(positions[:, 0])
-    rise[:, 1] = _eased_most(missing, missing[:, None], _frames(RISE_FRAMES, fps))[:, 0]
-    return rise
+def _near_floor(positions: Array) -> Array:
+    """How near the floor (T, 4) the parts of feet are, 0 to 1."""
+    heights = positions[:, list(FOOT_JOINTS), 1]
+    return np.clip(1.0 - (heights - np.array(CONTACT_HEIGHTS)) / FLOOR_FADE, 0.0, 1.0).astype(positions.dtype)
 
 
 def _frames(count: float, fps: float) -> int:
@@ -186,7 +152,7 @@ def _toe_shifts(toe: Array, contacts: Array, fps: float, taken: list[Span]) -> t
     upwards += _raised_steps(place + over_ground, steps, _frames(LOCK.step_frames, fps))
     strides = length(np.diff(place, axis=0, prepend=2.0 * place[:1] - place[1:2]))[:, None]
     missing = np.maximum(lowest_free(strides * (fps / RATE)) - height - upwards, 0.0)
-    upwards += _eased_most(missing[:, 0], missing, lift)
+    upwards += peak_smoothed(missing[:, 0], missing, lift)
     return np.insert(over_ground, 1, upwards[:, 0], axis=1).astype(toe.dtype), steps
 
 
@@ -226,28 +192,3 @@ def _faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease:
 def _easing(frames: int, ease: int) -> Array:
     """The first frames of a share that falls to 0 in `ease` frames."""
     return smoothstep(1.0 - np.arange(1, frames + 1) / ease)
-
-
-def _eased_most(size: Array, values: Array, half: int) -> Array:
-    """Replace each of values (T, k) by the one of largest size (T,) within `half` frames, then smooth as widely.
-
-    The smoothed values are thus never smaller than needed.
-    """
-    around = sliding_window_view(np.pad(size, half, constant_values=-1.0), 2 * half + 1)
-    largest = values[around.argmax(axis=-1) + np.arange(len(size)) - half]
-    return smoothed(largest, half)
-
-
-def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
-    """How far the root moves (T, 3), smoothly, towards ankles that the legs do not reach."""
-    need = np.zeros_like(motion.root_positions)
-    for side in range(2):
-        hip, ankle = positions[:, HIPS[side]], positions[:, ANKLES[side]]
-        whole = np.linalg.norm(motion.skeleton.offsets[[KNEES[side], ANKLES[side]]], axis=-1).sum()
-        reach = ankle + shifts[:, side] - hip
-        distance = length(reach)
-        # A leg that was straight before stays straight; the hips only move by what the lock adds.
-        missing = np.maximum(distance - np.maximum(LOCK.max_reach * whole, length(ankle - hip)), 0.0)
-        move = reach / np.maximum(distance, 1e-6)[:, None] * missing[:, None]
-        need = np.where((missing > length(need))[:, None], move, need)
-    return _eased_most(length(need), need, _frames(LOCK.ease_frames, motion.fps))

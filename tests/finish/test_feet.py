@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array
-from motionkit.motion.foot_ik import LIFT_FRAMES, MIN_LOCK_FRAMES, hold_root, lock_feet, locked_spans
+from motionkit.finish.feet import LIFT_FRAMES, MIN_LOCK_FRAMES, lock_feet, locked_spans
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import LOCK, TOE
 from motionkit.motion.motion import Motion
@@ -16,8 +16,6 @@ from synthetic_motions import make_idle, make_walk, placed
 
 LEFT_TOE, RIGHT_TOE = FOOT_JOINTS[1], FOOT_JOINTS[3]
 LEGS = [JOINT_NAMES.index(s + n) for s in ("Left", "Right") for n in ("UpLeg", "Leg", "Foot")]
-
-HANDS = [JOINT_NAMES.index(side + "Hand") for side in ("Left", "Right")]
 
 
 def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
@@ -50,7 +48,7 @@ def stands(motion: Motion, toe: int, start: int, end: int) -> bool:
     return bool((np.abs(height - TOE.standing) < TOE.slack + 0.05).all())
 
 
-@pytest.mark.parametrize("crouch", [0.0, 0.1, 0.4])
+@pytest.mark.parametrize("crouch", [0.25, 0.4])
 def test_a_locked_foot_of_a_sliding_walk_stays_where_it_is(crouch: float) -> None:
     motion = sliding(crouch=crouch)
     spans_left, spans_right = [(10, 40), (70, 100)], [(40, 70)]
@@ -88,9 +86,15 @@ def test_a_foot_that_slides_far_takes_new_places_without_jumping() -> None:
     assert int((along[10:109] < 0.01).sum()) > 15, "in between it stands"
 
 
-@pytest.mark.parametrize("crouch", [0.0, 0.4])
-def test_both_feet_at_once(crouch: float) -> None:
-    motion = sliding(80, 6.0, crouch)
+def test_a_straight_leg_holds_its_foot_as_far_as_it_reaches() -> None:
+    motion = sliding(crouch=0.0)
+    locked = lock_feet(motion, feet_down(120, [(10, 40)], []))
+    assert drift(locked, LEFT_TOE, 10, 40) < 0.6 * drift(motion, LEFT_TOE, 10, 40)
+    assert np.array_equal(locked.root_positions, motion.root_positions), "the hips stay"
+
+
+def test_both_feet_at_once() -> None:
+    motion = sliding(80, 6.0)
     locked = lock_feet(motion, feet_down(80, [(20, 60)], [(20, 60)]))
     assert drift(locked, LEFT_TOE, 20, 60) < 0.1 and drift(locked, RIGHT_TOE, 20, 60) < 0.1
 
@@ -191,13 +195,20 @@ def test_locked_spans(level: list[float], spans: list[tuple[int, int]]) -> None:
     assert locked_spans(np.array([[0.0, v] for v in level], np.float32)) == spans
 
 
+def test_a_foot_in_the_air_is_not_held_whatever_is_predicted() -> None:
+    motion = make_idle(60)
+    motion = replace(motion, root_positions=motion.root_positions + np.array([0.0, 30.0, 0.0], np.float32))
+    locked = lock_feet(motion, np.ones((60, 4), np.float32))
+    assert np.array_equal(locked.local_rotations, motion.local_rotations)
+
+
 def test_a_single_frame_comes_back() -> None:
     motion = make_idle(5).cut(0, 1)
     assert lock_feet(motion, np.ones((1, 4), np.float32)) is motion
 
 
 def test_a_toe_in_contact_stands_as_high_as_a_standing_one() -> None:
-    for height in (-2.0, 9.0):
+    for height in (-2.0, 6.0):
         motion = make_idle(60)
         raised = motion.root_positions + np.array([0.0, height, 0.0], np.float32)
         raised[:, 1] -= float(toe_track(motion, LEFT_TOE)[0, 1])
@@ -205,19 +216,6 @@ def test_a_toe_in_contact_stands_as_high_as_a_standing_one() -> None:
         locked = lock_feet(motion, feet_down(60, [(20, 40)], [(20, 40)]))
         assert stands(locked, LEFT_TOE, 20, 40)
         assert float(np.abs(np.diff(toe_track(locked, LEFT_TOE)[:, 1])).max()) < 2.0, "not at once"
-
-
-def test_feet_in_contact_decide_the_way_of_the_root() -> None:
-    """A body that glides while both feet are down stays where it is, and goes on when they leave the floor."""
-    motion = sliding(90, 12.0)
-    contacts = feet_down(90, [(30, 60)], [(30, 60)])
-    held, free = lock_feet(hold_root(motion, contacts, 1.0), contacts), lock_feet(motion, contacts)
-    way = [float(m.root_positions[59, 2] - m.root_positions[31, 2]) for m in (motion, free, held)]
-    assert way[0] > 5.0 and abs(way[1] - way[0]) < 0.1
-    assert abs(way[2]) < 0.5 * way[0]
-    assert np.allclose(
-        np.diff(held.root_positions[70:], axis=0), np.diff(motion.root_positions[70:], axis=0), atol=1e-4
-    )
 
 
 @pytest.mark.parametrize("fps", [24.0, 120.0, 240.0])
@@ -236,43 +234,6 @@ def test_feet_are_held_and_let_go_in_the_same_time_at_any_rate(fps: float) -> No
     assert float(apart.mean()) < 0.25 and float(apart.max()) < (0.7 if fps > 60.0 else 1.5)
     raw = toe_track(make_walk(120, speed=10.0, turn=0.0, swing=0.08, cadence=0.3, crouch=0.4), LEFT_TOE)
     assert float(np.linalg.norm((usual - raw)[:, [0, 2]], axis=-1).max()) > 1.0
-
-
-def test_feet_hold_the_root_in_the_frames_that_say_so() -> None:
-    motion = sliding(speed=20.0)
-    contacts = np.ones((len(motion), 4), np.float32)
-    whole, none = (
-        lock_feet(hold_root(motion, contacts, hold), contacts).root_positions for hold in (1.0, 0.0)
-    )
-    assert np.array_equal(
-        lock_feet(hold_root(motion, contacts, np.ones(len(motion))), contacts).root_positions, whole
-    )
-    half = np.zeros(len(motion), np.float32)
-    half[60:] = 1.0
-    mixed = lock_feet(hold_root(motion, contacts, half), contacts).root_positions[:, ::2]
-    assert np.abs(mixed[:60] - none[:60, ::2]).max() < 0.5
-    went = [np.linalg.norm(path[-1] - path[60]) for path in (mixed, whole[:, ::2], none[:, ::2])]
-    assert went[0] == pytest.approx(went[1], rel=0.1) and went[0] < 0.5 * went[2]
-
-
-def test_a_hand_in_the_floor_raises_the_body_softly() -> None:
-    """A body that lies down with its arms 12 cm under the floor for ten frames."""
-    motion = make_idle(120)
-    roots = motion.root_positions.copy()
-    positions = motion_kinematics(motion)[1]
-    down = float(positions[:, HANDS, 1].min()) + 12.0
-    roots[50:60, 1] -= down
-    sunk = replace(motion, root_positions=roots)
-    locked = lock_feet(sunk, np.zeros((120, 4)))
-    rest = [joint for joint in range(23) if joint not in FOOT_JOINTS]
-    low = motion_kinematics(locked)[1][:, rest, 1].min(axis=1)
-    assert float(low.min()) > -1e-3
-    rise = (locked.root_positions - sunk.root_positions)[:, 1]
-    assert float(rise[50:60].max()) < float(-(positions[:, rest, 1] - down).min()) + 1e-3, (
-        "no more than needed"
-    )
-    assert np.abs(rise[:29]).max() < 1e-6 and np.abs(rise[81:]).max() < 1e-6
-    assert np.abs(np.diff(rise)).max() < 0.15 * rise.max(), "within a third of a second up and down"
 
 
 def test_a_foot_that_has_slid_too_far_takes_its_new_place_by_a_step() -> None:

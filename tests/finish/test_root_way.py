@@ -1,4 +1,4 @@
-"""Whole motions brake, push off and turn their joints no harder than recorded bodies do."""
+"""The root's way: feet that stand hold it, and it accelerates no harder than recorded bodies do."""
 
 from __future__ import annotations
 
@@ -7,20 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from motionkit.arrays import length
-from motionkit.control.easing import TURN, USUAL, acceleration_limit, eased_turns, eased_way
+from motionkit.arrays import Array, length
 from motionkit.control.script import TypePart
+from motionkit.control.speeds import USUAL, acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, synthesize
-from motionkit.metrics.leaps import fastest_turn
+from motionkit.finish.root_way import held_way
 from motionkit.metrics.pace import ground_acceleration
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import expmap_to_quat, quat_multiply
-from motionkit.motion.skeleton import FOOT_JOINTS
 from synthetic_motions import make_walk
-
-FOOT = FOOT_JOINTS[0]
 
 
 def braking(seconds: float, frames: int = 180) -> Motion:
@@ -32,6 +28,11 @@ def braking(seconds: float, frames: int = 180) -> Motion:
     return replace(walk, root_positions=roots)
 
 
+def eased(motion: Motion, most: float | None) -> Motion:
+    """The motion with its acceleration limited, no foot holding it."""
+    return held_way(motion, np.zeros((len(motion), 4), np.float32), 0.0, most)
+
+
 def hardest(motion: Motion) -> float:
     return float(ground_acceleration(motion.root_positions, motion.fps).max())
 
@@ -39,7 +40,7 @@ def hardest(motion: Motion) -> float:
 def test_who_brakes_too_hard_begins_earlier_and_ends_in_the_same_place() -> None:
     before = braking(0.3)
     assert hardest(before) > 9.0
-    after = eased_way(before, 6.0)
+    after = eased(before, 6.0)
     assert hardest(after) == pytest.approx(6.0, rel=0.01)
     moved = after.root_positions - before.root_positions
     assert 1.0 < np.abs(moved).max() < 5.0 and not moved[:, 1].any()
@@ -52,14 +53,14 @@ def test_who_brakes_too_hard_begins_earlier_and_ends_in_the_same_place() -> None
 @pytest.mark.parametrize("frames", [20, 180])
 def test_what_is_slow_or_short_or_has_no_recordings_stays(frames: int) -> None:
     motion = braking(0.3, frames)
-    assert eased_way(motion, None) is motion
-    assert eased_way(motion, 50.0) is motion
+    assert eased(motion, None) is motion
+    assert eased(motion, 50.0) is motion
 
 
 def test_a_motion_that_begins_hard_begins_in_the_same_place() -> None:
     late = braking(0.3)
     motion = late.cut(80, len(late))
-    after = eased_way(motion, 4.0)
+    after = eased(motion, 4.0)
     assert np.array_equal(after.root_positions[0], motion.root_positions[0])
     assert hardest(after) < 0.7 * hardest(motion)
 
@@ -73,32 +74,6 @@ def test_the_limit_is_that_of_the_recordings(tiny_model: MotionModel) -> None:
     assert acceleration_limit(tiny_model.with_reference("none"), kinds) is None
 
 
-def spinning(step: float, frames: int = 90) -> Motion:
-    """A walk one of whose feet turns by half a turn in the middle, by up to `step` degrees a frame."""
-    walk = make_walk(frames)
-    ramp = np.deg2rad(np.clip((np.arange(frames) - 45.0) * step, 0.0, 180.0))
-    spin = expmap_to_quat(ramp[:, None] * np.array([0.6, 0.0, 0.8]))
-    turns = walk.local_rotations.copy()
-    turns[:, FOOT] = quat_multiply(turns[:, FOOT], spin)
-    return replace(walk, local_rotations=turns)
-
-
-def test_a_joint_that_spins_too_fast_turns_over_more_frames() -> None:
-    before = spinning(45.0)
-    assert (fastest_turn(before.local_rotations).value or 0.0) > 2600.0
-    after = eased_turns(before)
-    assert (fastest_turn(after.local_rotations).value or 0.0) == pytest.approx(TURN, rel=0.005)
-    others = np.delete(np.arange(before.local_rotations.shape[1]), FOOT)
-    assert np.array_equal(after.local_rotations[:, others], before.local_rotations[:, others])
-    apart = np.abs(after.local_rotations[:, FOOT] - before.local_rotations[:, FOOT]).max(axis=1)
-    assert apart[:35].max() < 1e-3 and apart[58:].max() < 1e-3, "only near the spin"
-
-
-def test_recorded_turns_stay() -> None:
-    motion = spinning(20.0)
-    assert eased_turns(motion) is motion
-
-
 def test_what_is_written_keeps_to_the_limits_and_the_raw_motion_does_not() -> None:
     model = load_bundled_model()
     parts = [TypePart("walking", 1.5), TypePart("side-somersault", 2.2), TypePart("walking", 1.0)]
@@ -108,5 +83,43 @@ def test_what_is_written_keeps_to_the_limits_and_the_raw_motion_does_not() -> No
     for each in made.motions:
         assert each.raw is not None
         assert hardest(each.motion) < 1.02 * limit < hardest(each.raw)
-        fastest, raw_fastest = (fastest_turn(m.local_rotations).value or 0.0 for m in (each.motion, each.raw))
-        assert fastest < 1.03 * TURN < raw_fastest
+
+
+def feet_down(frames: int, left: list[tuple[int, int]], right: list[tuple[int, int]]) -> Array:
+    """Contacts (T, 4) with both feet down in the given frames."""
+    contacts = np.zeros((frames, 4), np.float32)
+    for columns, spans in ((slice(0, 2), left), (slice(2, 4), right)):
+        for start, end in spans:
+            contacts[start:end, columns] = 1.0
+    return contacts
+
+
+def sliding(frames: int = 120, speed: float = 10.0, crouch: float = 0.4) -> Motion:
+    """A body whose feet slide with its root at `speed` cm/s, with knees bent by `crouch` radians."""
+    return make_walk(frames, speed=speed, turn=0.0, swing=0.08, cadence=0.3, crouch=crouch)
+
+
+def test_feet_in_contact_decide_the_way_of_the_root() -> None:
+    """A body that glides while both feet are down stays where it is, and goes on when they leave the floor."""
+    motion = sliding(90, 12.0)
+    contacts = feet_down(90, [(30, 60)], [(30, 60)])
+    held, free = held_way(motion, contacts, 1.0, None), held_way(motion, contacts, 0.0, None)
+    way = [float(m.root_positions[59, 2] - m.root_positions[31, 2]) for m in (motion, free, held)]
+    assert way[0] > 5.0 and abs(way[1] - way[0]) < 0.1
+    assert abs(way[2]) < 0.5 * way[0]
+    assert np.allclose(
+        np.diff(held.root_positions[70:], axis=0), np.diff(motion.root_positions[70:], axis=0), atol=1e-4
+    )
+
+
+def test_feet_hold_the_root_in_the_frames_that_say_so() -> None:
+    motion = sliding(speed=20.0)
+    contacts = np.ones((len(motion), 4), np.float32)
+    whole, none = (held_way(motion, contacts, hold, None).root_positions for hold in (1.0, 0.0))
+    assert np.array_equal(held_way(motion, contacts, np.ones(len(motion)), None).root_positions, whole)
+    half = np.zeros(len(motion), np.float32)
+    half[60:] = 1.0
+    mixed = held_way(motion, contacts, half, None).root_positions[:, ::2]
+    assert np.abs(mixed[:60] - none[:60, ::2]).max() < 0.5
+    went = [np.linalg.norm(path[-1] - path[60]) for path in (mixed, whole[:, ::2], none[:, ::2])]
+    assert went[0] == pytest.approx(went[1], rel=0.1) and went[0] < 0.5 * went[2]

@@ -1,0 +1,105 @@
+"""The root's way over the ground in whole motions: feet that stand hold it, and it accelerates no harder than recorded.
+
+Where a flip follows a run, or one recording another, a network may brake or push off harder than any body. Live
+characters do not know what comes, and move as the network has it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from motionkit.arrays import Array, length, smoothed, smoothstep
+from motionkit.metrics.pace import PACE_SECONDS
+from motionkit.motion.kinematics import motion_kinematics
+from motionkit.motion.leg_ik import root_slip
+from motionkit.motion.motion import Motion
+from motionkit.motion.skeleton import FOOT_JOINTS
+
+
+@dataclass(frozen=True)
+class WaySettings:
+    """How the root's way is corrected; chosen on validation.
+
+    Attributes:
+        hold_frames: the sliding of feet is averaged over so many frames to both sides: it trembles as they do.
+        rate, rounds, smooth_frames: each round takes out a share of what is too much of the acceleration, averaged over
+            so many frames to both sides.
+        close: share of the limit that may be left over.
+    """
+
+    hold_frames: int = 6
+    rate: float = 0.1
+    rounds: int = 200
+    smooth_frames: int = 4
+    close: float = 1e-3
+
+
+WAY = WaySettings()
+
+
+def held_way(motion: Motion, contacts: Array, share: Array | float, most: float | None) -> Motion:
+    """A motion whose feet slide less and whose root accelerates over the ground by at most some m/s^2.
+
+    Args:
+        motion: T frames on the canonical joints at 60 fps, in cm.
+        contacts: (T, 4) labels or probabilities: left foot, left toe, right foot, right toe.
+        share: (T,), or one for all frames, of the sliding of feet in contact that is taken out; 0 keeps a way that was
+            asked for, 1 lets feet decide it.
+        most: acceleration between velocities over 0.2 s; None for no limit.
+    """
+    way = motion.root_positions[:, ::2].astype(np.float64)
+    shift = _hold(motion, contacts, share)
+    shift = shift + _eased(way + shift, most, motion.fps)
+    if not shift.any():
+        return motion
+    roots = motion.root_positions.copy()
+    roots[:, ::2] += shift.astype(roots.dtype)
+    return replace(motion, root_positions=roots)
+
+
+def _hold(motion: Motion, contacts: Array, share: Array | float) -> Array:
+    """What (T, 2) takes the sliding of feet in contact out of the way, smoothly."""
+    shift = np.zeros((len(motion), 2))
+    shares = np.broadcast_to(np.asarray(share, np.float32), len(motion))[1:, None]
+    if not shares.any():
+        return shift
+    feet = motion_kinematics(motion)[1][:, list(FOOT_JOINTS)]
+    slip = shares * root_slip(feet[:-1], feet[1:], contacts[1:])
+    shift[1:] = -np.cumsum(slip, axis=0, dtype=np.float64)
+    return smoothed(shift, WAY.hold_frames)
+
+
+def _eased(begun: Array, most: float | None, fps: float) -> Array:
+    """What (T, 2) brings a way (T, 2) below an acceleration in m/s^2.
+
+    Each frame in which it is too fast moves towards the middle of the frames before and after, and these the other
+    way, so that the way as a whole stays where it is.
+    """
+    span = max(1, round(PACE_SECONDS * fps))
+    if most is None or len(begun) <= 2 * span:
+        return np.zeros_like(begun)
+    unit = 100.0 * (span / fps) ** 2  # cm that a frame is from its neighbours' middle, twice, for 1 m/s^2
+    first = _extended(begun, span)
+    way = first.copy()
+    for _ in range(WAY.rounds):
+        bend = way[2 * span :] - 2.0 * way[span:-span] + way[: -2 * span]
+        size = length(bend)
+        excess = bend * (np.maximum(size - most * unit, 0.0) / np.maximum(size, 1e-9))[:, None]
+        if length(excess).max() < WAY.close * most * unit:
+            break
+        push = WAY.rate * smoothed(excess, WAY.smooth_frames)
+        way[span:-span] += 2.0 * push
+        way[2 * span :] -= push
+        way[: -2 * span] -= push
+    shift = (way - first)[2 * span : -2 * span]
+    # Motion goes on from where it begins: from a clip, or a path.
+    return shift - shift[0] * (1.0 - smoothstep(np.minimum(np.arange(len(shift)) / (2 * span), 1.0)))[:, None]
+
+
+def _extended(way: Array, span: int) -> Array:
+    """A way (T, 2) that comes and goes on at the velocity of its ends, for twice `span` frames each."""
+    frames = np.arange(1, 2 * span + 1)[:, None]
+    before, after = (way[1] - way[0]) * frames[::-1], (way[-1] - way[-2]) * frames
+    return np.concatenate([way[0] - before, way, way[-1] + after])
