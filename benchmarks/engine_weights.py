@@ -39,8 +39,8 @@ ASKED = {"walking": 130.0, "running": 300.0, "cartwheel": None}  # cm/s straight
 def signals(model: MotionModel, kind: str, speed: float | None, frames: int) -> Controls:
     """The controls of each frame."""
     seen = type_start(model, kind, 1).features[0]
-    plan = plan_types(model, [TypePart(kind, frames / model.fps)])
-    recorded = plan_controls(model, plan, Shown(last_poses(model, seen)))
+    plan = plan_types(model, [TypePart(kind, frames / model.fps)], Shown(last_poses(model, seen)))
+    recorded = plan_controls(model, plan)
     if speed is None:
         return recorded
     ahead = np.zeros((len(TRAJECTORY_OFFSETS), 2), np.float32)

@@ -17,4 +17,4 @@ def controls_of(
     model: MotionModel, parts: Sequence[TypePart], near: Array, behind: int = 0, choice: int = 0
 ) -> Controls:
     """Controls of parts after frames with these pose embeddings, which have shown some of the first performance."""
-    return plan_controls(model, plan_types(model, parts, behind), Shown(near, behind), choice)
+    return plan_controls(model, plan_types(model, parts, Shown(near, behind)), choice)

@@ -58,7 +58,7 @@ class Body:
 def rolled(model: MotionModel, parts: list[TypePart], present: Array | None) -> list[Controls]:
     """The controls of every frame of one character whose last frame is always the same (276,)."""
     bodies = None if present is None else Body(present[None])
-    controller = CrowdController(model, [plan_types(model, parts)], [Shown(NEAR)], bodies=bodies)
+    controller = CrowdController(model, [plan_types(model, parts, Shown(NEAR))], bodies=bodies)
     frames = sum(round(part.seconds * 60) for part in parts)
     return [controller(frame, np.zeros((1, 3))) for frame in range(frames)]
 
@@ -67,8 +67,8 @@ def test_controls_stay_as_they_were_read(tiny_model: MotionModel) -> None:
     """A frame that is read twice is the same, and later stances change nothing that was read before."""
     model = going_model(tiny_model, 130.0)
     body = Body(model.types["idle"].start_poses[0].features[-1:])
-    plan = plan_types(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)])
-    controller = CrowdController(model, [plan], [Shown(NEAR)], bodies=body)
+    plan = plan_types(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], Shown(NEAR))
+    controller = CrowdController(model, [plan], bodies=body)
     made = controller.controls.reference.copy()
     shown = [controller(frame, np.zeros((1, 3))).reference.copy() for frame in range(300)]
     again = [controller(frame, np.zeros((1, 3))).reference for frame in range(300)]

@@ -13,6 +13,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.keys import Key, check_length
+from motionkit.control.opening import Shown
 from motionkit.control.path import SPACING, Path2D
 from motionkit.control.script import TypePart
 from motionkit.control.speeds import shown_types, speed_profile
@@ -77,6 +78,7 @@ class Plan:
         track: (T,) type id of every frame; on a path of every point.
         type_count: motion types of the model.
         seconds: how long the plan takes.
+        shown: the frames before; None where they are not known.
         keys: poses to meet.
         route: the path that is followed; None where types follow one another in time.
         blend: frames that a change of type takes.
@@ -86,6 +88,7 @@ class Plan:
     track: Array
     type_count: int
     seconds: float
+    shown: Shown | None = None
     keys: tuple[Key, ...] = ()
     route: Route | None = None
     blend: int = TYPE_BLEND_FRAMES
@@ -111,11 +114,8 @@ class Plan:
         return out
 
 
-def plan_types(model: MotionModel, parts: Sequence[TypePart], behind: int = 0) -> Plan:
-    """Plan motion types one after another; performances are shown whole.
-
-    Args:
-        behind: frames of the first part's performance that have been shown already.
+def plan_types(model: MotionModel, parts: Sequence[TypePart], shown: Shown | None = None) -> Plan:
+    """Plan motion types one after another; performances are shown whole, less what has been shown of the first.
 
     Raises:
         ControlError: for an unknown type.
@@ -123,13 +123,14 @@ def plan_types(model: MotionModel, parts: Sequence[TypePart], behind: int = 0) -
     segments: list[Segment] = []
     ids = [model.type_id(part.type) for part in parts]
     first, before = 0, None
-    for part in whole_performances(model, parts, behind):
+    for part in whole_performances(model, parts, 0 if shown is None else shown.behind):
         frames = max(1, round(part.seconds * model.fps))
         settles = before not in (None, part.type) and _settles(model, part.type)
         segments.append(Segment(part.type, part.seconds, first, frames, settles))
         first, before = first + frames, part.type
     track = np.repeat(ids, [segment.count for segment in segments])
-    return Plan(tuple(segments), track, len(model.types), sum(segment.seconds for segment in segments))
+    seconds = sum(segment.seconds for segment in segments)
+    return Plan(tuple(segments), track, len(model.types), seconds, shown)
 
 
 def plan_keys(plan: Plan, keys: tuple[Key, ...]) -> Plan:

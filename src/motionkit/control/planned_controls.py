@@ -8,7 +8,6 @@ from dataclasses import replace
 from motionkit.arrays import Array
 from motionkit.control.memory import Bodies, FoundStances
 from motionkit.control.momentum import carried_over
-from motionkit.control.opening import Shown
 from motionkit.control.plan import Plan
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.standing import settling
@@ -17,14 +16,14 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 
 
-def plan_controls(model: MotionModel, plan: Plan, shown: Shown, choice: int = 0) -> Controls:
+def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
     """Controls (T, ...) of a plan's types one after another, with reference poses.
 
     Args:
-        shown: the frames before.
         choice: picks among the reference clips of the types.
     """
-    player = ReferencePlayer(model, choice)
+    player, shown = ReferencePlayer(model, choice), plan.shown
+    assert shown is not None
     asked = []
     for segment in plan.segments:
         before = player.speed
@@ -45,28 +44,22 @@ def plan_controls(model: MotionModel, plan: Plan, shown: Shown, choice: int = 0)
 
 
 class CrowdController:
-    """Controls of a crowd, frame by frame: characters take plans in turn, and repeat the last frame of theirs."""
+    """Controls of a crowd, frame by frame: each character repeats the last frame of its plan."""
 
     def __init__(
-        self,
-        model: MotionModel,
-        plans: Sequence[Plan],
-        shown: Sequence[Shown],
-        choice: int = 0,
-        bodies: Bodies | None = None,
+        self, model: MotionModel, plans: Sequence[Plan], choice: int = 0, bodies: Bodies | None = None
     ) -> None:
         """Make the controls of all frames.
 
         Args:
-            shown: for each character the frames before.
+            plans: one for each character.
             choice: picks among reference clips; each character makes a choice of its own.
             bodies: the characters, whose stances show how to go on where they come to a stand.
         """
-        own = [plans[i % len(plans)] for i in range(len(shown))]
         self.controls = Controls.side_by_side(
-            [plan_controls(model, plan, shown[i], choice + i) for i, plan in enumerate(own)]
+            [plan_controls(model, plan, choice + i) for i, plan in enumerate(plans)]
         )
-        self.stances = FoundStances(model, [plan.stands for plan in own], bodies)
+        self.stances = FoundStances(model, [plan.stands for plan in plans], bodies)
 
     def __call__(self, frame: int, ground: Array) -> Controls:
         """Controls (B, ...) of a frame; ground is where the characters are."""

@@ -13,7 +13,7 @@ from motionkit.arrays import Array
 from motionkit.control.keys import Key
 from motionkit.control.meet import KeyedController, meet_keys
 from motionkit.control.opening import Opening, opening
-from motionkit.control.plan import plan_keys, plan_types
+from motionkit.control.plan import Plan, plan_keys, plan_types
 from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
@@ -117,38 +117,29 @@ def synthesize(
     asked = _asked(model, parts, options)
     names = [name.strip() for name in options.character.split(",")]
     skeletons = [model.character(name) for name in names]
-    count = options.count
-    turn = [i % len(asked) for i in range(count)]
-    kinds = [asked[t][0].type for t in turn]
-    bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
     init = None if options.init is None else clip_motion(model, options.init)
-    openings = [
-        opening(model, kind, body, init, options.seed + i)
-        for i, (kind, body) in enumerate(zip(kinds, bodies, strict=True))
-    ]
-    planned = [
-        plan_types(model, each, first.shown.behind) for each, first in zip(asked, openings, strict=False)
-    ]
-    weights = [plan.weights for plan in planned]
-    state = _begun(model, options, bodies, openings, [weights[t][0] for t in turn])
-    shown = [each.shown for each in openings]
-    controller: Controller = CrowdController(model, planned, shown, options.seed, state)
+    bodies, openings, plans = [], [], []
+    for i in range(options.count):
+        own = asked[i % len(asked)]
+        bodies.append(model.moved_skeleton(names[i % len(names)]))
+        openings.append(opening(model, own[0].type, bodies[-1], init, options.seed + i))
+        plans.append(plan_types(model, own, openings[-1].shown))
+    state = _begun(model, options, bodies, openings, plans)
+    controller: Controller = CrowdController(model, plans, options.seed, state)
     if options.keys:
-        keyed = plan_keys(planned[0], options.keys)
+        keyed = plan_keys(plans[0], options.keys)
         controller = KeyedController(model, controller, keyed, openings[0], model.body_scale(names[0]))
-    plans = [plan.parts for plan in planned]
-    frames = [len(each) for each in weights]
-    limits = [acceleration_limit(model, [part.type for part in plan]) for plan in plans]
+    limits = [acceleration_limit(model, [part.type for part in own]) for own in asked]
     started = time.perf_counter()
-    rollout = run(state, max(frames), controller, progress)
+    rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)
     seconds = time.perf_counter() - started
     motions = []
-    for i in range(count):
-        mine = rollout.first(frames[turn[i]])
-        skeleton = skeletons[i % len(skeletons)]
-        hold = model.root_hold(weights[turn[i]])
-        motion, raw = finish_motions(model, mine, i, skeleton, options, limits[turn[i]], hold)
-        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
+    for i, plan in enumerate(plans):
+        mine = rollout.first(len(plan.track))
+        skeleton, most = skeletons[i % len(skeletons)], limits[i % len(asked)]
+        hold = model.root_hold(plan.weights)
+        motion, raw = finish_motions(model, mine, i, skeleton, options, most, hold)
+        motions.append(Synthesis(motion, mine.contacts[i], plan.parts, raw))
     return SynthesisResult(tuple(motions), seconds)
 
 
@@ -157,16 +148,16 @@ def _begun(
     options: SynthesisOptions,
     bodies: list[Skeleton],
     openings: Sequence[Opening],
-    weights: Sequence[Array],
+    plans: Sequence[Plan],
 ) -> RolloutState:
-    """A roll-out that has shown the opening of each character, with type weights (N,) of its first frame."""
+    """A roll-out that has shown the opening of each character."""
     state = RolloutState(model, options.count, options.noise or default_noise(model), options.seed)
     state.set_skeletons(bodies)
     starts = [each.start for each in openings]
     state.start(
         [start.features[0] for start in starts],
         [start.contacts[0] for start in starts],
-        np.stack(weights),
+        np.stack([plan.weights[0] for plan in plans]),
         np.concatenate([start.ground for start in starts]),
         [each.length for each in openings],
     )

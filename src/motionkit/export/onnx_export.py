@@ -370,7 +370,7 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
     kinds = list(dict.fromkeys([first, *gaits[:1], *performances[:1], *free[:1]]))
     parts = [TypePart(kind, frames / len(kinds) / model.fps) for kind in kinds]
     near = last_poses(model, type_start(model, first).features[0])
-    played = plan_controls(model, plan_types(model, parts), Shown(near))
+    played = plan_controls(model, plan_types(model, parts, Shown(near)))
     steps = np.array(TRAJECTORY_OFFSETS, np.float32) / model.fps
     out = []
     for frame in range(frames):

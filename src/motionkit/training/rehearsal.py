@@ -49,9 +49,11 @@ def roll_out(model: MotionModel, names: tuple[str, ...], seconds: float, seed: i
     features, contacts = start_batch([known[i % len(known)] for i, known in enumerate(poses)])
     state.start(features, contacts, weights)
     behind = features.shape[1]
-    plans = [plan_types(model, [TypePart(name, seconds)], behind) for name in names]
-    shown = [Shown(last_poses(model, seen), behind) for seen in features]
-    controller = CrowdController(model, plans, shown, seed)
+    plans = [
+        plan_types(model, [TypePart(name, seconds)], Shown(last_poses(model, seen), behind))
+        for name, seen in zip(names, features, strict=True)
+    ]
+    controller = CrowdController(model, plans, seed)
     phases: list[Array] = []
 
     def controls(frame: int, ground: Array) -> Controls:

@@ -99,9 +99,11 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     features, contacts = start_batch([StartPose(s.features[0], s.contacts[0], s.ground) for s in starts])
     state.start(features, contacts, weights)
     behind = features.shape[1]
-    plans = [plan_types(model, [TypePart(kind, frames / model.fps)], behind) for kind in model.types]
-    shown = [Shown(last_poses(model, seen), behind) for seen in features]
-    return run(state, frames, CrowdController(model, plans, shown, seed))
+    plans = [
+        plan_types(model, [TypePart(kind, frames / model.fps)], Shown(last_poses(model, seen), behind))
+        for kind, seen in zip(model.types, features, strict=True)
+    ]
+    return run(state, frames, CrowdController(model, plans, seed))
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Array:
