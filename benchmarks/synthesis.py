@@ -27,7 +27,7 @@ from motionkit.features.control import Controls
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.character import CharacterStream
 from motionkit.inference.step import NetworkStep
-from motionkit.inference.step_kernel import StepKernel, kernel_library
+from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import StepWeights, pack
 from motionkit.inference.stepping import TorchStep
 from motionkit.models.bundled import open_model
@@ -68,10 +68,9 @@ def characters(
     count: int,
     make: Callable[[], NetworkStep | TorchStep],
     ik: bool,
-    compiled: bool = True,
 ) -> Step:
     """Return a function that makes a whole frame for count characters with a given network step."""
-    stream = CharacterStream(model, count, ik=ik, compiled=compiled)
+    stream = CharacterStream(model, count, ik=ik)
     stream.state.network = make()
     asked = asked_of(model, count)
     return lambda: stream.step(asked)
@@ -81,7 +80,7 @@ def network_alone(step: NetworkStep) -> Step:
     """Return a function that runs the network alone."""
     rng = np.random.default_rng(0)
     x, contacts = (rng.standard_normal((step.batch, n), np.float32) for n in (FEATURE_COUNT, CONTACT_COUNT))
-    controls = rng.standard_normal((step.batch, step.weights.shallow.controls.shape[1]), np.float32)
+    controls = rng.standard_normal(step.arrays.controls.shape, np.float32)
     return lambda: step.step(x, contacts, controls)
 
 
@@ -93,12 +92,12 @@ def floor(weights: StepWeights, bits: int) -> Step:
     return lambda: memory.sum()
 
 
-def graph(model: MotionModel, folder: Path, weights: str) -> Step:
+def graph(model: MotionModel, folder: Path) -> Step:
     """Return a function that runs the ONNX graph, including forward kinematics."""
     from motionkit.export.onnx_export import OnnxStep, build_graph
 
-    path = folder / f"{weights}.onnx"
-    path.write_bytes(build_graph(model, weights=weights).SerializeToString())
+    path = folder / "model.onnx"
+    path.write_bytes(build_graph(model).SerializeToString())
     step = OnnxStep(path)
     step.values["type_weights"][:] = asked_of(model, 1).type_weights
     step.values["phase"][:], step.values["slip_correction"][:] = -1.0, 1.0
@@ -127,23 +126,17 @@ def ways(model: MotionModel, count: int, folder: Path) -> dict[str, Step]:
     }
     if count == 1:
         out["stream, torch"] = characters(model, count, lambda: TorchStep(network, count), False)
-    for name, ik in (("stream, numpy", False), ("stream, numpy, foot locking", True)):
-        out[name] = characters(model, count, lambda: NetworkStep(weights, count), ik, compiled=False)
-    if kernel_library() is not None:
-        kernels = {"C, float32": StepKernel(weights), "C, 16 bits": StepKernel(weights, small=True)}
-        for name, kernel in kernels.items():
-            make = lambda kernel=kernel: NetworkStep(weights, count, kernel)  # noqa: E731
-            out[f"stream, {name}"] = characters(model, count, make, False)
-            out[f"stream, {name}, foot locking"] = characters(model, count, make, True)
-            out[f"network alone, {name}"] = network_alone(make())
-    else:
-        out["network alone, numpy"] = network_alone(NetworkStep(weights, count))
+    kernels = {"C, float32": StepKernel(weights), "C, 16 bits": StepKernel(weights, small=True)}
+    for name, kernel in kernels.items():
+        make = lambda kernel=kernel: NetworkStep(kernel, count)  # noqa: E731
+        out[f"stream, {name}"] = characters(model, count, make, False)
+        out[f"stream, {name}, foot locking"] = characters(model, count, make, True)
+        out[f"network alone, {name}"] = network_alone(make())
     if count == 1:
         with suppress(ImportError):
             import onnxruntime  # noqa: F401
 
-            for weights_kind in ("float32", "int8"):
-                out[f"ONNX Runtime, {weights_kind}"] = graph(model, folder, weights_kind)
+            out["ONNX Runtime, float32"] = graph(model, folder)
         out["floor: 32-bit weights"], out["floor: 16-bit weights"] = floor(weights, 32), floor(weights, 16)
     return out
 
@@ -177,7 +170,7 @@ def main() -> None:
         "character-frames/s",
         "times as fast",
     ]
-    memory = NetworkStep(pack(model.network), 1).bytes_per_character
+    memory = NetworkStep(StepKernel(pack(model.network)), 1).bytes_per_character
     print_table("time per frame, and speed-up over recomputing", header, rows)
     print(f"state of the network: {memory / 1024:.0f} KB per character")
 

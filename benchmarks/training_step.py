@@ -60,7 +60,7 @@ class Timed:
         self.run.sampler.make_splices()
         self.plain, self.clock = plain, time.process_time if arguments.cpu_time else time.perf_counter
         if plain:
-            settings, made = options.optimizer, self.run.optimizers
+            settings, made = options.optimizer, self.run.learner.optimizers
             made[0] = torch.optim.AdamW(
                 made[0].param_groups[0]["params"], lr=settings.rate, betas=settings.betas, foreach=True
             )
@@ -72,7 +72,7 @@ class Timed:
         """Return the seconds of some work, on a GPU those until it is done."""
         began = self.clock()
         work()
-        if self.run.device.type == "cuda":
+        if self.run.processes.device.type == "cuda":
             torch.cuda.synchronize()
         return self.clock() - began
 
@@ -82,27 +82,28 @@ class Timed:
             return self._step()
 
     def _step(self) -> list[float]:
-        run, options = self.run, self.run.options
+        run, learner, at = self.run, self.run.learner, self.run.progress
+        options = at.options
         period = options.scheduled_sampling.period
-        windows = self.timed(lambda: run.sampler.batch(run.step, options.optimizer.batch))
+        windows = self.timed(lambda: run.sampler.batch(at.step, options.optimizer.batch))
         # A block makes the windows of all its steps, and runs some of them on predictions.
-        block = self.timed(lambda: setattr(self, "batch", run.blocks.next(run.step, 0.0)))
+        block = self.timed(lambda: setattr(self, "batch", run.blocks.next(at.step, 0.0)))
         predictions = max(0.0, block / period - windows)
-        run.module.train()
+        learner.module.train()
 
         def gradients() -> None:
-            self.terms = run.gradients(self.batch, options.losses)
+            self.terms = learner.gradients(self.batch, options.losses, 0.0)
 
         def update() -> None:
-            torch.nn.utils.clip_grad_norm_(run.module.parameters(), options.optimizer.clip_norm)
-            for each in run.optimizers:
+            torch.nn.utils.clip_grad_norm_(learner.module.parameters(), options.optimizer.clip_norm)
+            for each in learner.optimizers:
                 each.step()
-            run.update_average()
+            learner.update_average(at)
 
         seconds = [windows, predictions, self.timed(gradients), self.timed(update)]
         self.losses = self.losses or {name: float(value) for name, value in self.terms.items()}
-        run.step += period
-        run.blocks.drop()
+        at.step += period
+        run.blocks.close()
         return seconds
 
 

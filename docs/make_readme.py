@@ -68,7 +68,6 @@ def figures() -> dict[str, str]:
         "mixed": f"{max(mixed):.1f}",
         "response": f"{found['mean response time to a change of speed, s']:.2f}",
         "frame": f"{frame_time(scaling, 'stream, C, 16 bits, foot locking'):.2f}",
-        "numpy": f"{frame_time(scaling, 'stream, numpy, foot locking'):.1f}",
         "sliding": f"{found['foot sliding of the raw network / real (afs)']:.2f}",
         "held": f"{found['foot sliding / real (afs)']:.2f}",
         "ssim": f"{found['SSIM (ssim-window)']:.2f}",

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import motionkit as mk
 
 if TYPE_CHECKING:
-    from motionkit.training.trainer import TrainEvent
+    from motionkit.training.report import TrainEvent
 
 
 def show(event: TrainEvent) -> None:

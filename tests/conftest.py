@@ -18,9 +18,6 @@ import pytest
 from motionkit.data.dataset import Dataset
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
-from motionkit.inference.frame_kernel import frame_library
-from motionkit.inference.step_kernel import kernel_library
-from motionkit.models.attention_kernel import attention_library
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
@@ -86,36 +83,6 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     ranks = {HERE / name: rank for rank, name in enumerate(LONG_FILES)}
     assert all(path.is_file() for path in ranks), "a file of LONG_FILES is not there"
     items.sort(key=lambda item: ranks.get(item.path, len(ranks)))
-
-
-# ---- kernels ----
-
-KERNELS = {"step": kernel_library, "frame": frame_library, "attention": attention_library}
-MISSING_KERNELS = [name for name, library in KERNELS.items() if library() is None]
-
-
-def pytest_report_header() -> str:
-    """Whether the tests of the C kernels run, or numpy and torch do all of the work."""
-    if not MISSING_KERNELS:
-        return "C kernels: loaded"
-    names = ", ".join(MISSING_KERNELS)
-    return f"C kernels: NOT LOADED ({names}); numpy and torch do their work, and their tests are skipped"
-
-
-def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
-    """Say it again at the end where something is missing: -q shows no header."""
-    if MISSING_KERNELS:
-        terminalreporter.write_line(pytest_report_header(), yellow=True)
-
-
-def pytest_sessionstart() -> None:
-    """Fail the run without the C kernels where they are required."""
-    if MISSING_KERNELS and os.environ.get("MOTIONKIT_KERNELS") == "required":
-        pytest.exit(
-            f"the C kernels are not loaded ({', '.join(MISSING_KERNELS)}), and MOTIONKIT_KERNELS=required: "
-            "build them with python setup.py build_ext --inplace",
-            returncode=1,
-        )
 
 
 # ---- fixtures ----
@@ -238,15 +205,15 @@ def tiny_options() -> Callable[..., TrainOptions]:
 @pytest.fixture
 def unscored(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs end without roll-outs for gains and scores, which take longer than all else of a short run."""
-    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", lambda *_: {})
-    monkeypatch.setattr("motionkit.training.trainer.score_rollouts", lambda *_: ())
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_: {})
+    monkeypatch.setattr("motionkit.training.outcome.score_rollouts", lambda *_: ())
 
 
 @pytest.fixture
 def briefly_calibrated(monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs end with one roll-out of each type at two gains; the whole search takes longer than all else."""
     brief = functools.partial(calibrated_gains, repeats=1, gains=(1.0, 2.0))
-    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", brief)
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", brief)
 
 
 @pytest.fixture(scope="session")

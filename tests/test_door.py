@@ -7,6 +7,7 @@ import inspect
 import os
 import subprocess
 import sys
+from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +17,9 @@ import numpy as np
 import pytest
 
 import motionkit as mk
+from motionkit import api, requests
 from motionkit.cli.main import COMMANDS, cli
+from motionkit.control.synthesize import SynthesisOptions
 
 SOURCE = Path(mk.__file__)
 CLIP = SOURCE.parents[2] / "examples" / "data" / "16_45.bvh"
@@ -129,11 +132,16 @@ def test_defaults_are_those_of_the_command(words: tuple[str, ...]) -> None:
     name, *arguments = words
     command = cli.get_command(click.Context(cli), name)
     assert command is not None and name in COMMANDS
-    signature = inspect.signature(getattr(mk, name.replace("-", "_"))).parameters
-    defaults = {key: parameter.default for key, parameter in signature.items()}
+    request, words = {
+        "synthesize": (requests.synthesis_request, requests.SynthesisWords),
+        "follow-path": (requests.path_request, requests.PathWords),
+    }[name]
+    defaults = {key: parameter.default for key, parameter in inspect.signature(request).parameters.items()}
+    defaults |= {field.name: field.default for field in fields(SynthesisOptions)}
+    assert words.__annotations__.keys() <= defaults.keys(), "a keyword that is typed is not taken"
     for option, value in command.make_context(name, arguments).params.items():
         if option not in ONLY_COMMAND:
-            assert option in defaults, option
+            assert option == "types" or option in words.__annotations__, option
             assert option == "types" or defaults[option] == value, option
     assert (mk.Noise().kind, mk.Noise().temperature) == ("correlated", 0.05)
 
@@ -148,6 +156,16 @@ def test_the_same_file_as_from_the_command_line(tmp_path: Path) -> None:
     mk.write_bvh(tmp_path / "door.bvh", mk.follow_path("line", size=1.0).motion)
     command = [sys.executable, "-m", "motionkit", "follow-path", "line", "--size", "1"]
     subprocess.run([*command, "-o", tmp_path / "command.bvh"], check=True, capture_output=True)
+    assert (tmp_path / "door.bvh").read_bytes() == (tmp_path / "command.bvh").read_bytes()
+
+
+def test_a_loop_is_that_of_the_command(tmp_path: Path) -> None:
+    made, (cycle,) = api.loop("walking", seconds=1.0, seed=2)
+    assert made.motion is cycle.motion and 0.5 < cycle.seconds < 1.5
+    mk.write_bvh(tmp_path / "door.bvh", made.motion)
+    command = [sys.executable, "-m", "motionkit", "synthesize", "--types", "walking", "--loop"]
+    command += ["--seconds", "1", "--seed", "2", "-o", tmp_path / "command.bvh"]
+    subprocess.run(command, check=True, capture_output=True)
     assert (tmp_path / "door.bvh").read_bytes() == (tmp_path / "command.bvh").read_bytes()
 
 

@@ -17,32 +17,6 @@ SOURCE = ROOT / "src" / "motionkit"
 SETUP = (ROOT / "setup.py").read_text("utf-8")
 
 
-def exported() -> set[str]:
-    """The functions in the last list of each kernel of setup.py."""
-    calls = re.findall(r"kernel\(\s*\"[^)]*?\)", SETUP)
-    assert len(calls) == SETUP.count('kernel(\n            "')
-    return {name for call in calls for name in re.findall(r'"(\w+)"', call.rsplit("[", 1)[1])}
-
-
-def test_windows_exports_what_python_calls() -> None:
-    """Elsewhere all functions are exported, so a missing name would be seen on Windows only."""
-    code = "\n".join(path.read_text("utf-8") for path in SOURCE.rglob("*_kernel.py"))
-    called = set(re.findall(r"\blibrary\.(\w+)", code)) | set(re.findall(r'"(\w+_kernel_version)"', code))
-    assert called == exported()
-
-
-def test_the_exported_functions_are_defined() -> None:
-    code = "\n".join(path.read_text("utf-8") for path in SOURCE.rglob("*.c"))
-    for name in exported():
-        assert re.search(rf"^(?:\w+ )+\*?{name}\(", code, re.MULTILINE), name
-
-
-def test_every_flag_has_a_form_for_clang_cl() -> None:
-    flags = set(re.findall(r'"(-[\w=-]+)"', SETUP.split("MSVC_FLAGS")[0]))
-    table = SETUP.split("MSVC_FLAGS = {")[1].split("}")[0]
-    assert flags and all(f'"{flag}": ' in table for flag in flags)
-
-
 def test_sources_name_all_c_files() -> None:
     named = set(re.findall(r'"(\w+/\w+\.[ch])"', SETUP))
     there = {path.relative_to(SOURCE).as_posix() for end in "ch" for path in SOURCE.rglob(f"*.{end}")}
@@ -68,7 +42,7 @@ def test_a_package_index_sees_no_link_that_leads_nowhere(address: str) -> None:
 
 
 def test_every_version_is_the_packages() -> None:
-    """The version stands in motionkit/__init__.py; what cannot read it there says the same."""
+    """The version stands in motionkit/version.py; what cannot read it there says the same."""
     version = motionkit.__version__
     texts = {
         name: (ROOT / name).read_text("utf-8") for name in ("CITATION.cff", "CHANGELOG.md", "docs/install.md")
@@ -78,4 +52,6 @@ def test_every_version_is_the_packages() -> None:
     assert re.search(r"^## (\S+)", texts["CHANGELOG.md"], re.MULTILINE)[1] == version  # type: ignore[index]
     assert f"motionkit, version {version}\n" in texts["docs/install.md"]
     assert f'"version": ({version.replace(".", ", ")})' in add_on
-    assert 'version = {attr = "motionkit.__version__"}' in (ROOT / "pyproject.toml").read_text("utf-8")
+    assert 'version = {attr = "motionkit.version.__version__"}' in (ROOT / "pyproject.toml").read_text(
+        "utf-8"
+    )

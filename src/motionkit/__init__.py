@@ -8,11 +8,12 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from motionkit.version import __version__
+
 if TYPE_CHECKING:
     from motionkit.api import (
         evaluate,
         follow_path,
-        load_model,
         measure,
         preprocess,
         read_bvh,
@@ -20,8 +21,6 @@ if TYPE_CHECKING:
         read_rig,
         retarget,
         synthesize,
-        train,
-        write_view,
     )
     from motionkit.control.drive import Driver, Wish
     from motionkit.control.path import Path2D, PathPart, make_path, read_path, shape_path
@@ -38,7 +37,8 @@ if TYPE_CHECKING:
     from motionkit.features.encode import encode_motion as encode
     from motionkit.features.layout import column_names
     from motionkit.inference.character import CharacterStream
-    from motionkit.inference.rollout import Noise
+    from motionkit.inference.noise import Noise
+    from motionkit.models.bundled import open_model as load_model
     from motionkit.models.model import MotionModel
     from motionkit.motion.bvh import write_bvh
     from motionkit.motion.kinematics import motion_kinematics as kinematics
@@ -46,16 +46,15 @@ if TYPE_CHECKING:
     from motionkit.motion.skeleton import Skeleton, canonical_skeleton
     from motionkit.rig.mirror import mirror_motion as mirror
     from motionkit.training.presets import fine_tune_options, train_options
+    from motionkit.training.trainer import train
     from motionkit.view.notebook import show
-
-__version__ = "0.2.0"
+    from motionkit.view.write import write_view
 
 # Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
 # Python binds motionkit.metrics to the room as soon as anything imports it.
 _HOMES = {
     "evaluate": "api",
     "follow_path": "api",
-    "load_model": "api",
     "measure": "api",
     "preprocess": "api",
     "read_bvh": "api",
@@ -63,8 +62,6 @@ _HOMES = {
     "read_rig": "api",
     "retarget": "api",
     "synthesize": "api",
-    "train": "api",
-    "write_view": "api",
     "Driver": "control.drive",
     "Wish": "control.drive",
     "Path2D": "control.path",
@@ -86,7 +83,8 @@ _HOMES = {
     "encode": "features.encode:encode_motion",
     "column_names": "features.layout",
     "CharacterStream": "inference.character",
-    "Noise": "inference.rollout",
+    "Noise": "inference.noise",
+    "load_model": "models.bundled:open_model",
     "MotionModel": "models.model",
     "write_bvh": "motion.bvh",
     "kinematics": "motion.kinematics:motion_kinematics",
@@ -97,7 +95,9 @@ _HOMES = {
     "canonical_skeleton": "motion.skeleton",
     "fine_tune_options": "training.presets",
     "train_options": "training.presets",
+    "train": "training.trainer",
     "show": "view.notebook",
+    "write_view": "view.write",
 }
 
 __all__ = [

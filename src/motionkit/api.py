@@ -7,34 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from motionkit.errors import MotionkitError
-from motionkit.names import nfc
-
 if TYPE_CHECKING:
+    from typing_extensions import Unpack  # a part of typing from Python 3.11 on
+
     from motionkit.control.follow import FollowResult
-    from motionkit.control.keys import Key
     from motionkit.control.path import Path2D
     from motionkit.control.synthesize import SynthesisResult
     from motionkit.data.options import PreprocessOptions
     from motionkit.data.preprocess import PreprocessReport
+    from motionkit.editing.loop import Loop
     from motionkit.evaluation.report import Scoreboard
     from motionkit.evaluation.settings import EvaluationSettings
     from motionkit.export.clip import Clip
-    from motionkit.inference.rollout import Noise
+    from motionkit.first_model import QuickstartOptions, QuickstartResult, Watcher
     from motionkit.metrics.report import MetricReport
     from motionkit.metrics.value import MetricSettings
     from motionkit.models.model import MotionModel
     from motionkit.motion.motion import Motion
+    from motionkit.requests import MotionWords, PathWords, SynthesisWords
     from motionkit.rig.rig import Rig
-    from motionkit.training.options import TrainOptions
-    from motionkit.training.trainer import TrainEvent, TrainResult
-
-# Where a run is given neither steps nor minutes: from random weights, and from a model.
-TRAIN_MINUTES, FINE_TUNE_MINUTES = 30.0, 5.0
 
 
 def read_bvh(path: str | Path, scale: float = 1.0, fps: float | None = None) -> Motion:
@@ -108,28 +102,7 @@ def retarget(
     return Clip(made, channels=target.channels, hierarchy=target.hierarchy)
 
 
-def load_model(path: str | Path | None = None) -> MotionModel:
-    """The model in a file; the bundled one by default. Raises ModelError for a file that is no model."""
-    from motionkit.models.bundled import open_model
-
-    return open_model(path)
-
-
-def synthesize(
-    types: str | Sequence[str],
-    *,
-    model: MotionModel | None = None,
-    seconds: float | None = None,
-    count: int = 1,
-    seed: int = 0,
-    noise: Noise | None = None,
-    reference: str = "auto",
-    character: str = "default",
-    init: str | Path | Motion | None = None,
-    ik: bool = True,
-    fps: float | None = None,
-    keys: str | Path | Sequence[Key] = (),
-) -> SynthesisResult:
+def synthesize(types: str | Sequence[str], **options: Unpack[SynthesisWords]) -> SynthesisResult:
     """Synthesize motion types one after another; the same seed gives the same motion.
 
     Args:
@@ -137,13 +110,14 @@ def synthesize(
             such texts gives the characters of count different types, in turn.
         model: the bundled model by default.
         seconds: length of the whole motion; by default 4 s for each type, one performance for types such as flips.
-        count: how many motions, made in one batch; motion i has the seed seed + i.
+        count: how many motions, made in one batch, 1 by default; motion i has the seed seed + i.
+        seed: 0 by default.
         noise: how frames are drawn from the predicted distribution; by default correlated in time at temperature
             0.05, for models of tptn-paper independently at full sigma.
         reference: "auto", or "none" for the network without its reference recordings.
-        character: the body to move; several names with commas are taken in turn.
+        character: the body to move; several names with commas are taken in turn; "default" by default.
         init: a BVH file, or a canonical motion in cm, to start from.
-        ik: hold feet still while they touch the floor.
+        ik: hold feet still while they touch the floor, True by default.
         fps: rate of the motions; the model's 60 by default.
         keys: poses to meet (docs/keys.md), a JSON file or Key records.
 
@@ -153,46 +127,44 @@ def synthesize(
     Raises:
         ControlError: for an unknown type or character, too many frames, or keys that cannot be met.
     """
-    from motionkit.control.keys import check_keys, read_keys
-    from motionkit.control.script import parse_types
-    from motionkit.control.synthesize import SynthesisOptions
-    from motionkit.control.synthesize import synthesize as run
+    from motionkit.requests import synthesis_request
 
-    model = (model or load_model()).with_reference(reference)
-    texts = [types] if isinstance(types, str) else list(types)
-    plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
-    met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
-    options = SynthesisOptions(count, seed, noise, character, init, ik, fps, keys=met)
-    return run(model, plans, replace(options, count=max(count, len(plans))))
+    return synthesis_request(types, **options).run()
 
 
-def follow_path(
-    path: Path2D | str | Path,
-    *,
-    model: MotionModel | None = None,
-    types: str | None = None,
-    size: float | None = None,
-    speed: float | None = None,
-    strict: bool = False,
-    seed: int = 0,
-    noise: Noise | None = None,
-    reference: str = "auto",
-    character: str = "default",
-    init: str | Path | None = None,
-    ik: bool = True,
-    fps: float | None = None,
-) -> FollowResult:
+def loop(
+    types: str, *, seconds: float | None = None, **options: Unpack[MotionWords]
+) -> tuple[SynthesisResult, list[Loop]]:
+    """Synthesize a gait or a dance and close its best cycle, from the origin, facing +Z: `motionkit synthesize --loop`.
+
+    Args:
+        types: one motion type, such as "walking".
+        seconds: length to look for; that of the shortest good cycle by default.
+        options: as in synthesize.
+
+    Returns:
+        The result with the cycle as its motion, and the cycle with its seam (mk.make_loop).
+
+    Raises:
+        MotionkitError: the motion never repeats.
+    """
+    from motionkit.editing.loop import loop_seconds
+    from motionkit.requests import synthesis_request
+
+    return synthesis_request(types, seconds=loop_seconds(seconds), **options).loops(seconds)
+
+
+def follow_path(path: Path2D | str | Path, **options: Unpack[PathWords]) -> FollowResult:
     """Let a character follow a path on the ground; the same seed gives the same motion.
 
     Args:
         path: a path, a JSON or CSV file, or a named shape: line, circle, figure-eight, square, pentagram, u-turn.
-        model: the bundled model by default.
         types: for a named shape: types that share its length, such as "running,cartwheel,running"; the model's walk
             by default.
         size: for a named shape: length, radius or side in metres.
         speed: for a named shape: metres per second; each type's own by default.
         strict: refuse speeds at which a gait does not look right, by its recordings; without it the nearest is taken.
-        seed, noise, reference, character, init, ik, fps: as in synthesize.
+        model, seed, noise, reference, character, init, ik, fps: as in synthesize.
 
     Returns:
         The motion, its distance from the path in cm, and whether it reached the end.
@@ -201,26 +173,21 @@ def follow_path(
         ControlError: for an unknown type, shape or character, a path that cannot be read, or, if strict, its speed;
             for types, size or speed beside a path that has its own.
     """
-    from motionkit.control import follow
-    from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
-    from motionkit.control.speeds import check_speeds
-    from motionkit.control.steering import walking_type
-    from motionkit.control.synthesize import SynthesisOptions
+    from motionkit.requests import path_request
 
-    model = model or load_model()
-    if isinstance(path, Path2D):
-        target = path
-        check_shape_options(types, size, speed)
-    elif Path(path).suffix.lower() in (".json", ".csv") or Path(path).is_file():
-        check_shape_options(types, size, speed)
-        target = read_path(path)
-    else:
-        kinds = [walking_type(model)] if types is None else [nfc(word.strip()) for word in types.split(",")]
-        target = shape_path(str(path), size, kinds, speed)
-    if strict:
-        check_speeds(model, target)
-    options = SynthesisOptions(1, seed, noise, character, init, ik, fps)
-    return follow.follow_path(model.with_reference(reference), target, options)
+    return path_request(path, **options).run()
+
+
+def quickstart(
+    data: str | Path,
+    output: str | Path | None = None,
+    options: QuickstartOptions | None = None,
+    watcher: Watcher | None = None,
+) -> QuickstartResult:
+    """Train a model on a folder of clips, show its types and judge each; arguments as in first_model.quickstart."""
+    from motionkit import first_model
+
+    return first_model.quickstart(data, output, options, watcher)
 
 
 def measure(
@@ -255,39 +222,6 @@ def _canonical(motion: Motion | str | Path) -> Motion:
     return read_canonical(motion) if isinstance(motion, (str, Path)) else motion
 
 
-def write_view(
-    path: str | Path, *motions: Motion, names: Sequence[str] = (), width: int | None = None
-) -> None:
-    """Write motions as a page that plays them (.html), a contact sheet (.png), a GIF or a film (.mp4).
-
-    Args:
-        path: the file; its ending says what it is.
-        motions: of any rig and rate.
-        names: captions; "motion 1", "motion 2" ... by default.
-        width: in pixels; by default 1800 for a sheet, 480 for a GIF and 960 for a film.
-
-    Raises MotionkitError for another ending, and without Pillow for pictures (`pip install 'motionkit[view]'`).
-    """
-    from motionkit.view.figure_data import shown_motions
-
-    shown = shown_motions(motions, names or ())
-    kind = Path(path).suffix.lower()
-    if kind == ".html":
-        from motionkit.view.viewer import write_viewer
-
-        write_viewer(path, shown)
-    elif kind == ".png":
-        from motionkit.view.contact_sheet import write_contact_sheet
-
-        write_contact_sheet(path, [(one.name, one.motion) for one in shown], width=width or 1800)
-    elif kind in (".gif", ".mp4"):
-        from motionkit.view.film import write_film
-
-        write_film(path, shown, width)
-    else:
-        raise MotionkitError(f"{path}: expected a file that ends with .html, .png, .gif or .mp4")
-
-
 def preprocess(
     folders: Sequence[str | Path],
     output: str | Path,
@@ -320,39 +254,6 @@ def preprocess(
     return room.preprocess(folders, output, options, progress)
 
 
-def train(
-    dataset: str | Path,
-    output: str | Path = "model.safetensors",
-    options: TrainOptions | None = None,
-    *,
-    resume: bool = False,
-    run_folder: str | Path | None = None,
-    device: str = "auto",
-    on_event: Callable[[TrainEvent], None] | None = None,
-) -> TrainResult:
-    """Train a motion model on a dataset folder and write one model file. Needs torch.
-
-    Args:
-        dataset: the folder that preprocess wrote.
-        output: the model file; an old one is replaced.
-        options: from train_options; by default the preset tptn for 5 minutes from the bundled model.
-        resume: go on from the checkpoint in the run folder.
-        run_folder: for checkpoint, log and samples; beside the model by default.
-        device: "auto", "cpu", "cuda" or "cuda:1".
-        on_event: called with losses, scores and notes.
-
-    Raises:
-        MotionkitError: without torch, or for a dataset or checkpoint that does not fit.
-    """
-    if find_spec("torch") is None:
-        raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
-    from motionkit.training import trainer
-    from motionkit.training.presets import fine_tune_options
-
-    options = options or fine_tune_options("tptn", minutes=FINE_TUNE_MINUTES)
-    return trainer.train(dataset, output, options, resume, run_folder, device, on_event)
-
-
 def evaluate(
     dataset: str | Path,
     *,
@@ -376,5 +277,6 @@ def evaluate(
     """
     from motionkit.data.dataset import Dataset
     from motionkit.evaluation.scoreboard import evaluate_model
+    from motionkit.models.bundled import open_model
 
-    return evaluate_model(model or load_model(), Dataset(dataset), settings, only, jobs=jobs)
+    return evaluate_model(model or open_model(), Dataset(dataset), settings, only, jobs=jobs)

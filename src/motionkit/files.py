@@ -245,6 +245,13 @@ def read_json(
     return parse_json(read_text(path, what, error, limit), path, error)
 
 
+def is_number(value: object, low: float, high: float, whole: bool = False) -> bool:
+    """Whether a value of a JSON document is a number in a range; whole numbers only, if asked for."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        return False
+    return low <= value <= high and (isinstance(value, int) or not whole)
+
+
 def parse_json(text: str, where: str | Path, error: type[MotionkitError] = MotionkitError) -> Any:
     """The value of a JSON text of bounded depth, whose numbers are all finite.
 

@@ -1,4 +1,4 @@
-"""Words as users write and read them: one form of each letter, no control characters on a terminal, plurals."""
+"""Words as users write and read them: one form of each letter, no control characters on a terminal, plurals, times."""
 
 from __future__ import annotations
 
@@ -33,3 +33,15 @@ def nfc(name: str) -> str:
 def counted(number: int, word: str) -> str:
     """Return a number with its word: "1 run", "2 runs"."""
     return f"{number} {word}{'' if number == 1 else 's'}"
+
+
+def duration(seconds: float) -> str:
+    """Seconds in words: "40 s", "4 min", "2.5 h"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+def about(name: str, text: str) -> str:
+    """A text on a file, with the file's name in front where the text lacks it."""
+    return text if name in text else f"{name}: {text}"

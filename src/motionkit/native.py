@@ -1,4 +1,4 @@
-"""The optional shared libraries that setup.py builds: loading them, and the threads that call them."""
+"""The shared libraries that setup.py builds: loading them, and the threads that call them."""
 
 from __future__ import annotations
 
@@ -10,23 +10,36 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
 
+from motionkit.errors import MotionkitError
+
 LIBRARY_ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # as setup.py names them
 
 
-def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL | None:
-    """A library built by setup.py, None where there is none of this version, or one that is damaged.
+def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL:
+    """A library built by setup.py.
 
-    There is none without a C compiler or an installer, and another one where the source has changed since.
+    Raises MotionkitError where there is none of this version: nothing was installed, the file is damaged, or the source
+    has changed since.
     """
     built = path.with_name(path.name + LIBRARY_ENDING)
     if not built.is_file():
-        return None
+        raise _unusable(built, "is missing")
     try:
         library = ctypes.CDLL(str(built)) if _is_whole(built) else None
     except OSError:  # for another machine, or no library at all
-        return None
+        library = None
+    if library is None:
+        raise _unusable(built, "is damaged, or for another system")
     found = getattr(library, version_name, None)
-    return library if found is not None and found() == version else None
+    if found is None or found() != version:
+        raise _unusable(built, "is of another version of motionkit")
+    return library
+
+
+def _unusable(built: Path, fault: str) -> MotionkitError:
+    return MotionkitError(
+        f"the library {built} {fault}: install motionkit anew (in a checkout: pip install -e .)"
+    )
 
 
 def _is_whole(path: Path) -> bool:

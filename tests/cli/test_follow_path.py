@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from motionkit.api import follow_path
+from motionkit import follow_path
 from motionkit.errors import ControlError
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.checkpoint import save_model

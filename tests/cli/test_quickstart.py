@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from motionkit.cli import quickstart
+from motionkit import first_model
 from motionkit.data.dataset import Dataset
 from motionkit.evaluation import quick
 from motionkit.evaluation.quick import TypeVerdict
@@ -31,8 +31,8 @@ def clips(clips_folder: Path, tmp_path: Path) -> Path:
 def brief(briefly_calibrated: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """A quickstart of seconds."""
     monkeypatch.setattr(presets, "FINE_TUNE", presets.FINE_TUNE | {"splices": 2, "batch": 2, "window": 16})
-    monkeypatch.setattr("motionkit.cli.quickstart.SHOWN_SECONDS", 0.2)
-    monkeypatch.setattr("motionkit.cli.quickstart.ROLL_OUT_SECONDS", 0.5)
+    monkeypatch.setattr("motionkit.first_model.SHOWN_SECONDS", 0.2)
+    monkeypatch.setattr("motionkit.first_model.ROLL_OUT_SECONDS", 0.5)
     few = replace(quick.QUICK_TYPES, seeds=2, accuracy_seconds=3.0, repeats=1)
     for name, value in (("QUICK_TYPES", few), ("WALK_RADIUS", 0.5), ("RUN_RADIUS", 1.0)):
         monkeypatch.setattr(quick, name, value)
@@ -76,7 +76,7 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
 
     def counted(run: TrainingRun) -> dict[str, float]:
         out = step(run)
-        steps.append(run.step)
+        steps.append(run.progress.step)
         if len(steps) == 1:
             os.kill(os.getpid(), signal.SIGINT)
         return out
@@ -84,15 +84,15 @@ def test_it_goes_on_wherever_it_stopped(motionkit, clips: Path, tmp_path: Path, 
     def stop(*_: object, **__: object) -> None:
         signal.raise_signal(signal.SIGINT)
 
-    def look(data: Path, found: Any = quickstart._look) -> None:
+    def look(data: Path, watcher: Any, found: Any = first_model._look) -> None:
         prepared.append(data)
-        found(data)
+        found(data, watcher)
 
     monkeypatch.setattr(TrainingRun, "_train_step", counted)
-    monkeypatch.setattr(quickstart, "_look", look)
+    monkeypatch.setattr(first_model, "_look", look)
     for place in (
         "data.first_pass.prepare_file", "training.sampler.WindowSampler.make_splices", None,
-        "training.trainer.calibrated_gains", "cli.quickstart._show", "cli.quickstart._judge",
+        "training.outcome.calibrated_gains", "first_model._show", "first_model._judge",
     ):  # fmt: skip
         with monkeypatch.context() as patched:
             if place is not None:
@@ -143,7 +143,7 @@ def test_no_old_result_stands_beside_a_new_model(
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(quickstart, stage, stop)
+    monkeypatch.setattr(first_model, stage, stop)
     said = motionkit("quickstart", "mine", "--force", "--no-mirror")
     assert said.code == 130
     assert {file.exists() for file in old_results} == {left} and (tmp_path / "mine-model/notes.txt").exists()
@@ -173,10 +173,10 @@ def test_types_that_do_not_work_are_not_suggested(
     good = TypeVerdict('a "walk"', 9, 40.0, 8, 8, 1.0, 0.4, 1.0, 0.6)
     bad = replace(good, type="bad", reasons=("shown in 1 of 8 roll-outs",))
     lost = replace(good, type="lost", rollouts=0, reasons=("there are no clips to learn from",))
-    monkeypatch.setattr(quickstart, "_train", lambda *_: None)
-    monkeypatch.setattr(quickstart, "_show", lambda *_: [])
+    monkeypatch.setattr(first_model, "_train", lambda *_: None)
+    monkeypatch.setattr(first_model, "_show", lambda *_: [])
     for verdicts, suggested in (([lost, bad, good], 'a "walk"'), ([lost, bad], "bad"), ([lost], None)):
-        monkeypatch.setattr(quickstart, "_judge", lambda *_, found=verdicts: found)
+        monkeypatch.setattr(first_model, "_judge", lambda *_, found=verdicts: found)
         said = motionkit("quickstart", "mine", "--force", "--json")
         assert said.code == 0
         said = motionkit("quickstart", "mine", "--force")

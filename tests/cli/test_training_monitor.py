@@ -6,13 +6,14 @@ from pathlib import Path
 import click
 import pytest
 
-from motionkit.cli.training_monitor import TrainingMonitor, check_preview, duration
+from motionkit.cli.training_monitor import TrainingMonitor, check_preview
 from motionkit.data.amounts import small_types, type_amounts
 from motionkit.data.dataset import Dataset
 from motionkit.data.repeat import FEW_SECONDS
 from motionkit.motion.bvh import write_bvh
+from motionkit.names import duration
 from motionkit.training.presets import train_options
-from motionkit.training.trainer import TrainEvent
+from motionkit.training.report import TrainEvent
 from synthetic_motions import make_walk
 
 LOSSES = {"gauss": 2.0, "total": 3.0}
@@ -89,11 +90,13 @@ def test_a_preview_is_a_page_or_a_sheet() -> None:
 
 
 def test_types_with_little_to_learn_from_are_named(dataset: Dataset) -> None:
-    amounts = {amount.type: amount for amount in type_amounts(dataset)}
+    amounts = type_amounts(dataset)
     assert set(amounts) == set(dataset.types)
     frames = {clip.start: clip.frames for clip in dataset.select("train")}
-    assert sum(a.seconds for a in amounts.values()) == pytest.approx(sum(frames.values()) / dataset.fps)
+    assert sum(seconds for _, seconds in amounts.values()) == pytest.approx(
+        sum(frames.values()) / dataset.fps
+    )
     lines = small_types(dataset)
-    for kind, amount in amounts.items():
+    for kind, (clips, seconds) in amounts.items():
         mine = [line for line in lines if line.startswith(repr(kind))]
-        assert len(mine) == (amount.clips < 2 or amount.seconds < FEW_SECONDS), kind
+        assert len(mine) == (clips < 2 or seconds < FEW_SECONDS), kind

@@ -12,7 +12,8 @@ from motionkit.control.synthesize import SynthesisOptions, on_character, synthes
 from motionkit.errors import ControlError, MotionkitError
 from motionkit.features.control import Controls
 from motionkit.features.decode import decode_motion
-from motionkit.inference.rollout import Noise, RolloutState
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.models.model import MotionModel
@@ -76,16 +77,25 @@ def test_temperature_zero_is_the_mean(tiny_model: MotionModel) -> None:
     assert not same(mean, made(tiny_model, noise=Noise("sample", temperature=1.0))[0])
 
 
+def drawn_noise(state: RolloutState, frames: int) -> np.ndarray:
+    """The noise (T, 276) of the coming frames, in standard deviations."""
+    made = []
+    for _ in range(frames):
+        state.network.log_sigma[:] = 0.0
+        state.drawing.draw(state.network)
+        made.append(state.drawing.drawn_noise[0].copy())
+    return np.stack(made)
+
+
 def test_correlated_noise_follows_itself_and_keeps_its_size(tiny_model: MotionModel) -> None:
     state = RolloutState(tiny_model, 1, Noise("correlated", 0.5, 0.95, 0.8), 0)
-    state._noise_state[:] = state.random[0].standard_normal((1, 276))
-    state._smooth_noise[:] = state._noise_state
-    draws = np.concatenate([state._next_noise() for _ in range(400)])
+    state.noise_state.start()
+    draws = drawn_noise(state, 400)
     assert float(draws.std()) == pytest.approx(0.5, rel=0.1)
     neighbours = (draws[1:] * draws[:-1]).mean() / np.square(draws).mean()
     assert float(neighbours) == pytest.approx((0.95 + 0.8) / (1.0 + 0.95 * 0.8), abs=0.003)
     white = RolloutState(tiny_model, 1, Noise("sample", 0.5), 0)
-    draws = np.concatenate([white._next_noise() for _ in range(400)])
+    draws = drawn_noise(white, 400)
     assert abs(float((draws[1:] * draws[:-1]).mean() / np.square(draws).mean())) < 0.02
 
 
@@ -230,13 +240,15 @@ def test_a_crowd_takes_plans_and_bodies_in_turn(tiny_model: MotionModel) -> None
 def test_a_network_is_packed_once(tiny_model: MotionModel) -> None:
     first, again = (RolloutState(tiny_model, 1, Noise("mean")) for _ in range(2))
     assert isinstance(first.network, NetworkStep) and isinstance(again.network, NetworkStep)
-    assert first.network.weights is again.network.weights, "one copy for all characters"
+    assert first.network.kernel is again.network.kernel, "one copy for all characters"
     arrays = tiny_model.network.arrays
     arrays = arrays | {"aggregate.bias": arrays["aggregate.bias"] + 1.0}
     network = replace(tiny_model.network, arrays=arrays)
     other = RolloutState(replace(tiny_model, network=network), 1, Noise("mean"))
     assert isinstance(other.network, NetworkStep)
-    assert (other.network.weights.head_bias[:276] - first.network.weights.head_bias[:276]).min() > 0.9
+    assert (
+        other.network.kernel.weights.head_bias[:276] - first.network.kernel.weights.head_bias[:276]
+    ).min() > 0.9
 
 
 def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
@@ -250,7 +262,7 @@ def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
         state = RolloutState(model, 1, Noise("sample"), seed=5)
         state.start(seed.features[None], seed.contacts[None], weights)
         state.step(asked)
-        made.append(state.normalised.copy())
+        made.append(state.frame.x.copy())
     apart = [abs(each - made[0]).max() for each in made[1:]]
     assert apart[0] > 0.01 and apart[1] == pytest.approx(2.0 * apart[0], rel=1e-2)
 

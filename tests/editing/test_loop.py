@@ -240,7 +240,7 @@ def test_what_does_not_repeat_at_once_is_synthesized_for_longer(
     assert said.code == 0, said.err
     assert asked == [480, 960, 1920]
     asked[:] = [-3]
-    monkeypatch.setattr("motionkit.cli.synthesize.LOOP_TRIES", ())
+    monkeypatch.setattr("motionkit.editing.loop.LOOP_TRIES", ())
     said = motionkit("synthesize", "--types", "walking", "--loop", "-o", "never.bvh")
     assert said.code == 1 and "never repeats" in said.err and not (tmp_path / "never.bvh").exists()
 

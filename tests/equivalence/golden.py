@@ -19,7 +19,7 @@ from motionkit.data.dataset import Dataset
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.bundled import load_bundled_model
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion

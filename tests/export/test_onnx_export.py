@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,10 +12,7 @@ import pytest
 import torch
 
 from model_changes import with_preset
-from motionkit.errors import ModelError
-from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.inference.step import NetworkStep
-from motionkit.inference.step_weights import pack
+from motionkit.features.layout import FEATURE_COUNT
 from motionkit.models.checkpoint import load_model
 from motionkit.models.model import MotionModel
 from motionkit.models.network import PartTransformer
@@ -28,7 +24,6 @@ pytest.importorskip("onnxruntime")
 from motionkit.export.onnx_export import OnnxStep, build_graph, check_export, export_onnx
 from motionkit.export.onnx_graph import OPSET
 from motionkit.export.onnx_network import present_name
-from motionkit.export.onnx_small import balance_heads, spread_channels, whole_numbers
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "onnx.md"
 
@@ -96,22 +91,6 @@ def test_a_larger_body(tiny_model: MotionModel, tmp_path: Path) -> None:
     assert np.allclose(offsets, tall["tall"], atol=1e-3)
 
 
-def test_weights_in_8_bits(tiny_model: MotionModel, exported: Path, tmp_path: Path) -> None:
-    import onnx
-
-    # Without the correction, whose differences add up over 600 frames.
-    check = export_onnx(with_preset(tiny_model, slip_correction=0.0), tmp_path / "small.onnx", weights="int8")
-    assert check is not None and 1e-4 < check.features < 0.05
-    assert (tmp_path / "small.onnx").stat().st_size < 0.7 * exported.stat().st_size
-    assert json.loads((tmp_path / "small.json").read_text())["weights"] == "int8"
-    proto = onnx.load(str(tmp_path / "small.onnx"))
-    onnx.checker.check_model(proto, full_check=True)
-    assert proto.opset_import[0].version == OPSET and {n.domain for n in proto.graph.node} == {""}
-    # Four products per layer, the controls, the step from shallow to deep, and sigma with contacts.
-    products = [node for node in proto.graph.node if node.op_type == "MatMulInteger"]
-    assert len(products) == 4 * 2 * tiny_model.config.layers + 3
-
-
 def test_a_phase_counts_from_zero_on(tiny_model: MotionModel, exported: Path) -> None:
     def features(progress: float) -> np.ndarray:
         graph = OnnxStep(exported)
@@ -121,55 +100,6 @@ def test_a_phase_counts_from_zero_on(tiny_model: MotionModel, exported: Path) ->
     assert np.array_equal(features(-1.0), features(-0.3))
     assert not np.allclose(features(-1.0), features(0.0), atol=1e-4)
     assert np.allclose(features(0.0), features(1.0), atol=1e-3)
-
-
-def test_other_weights_are_refused(tiny_model: MotionModel) -> None:
-    with pytest.raises(ModelError, match=r"'int4' are unknown, expected one of float32, int8"):
-        build_graph(tiny_model, weights="int4")
-
-
-@pytest.mark.parametrize("made_ready", [spread_channels, balance_heads])
-def test_preparation_for_8_bits_leaves_the_network_unchanged(
-    tiny_model: MotionModel, made_ready: Callable
-) -> None:
-    weights = pack(tiny_model.network)
-    turned = made_ready(weights)
-    assert not np.allclose(turned.shallow.qkv, weights.shallow.qkv, atol=0.1)
-    steps = [NetworkStep(w, 1) for w in (weights, turned)]
-    random = np.random.default_rng(0)
-    sizes = (FEATURE_COUNT, CONTACT_COUNT, tiny_model.controls.size)
-    for _ in range(5):
-        frame = [random.standard_normal((1, size), np.float32) for size in sizes]
-        for step in steps:
-            step.step(*frame)
-        np.testing.assert_allclose(steps[0].out, steps[1].out, atol=1e-4)
-        np.testing.assert_allclose(steps[0].contact_logits, steps[1].contact_logits, atol=1e-4)
-
-
-def test_one_scale_fits_queries_keys_and_values(tiny_model: MotionModel) -> None:
-    weights = balance_heads(pack(tiny_model.network))
-    for maps in (weights.shallow.qkv, weights.deep.qkv):
-        for layer in maps:
-            kinds = np.split(layer, 3, axis=-1)  # (P, D, H E) each
-            sizes = [max(whole_numbers(part)[1].max() for part in kind) for kind in kinds]
-            assert max(sizes) < 1.01 * min(sizes)
-            whole, scales = whole_numbers(layer[0], even=True)
-            assert len(set(scales.tolist())) == 1
-            assert np.abs(whole * scales - layer[0]).max() <= 0.501 * scales[0]
-
-
-@pytest.mark.parametrize("rows", [7, 8])
-def test_two_neighbouring_products_of_8_bits_fit_into_16(rows: int) -> None:
-    random = np.random.default_rng(3)
-    weight = (random.standard_normal((rows, 400)) * 0.01 ** random.random(400)).astype(np.float32)
-    whole, scales = whole_numbers(weight)
-    assert (np.abs(whole * scales - weight) <= 0.501 * scales).all()
-    pairs = np.concatenate([whole, np.zeros((rows % 2, 400), np.int8)]).astype(int).reshape(-1, 2, 400)
-    highest = 255 * pairs.clip(min=0).sum(axis=1).max()
-    lowest = 255 * pairs.clip(max=0).sum(axis=1).min()
-    assert -(2**15) <= lowest and highest < 2**15
-    # No steps are wasted either.
-    assert (np.abs(pairs).sum(axis=1).max(axis=0) >= 126).all()
 
 
 def test_steps_alternate_between_two_buffers_of_state(exported: Path) -> None:

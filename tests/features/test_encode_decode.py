@@ -14,7 +14,7 @@ from motionkit.features.layout import LAYOUTS, feature_layout
 from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import expmap_to_quat, mean_rotation, quat_angle
+from motionkit.motion.rotations import expmap_to_quat, mean_rotation, quat_angle, quat_identity
 from motionkit.motion.skeleton import MIRROR_JOINTS, Skeleton
 from motionkit.rig.mirror import mirror_motion
 from synthetic_motions import make_cartwheel, make_dance, make_jump, make_walk, placed
@@ -121,23 +121,20 @@ def test_mirroring_a_clip_twice_gives_it_back() -> None:
         assert np.array_equal(getattr(twice, name), getattr(data, name))
 
 
+def turning(end: float) -> tuple[Array, Array]:
+    """Exponential maps (300, 1, 3) of a joint that turns from rest to an angle, and as the features write them."""
+    track = np.zeros((300, 1, 3), np.float64)
+    track[:, 0, 2] = np.linspace(0.0, end, 300)
+    return track, relative_expmaps(expmap_to_quat(track), quat_identity((1,), np.float64))
+
+
 def test_rotations_followed_through_pi_do_not_jump() -> None:
-    angle = np.linspace(0.0, 1.35 * math.pi, 200, dtype=np.float64)
-    track = np.zeros((200, 1, 3), np.float64)
-    track[:, 0, 1] = angle
-    maps = relative_expmaps(
-        expmap_to_quat(track), np.array([[1.0, 0.0, 0.0, 0.0]], np.float32).astype(np.float64)
-    )
+    track, maps = turning(1.35 * math.pi)
     assert np.allclose(maps, track, atol=1e-6)
 
 
 def test_rotations_beyond_the_fold_are_written_the_short_way_round() -> None:
-    angle = np.linspace(0.0, 2 * math.pi, 300, dtype=np.float64)
-    track = np.zeros((300, 1, 3), np.float64)
-    track[:, 0, 2] = angle
-    maps = relative_expmaps(
-        expmap_to_quat(track), np.array([[1.0, 0.0, 0.0, 0.0]], np.float32).astype(np.float64)
-    )
+    _, maps = turning(2 * math.pi)
     assert np.linalg.norm(maps, axis=-1).max() < 1.41 * math.pi
     assert np.linalg.norm(maps[-1]) < 1e-6, "a full turn and none are one pose"
 

@@ -189,14 +189,6 @@ def labels_case(chance: random.Random, folder: Path) -> Callable[[], None]:
     return work
 
 
-@settings(quick, max_examples=500)
-@given(seed=seeds)
-def test_label_tables(tmp_path_factory, seed: int) -> None:
-    folder = tmp_path_factory.getbasetemp() / "labels"
-    folder.mkdir(exist_ok=True)
-    refuses_or_works(labels_case(random.Random(seed), folder))
-
-
 PATH = {
     "parts": [
         {"type": "walking", "speed": 1.4, "points": [[0, 0], [0, 3], [1, 4]]},
@@ -224,12 +216,13 @@ def path_case(chance: random.Random, folder: Path) -> Callable[[], None]:
     return work
 
 
+@pytest.mark.parametrize("make", [labels_case, path_case])
 @settings(quick, max_examples=500)
 @given(seed=seeds)
-def test_path_files(tmp_path_factory, seed: int) -> None:
-    folder = tmp_path_factory.getbasetemp() / "paths"
+def test_label_tables_and_paths(tmp_path_factory, make: Callable, seed: int) -> None:
+    folder = tmp_path_factory.getbasetemp() / make.__name__
     folder.mkdir(exist_ok=True)
-    refuses_or_works(path_case(random.Random(seed), folder))
+    refuses_or_works(make(random.Random(seed), folder))
 
 
 def dataset_case(chance: random.Random, whole: Path, folder: Path) -> Callable[[], None]:

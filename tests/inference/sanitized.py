@@ -16,11 +16,9 @@ from motionkit.features.control import ControlLayout, Controls
 from motionkit.features.layout import LAYOUTS
 from motionkit.inference import frame_kernel, step_kernel
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.foot_lock import FootLock
+from motionkit.inference.frame_arrays import BodyArrays
 from motionkit.inference.frame_kernel import PoseKernel
-from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.pose import PoseDecoder
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack
@@ -31,6 +29,9 @@ from motionkit.models.file_check import weight_shapes
 from motionkit.models.parts import PARTITIONS
 from motionkit.models.presets import preset
 from motionkit.models.weights import NetworkWeights
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+from oracle.step import numpy_step
 
 ODD_NUMBERS = (np.nan, np.inf, -np.inf, 3e38, -3e38, 1e-45, 0.0)
 load_library = step_kernel.load_library
@@ -86,10 +87,8 @@ def try_steps(rng: np.random.Generator) -> None:
     size = ControlLayout(tuple("abcdefgh"[: rng.integers(1, 9)])).size
     weights = pack(random_network(rng, random_config(rng), size))
     batch = int(rng.choice([1, 2, 7, 8, 9, 16, 17, 33]))
-    steps = [
-        NetworkStep(weights, batch, kernel)
-        for kernel in (None, StepKernel(weights), StepKernel(weights, True))
-    ]
+    kernels = (StepKernel(weights), StepKernel(weights, True))
+    steps = [numpy_step(weights, batch), *(NetworkStep(kernel, batch) for kernel in kernels)]
     for frame in range(20):
         make = odd if frame >= 18 else usual
         given = make(rng, (batch, 276)), make(rng, (batch, 4)), make(rng, (batch, size))
@@ -104,16 +103,12 @@ def try_steps(rng: np.random.Generator) -> None:
 def try_poses(rng: np.random.Generator) -> None:
     """Random bodies, feet and floors, and odd ones."""
     count, layout = int(rng.integers(1, 9)), str(rng.choice(LAYOUTS))
-    decoder = PoseDecoder(layout, odd(rng, (23, 4)))
-    library = frame_kernel.frame_library()
-    assert library is not None
-    feet = FootLock(count) if rng.integers(2) else None
-    scale = rng.uniform(0.5, 1.5, count).astype(np.float32)
-    kernel = PoseKernel(
-        library, decoder, odd(rng, (count, 23, 3)), scale, HeightCorrection(layout, count), feet
-    )
+    body = BodyArrays.of(count, bool(rng.integers(2)))
+    body.offsets[:], body.scale[:] = odd(rng, (count, 23, 3)), rng.uniform(0.5, 1.5, count)
+    kernel = PoseKernel(layout, odd(rng, (23, 4)), body)
     for _ in range(10):
         kernel.pose(odd(rng, (count, 276)), odd(rng, (count, 4)), odd(rng, (count, 3)))
+    frame_kernel.rises(layout, odd(rng, (count, 276)), odd(rng, (count, 23)))
 
 
 def try_characters(rng: np.random.Generator) -> None:
@@ -143,8 +138,6 @@ def main() -> None:
     folder, rng = Path(sys.argv[1]), np.random.default_rng(7)
     for module in (step_kernel, frame_kernel, attention_kernel):
         module.load_library = lambda path, name, version: load_library(folder / path.name, name, version)
-    assert step_kernel.kernel_library() is not None and frame_kernel.frame_library() is not None
-    assert attention_kernel.attention_library() is not None
     np.seterr(all="ignore")
     works = ((try_steps, 40), (try_poses, 40), (try_characters, 3), (try_attention, 20))
     for work, times in works:

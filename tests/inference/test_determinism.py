@@ -6,7 +6,6 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,37 +16,21 @@ import motionkit
 from motionkit.control.script import TypePart, parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.features.control import Controls
-from motionkit.inference import rollout as rollout_module
-from motionkit.inference import step_kernel, stepping
+from motionkit.inference import step_kernel
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.frame_kernel import frame_library
-from motionkit.inference.rollout import Noise
-from motionkit.inference.step_kernel import kernel_library
+from motionkit.inference.noise import Noise
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
 
 HERE = Path(__file__)
-NO_KERNEL = pytest.mark.skipif(
-    kernel_library() is None or frame_library() is None,
-    reason="motionkit was installed without its C kernels",
-)
-WAYS = [pytest.param(True, marks=NO_KERNEL, id="kernels"), pytest.param(False, id="numpy")]
 PLAN = "running:0.1,cartwheel:0.2"
 
 
-@pytest.fixture(params=WAYS)
-def model(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> MotionModel:
-    """The bundled model, with the C kernels and on numpy alone."""
+@pytest.fixture
+def model() -> MotionModel:
+    """The bundled model, packed anew, not with what others have left."""
     bundled = load_bundled_model()
-    if not request.param:
-        forget_kernels(monkeypatch.setattr)
-    return replace(bundled, network=replace(bundled.network))  # packed anew, not with what others have left
-
-
-def forget_kernels(set_to: Callable[[object, str, object], None]) -> None:
-    """Run as if motionkit had been installed without its C kernels."""
-    set_to(stepping, "kernel_library", lambda: None)
-    set_to(rollout_module, "frame_library", lambda: None)
+    return replace(bundled, network=replace(bundled.network))
 
 
 def crowd(
@@ -119,14 +102,12 @@ def test_live_characters_too_whatever_is_reset(model: MotionModel, ik: bool) -> 
 
 
 def fingerprints() -> str:
-    """Of a crowd with the kernels, by one worker and by two, and of one on numpy; printed by this file as a script."""
+    """Of a crowd, by one worker and by two; printed by this file as a script."""
     plans, found = [parse_types(PLAN)], []
-    for workers in (1, 2, 0):
+    for workers in (1, 2):
         bundled = load_bundled_model()
         model = replace(bundled, network=replace(bundled.network))
         step_kernel.cores = lambda workers=workers: workers  # type: ignore[assignment]
-        if not workers:
-            forget_kernels(setattr)
         found.append(hashlib.sha256(b"".join(crowd(model, plans, 40, 5))).hexdigest())
     return "\n".join(found)
 
@@ -142,9 +123,8 @@ def test_threads_change_no_byte() -> None:
         assert done.returncode == 0, done.stderr[-2000:]
         said.append(done.stdout.split())
     assert said[0] == said[1]
-    one, two, alone = said[0]
+    one, two = said[0]
     assert one == two
-    assert kernel_library() is None or one != alone
 
 
 if __name__ == "__main__":

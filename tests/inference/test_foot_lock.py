@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from motionkit.inference.foot_lock import FootLock
-from motionkit.inference.pose import BodyKinematics, Floats, expmap_to_quat
+from motionkit.arrays import Floats
+from motionkit.features.layout import DEFAULT_LAYOUT, FEATURE_COUNT, feature_layout
+from motionkit.inference import height_correction
+from motionkit.inference.frame_arrays import BodyArrays
+from motionkit.inference.frame_kernel import PoseKernel
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.leg_ik import ANKLES, HIPS, HOLD, KNEES, LOCK, TOE, TOES
+from motionkit.motion.rotations import expmap_to_quat, quat_identity, quat_to_sixd
 from motionkit.motion.skeleton import PARENTS, canonical_skeleton
+
+COLUMNS = feature_layout(DEFAULT_LAYOUT)
+
+
+@pytest.fixture(autouse=True)
+def feet_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bodies are not raised, only their feet are held."""
+    monkeypatch.setattr(height_correction, "PACE", 0.0)
+    monkeypatch.setattr(height_correction, "LIFT", 0.0)
 
 
 def bent_pose(count: int, seed: int = 0) -> Floats:
-    """Local rotations (count, 23, 4) of people with bent knees."""
+    """Exponential maps (count, 23, 3) of people with bent knees."""
     turns = np.random.default_rng(seed).normal(0.0, 0.05, (count, 23, 3)).astype(np.float32)
     turns[:, HIPS, 0] -= 0.5
     turns[:, KNEES, 0] += 0.9
     turns[:, ANKLES, 0] -= 0.4
-    return expmap_to_quat(turns)
+    return turns
 
 
 class Glider:
@@ -28,19 +42,39 @@ class Glider:
     ) -> None:
         self.scale = np.array([sizes[i % len(sizes)] for i in range(count)], np.float32)
         self.offsets = self.scale[:, None, None] * canonical_skeleton().offsets
-        self.body, self.feet = BodyKinematics(self.offsets), FootLock(count)
-        self.feet.hold[:] = 0.0
+        self.kernels = [self._kernel(count, feet) for feet in (True, False)]
+        feet = self.kernels[0].body.feet
+        assert feet is not None
+        self.feet = feet
+        self.feet.root.hold[:] = 0.0
         self.pose, self.place = bent_pose(count), np.zeros((count, 3), np.float32)
-        lowest = self.body.forward(self.pose, self.place)[:, TOES, 1, 3].min(axis=-1)
+        self.stand(height)
+
+    def _kernel(self, count: int, feet: bool) -> PoseKernel:
+        body = BodyArrays.of(count, feet)
+        for index in range(count):
+            body.put(index, self.offsets[index], float(self.scale[index]))
+        return PoseKernel(DEFAULT_LAYOUT, quat_identity((23,)), body)
+
+    def _joints(self) -> Floats:
+        return forward_kinematics(expmap_to_quat(self.pose), self.place, self.offsets, PARENTS)[1]
+
+    def stand(self, height: float) -> None:
+        """Put the lower toe at a height of a body of size one."""
+        lowest = self._joints()[:, TOES, 1].min(axis=-1) - self.place[:, 1]
         self.place[:, 1] = height * self.scale - lowest
 
     def step(self, velocity: float, contact: float) -> tuple[Floats, Floats]:
         """Shown and predicted positions of the next frame, checked to belong to the shown rotations."""
         self.place[:, 2] += velocity * self.scale
-        turns, root = self.pose.copy(), self.place.copy()
-        world = self.body.forward(turns, root)
-        plain = world[..., :3, 3].copy()
-        shown = self.feet.apply(turns, root, world, np.full((len(root), 4), contact, np.float32), self.scale)
+        count, own = len(self.place), self.place / self.scale[:, None]
+        features = np.zeros((count, FEATURE_COUNT), np.float32)
+        features[:, COLUMNS.blocks["root_rotation"]] = quat_to_sixd(expmap_to_quat(self.pose[:, 0]))
+        features[:, COLUMNS.blocks["joint_rotations"]] = self.pose[:, 1:].reshape(count, -1)
+        features[:, COLUMNS.root_height] = own[:, 1]
+        ground = np.stack([own[:, 0], own[:, 2], np.zeros(count, np.float32)], axis=1)
+        contacts = np.full((count, 4), contact, np.float32)
+        (turns, root, shown), (_, _, plain) = (k.pose(features, contacts, ground) for k in self.kernels)
         _, again = forward_kinematics(turns, root, self.offsets, PARENTS)
         assert np.abs(again - shown).max() < 2e-2, "positions are those of the rotations"
         return shown, plain
@@ -92,8 +126,8 @@ def test_feet_that_slide_far_take_new_places_by_steps_one_after_the_other() -> N
 
 def test_hips_come_down_for_a_leg_that_is_too_short() -> None:
     glider = Glider()
-    glider.pose = expmap_to_quat(np.zeros((1, 23, 3), np.float32))
-    glider.place[:, 1] = TOE.standing - glider.body.forward(glider.pose, 0 * glider.place)[:, TOES[0], 1, 3]
+    glider.pose[:] = 0.0
+    glider.stand(TOE.standing)
     heights = [float(glider.step(0.9, 0.9)[0][0, 0, 1]) for _ in range(12)]
     assert heights[-1] < heights[0] - 0.05
     for _ in range(80):
@@ -126,21 +160,22 @@ def test_toes_in_contact_come_down() -> None:
 
 def test_feet_in_contact_hold_the_root() -> None:
     held, free = Glider(2, (1.0, 0.8)), Glider(2, (1.0, 0.8))
-    held.feet.hold[:] = 1.0
+    held.feet.root.hold[:] = 1.0
     for glider in (held, free):
         for _ in range(30):
             glider.step(0.4, 0.9)
     reached = 1.0 - (1.0 - HOLD.pace) ** np.arange(1, 30)
     expected = -reached.sum() * 0.4 / (1.0 + (0.4 / 2.0) ** 2) * held.scale
     assert (
-        np.allclose(held.feet.carry[:, 1], expected, rtol=1e-3) and np.abs(held.feet.carry[:, 0]).max() < 1e-3
+        np.allclose(held.feet.root.carry[:, 1], expected, rtol=1e-3)
+        and np.abs(held.feet.root.carry[:, 0]).max() < 1e-3
     )
-    assert not free.feet.carry.any()
-    carried = held.feet.carry.copy()
+    assert not free.feet.root.carry.any()
+    carried = held.feet.root.carry.copy()
     for _ in range(60):
         held.step(0.4, 0.1)
     rest = -(1.0 - HOLD.pace) / HOLD.pace * reached[-1] * 0.4 / (1.0 + (0.4 / 2.0) ** 2) * held.scale
-    assert np.allclose(held.feet.carry[:, 1] - carried[:, 1], rest, rtol=1e-3), (
+    assert np.allclose(held.feet.root.carry[:, 1] - carried[:, 1], rest, rtol=1e-3), (
         "feet in the air let go softly"
     )
 
@@ -154,4 +189,4 @@ def test_characters_do_not_touch_each_other_and_forget_on_reset() -> None:
         assert np.abs(one[0] - two[0]).max() < 1e-4
         if t == 7:
             both.feet.reset(1)
-            assert not both.feet.locked[1].any() and both.feet.locked[0].all()
+            assert not both.feet.plants.locked[1].any() and both.feet.plants.locked[0].all()

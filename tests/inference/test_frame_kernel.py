@@ -8,21 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from motionkit.errors import MotionkitError
 from motionkit.features.control import Controls
 from motionkit.features.layout import LAYOUTS, feature_layout
+from motionkit.inference import frame_kernel
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.foot_lock import FootLock
-from motionkit.inference.frame_kernel import PoseKernel, frame_library
-from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.pose import BodyKinematics, PoseDecoder
-from motionkit.inference.rollout import Noise
+from motionkit.inference.frame_arrays import BodyArrays
+from motionkit.inference.frame_kernel import PoseKernel
+from motionkit.inference.noise import Noise
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
+from motionkit.motion.rotations import quat_normalize
 from motionkit.native import load_library
+from oracle.characters import pose_in_numpy
+from oracle.pose import NumpyPose
 
-pytestmark = pytest.mark.skipif(
-    frame_library() is None, reason="motionkit was installed without its C kernels"
-)
 CLOSE = 1e-4  # cm
 
 
@@ -39,10 +39,8 @@ def test_feet_are_locked_alike_in_closed_loop(noise: Noise) -> None:
     bundled = load_bundled_model()
     tall = {**bundled.characters, "tall": 1.2 * bundled.characters["default"]}
     model = replace(bundled, characters=tall)
-    ours, theirs = (
-        CharacterStream(model, 3, noise, 3, True, ("default", "tall"), compiled=compiled)
-        for compiled in (True, False)
-    )
+    ours, theirs = (CharacterStream(model, 3, noise, 3, True, ("default", "tall")) for _ in range(2))
+    pose_in_numpy(theirs)
     apart, locked = [], 0
     for frame in range(300):
         if frame == 150:
@@ -52,9 +50,10 @@ def test_feet_are_locked_alike_in_closed_loop(noise: Noise) -> None:
         assert np.allclose(a.contacts, b.contacts, rtol=0.0, atol=1e-7)
         assert np.abs((a.rotations * b.rotations).sum(-1)).min() > 1.0 - 1e-6
         apart.append(np.abs(a.positions - b.positions).max(axis=(1, 2)))
-        if ours.feet is not None and theirs.feet is not None:
-            assert np.array_equal(ours.feet.locked, theirs.feet.locked)
-            locked += int(ours.feet.locked.sum())
+        feet, others = ours.body.feet, theirs.body.feet
+        assert feet is not None and others is not None
+        assert np.array_equal(feet.plants.locked, others.plants.locked)
+        locked += int(feet.plants.locked.sum())
     distances = np.stack(apart)
     # Where a leg is stretched out flat, the height of its hip is a root of nearly zero, which keeps few digits.
     assert (distances < CLOSE).astype(np.float32).mean() > 0.85 and distances.max() < 2e-2
@@ -66,46 +65,45 @@ def test_poses_feet_and_floors_of_every_kind(layout: str) -> None:
     """Random bodies, any side up, with feet in and out of contact and below the floor."""
     count, rng = 200, np.random.default_rng(0)
     reference_rotations = rng.standard_normal((23, 4)).astype(np.float32)
-    decoder = PoseDecoder(
-        layout, reference_rotations / np.linalg.norm(reference_rotations, axis=1, keepdims=True)
-    )
-    offsets = rng.normal(0.0, 15.0, (count, 23, 3)).astype(np.float32)
-    scale = rng.uniform(0.5, 1.5, count).astype(np.float32)
+    reference_rotations = quat_normalize(reference_rotations)
     features = rng.normal(0.0, 0.7, (count, 276)).astype(np.float32)
     features[:, feature_layout(layout).blocks["joint_positions"].start] += 60.0
     ground = rng.normal(0.0, 30.0, (count, 3)).astype(np.float32)
-    library = frame_library()
-    assert library is not None
-    feet = FootLock(count), FootLock(count)
-    height_corrections = HeightCorrection(layout, count), HeightCorrection(layout, count)
-    kernel = PoseKernel(library, decoder, offsets, scale, height_corrections[0], feet[0])
-    body = BodyKinematics(offsets)
+    bodies = BodyArrays.of(count), BodyArrays.of(count)
+    for body in bodies:
+        body.offsets[:] = np.random.default_rng(1).normal(0.0, 15.0, (count, 23, 3))
+        body.scale[:] = np.random.default_rng(2).uniform(0.5, 1.5, count)
+    kernel = PoseKernel(layout, reference_rotations, bodies[0])
+    oracle = NumpyPose(layout, reference_rotations, bodies[1])
+    feet = bodies[0].feet, bodies[1].feet
+    assert feet[0] is not None and feet[1] is not None
     apart = []
     for frame in range(20):
         contacts = rng.uniform(0.3, 0.7, (count, 4)).astype(np.float32)
         features[:, 9:] += rng.normal(0.0, 0.02, (count, 267)).astype(np.float32)
         ground[:, 0] += 1.0
         ours = kernel.pose(features, contacts, ground)
-        rotations, root = decoder.decode(features, ground)
-        root *= scale[:, None]
-        world = body.forward(rotations, root)
-        height_corrections[1].apply(features, root, world, scale)
-        positions = feet[1].apply(rotations, root, world, contacts, scale)
+        rotations, root, positions = oracle.pose(features, contacts, ground)
         apart.append(np.abs(ours[2] - positions).max(axis=(1, 2)))
         assert np.median(np.abs(ours[0] - rotations)) < 1e-6
-        assert np.array_equal(feet[0].locked, feet[1].locked)
-        assert np.median(np.abs(height_corrections[0].rise - height_corrections[1].rise)) < 1e-5
+        assert np.array_equal(feet[0].plants.locked, feet[1].plants.locked)
+        assert np.median(np.abs(bodies[0].rise - bodies[1].rise)) < 1e-5
         assert np.median(np.abs(ours[1] - root)) < 1e-5
-        assert frame > 0 or feet[0].locked.any()
+        assert frame > 0 or feet[0].plants.locked.any()
     assert np.mean(np.array(apart) < 1e-3) > 0.95
-    assert height_corrections[0].rise.max() > 0.5
+    assert bodies[0].rise.max() > 0.5
 
 
-def test_a_library_of_another_version_is_not_used() -> None:
-    import motionkit.inference.frame_kernel as module
-
-    path = Path(module.__file__).resolve().parent / "_frame_kernel"
-    assert load_library(path, "frame_kernel_version", module.VERSION) is not None
-    assert load_library(path, "frame_kernel_version", module.VERSION + 1) is None
-    assert load_library(path, "no_such_function", 1) is None
-    assert load_library(path.with_name("_no_such_kernel"), "frame_kernel_version", 1) is None
+@pytest.mark.parametrize(
+    ("name", "version_name", "more", "fault"),
+    [
+        ("_frame_kernel", "frame_kernel_version", 1, "is of another version"),
+        ("_frame_kernel", "no_such_function", 0, "is of another version"),
+        ("_no_such_kernel", "frame_kernel_version", 0, "is missing"),
+    ],
+)
+def test_a_library_that_does_not_fit_is_one_line(name: str, version_name: str, more: int, fault: str) -> None:
+    folder = Path(frame_kernel.__file__).resolve().parent
+    assert load_library(folder / "_frame_kernel", "frame_kernel_version", frame_kernel.VERSION)
+    with pytest.raises(MotionkitError, match=rf"{name}\S+ {fault}.*: install motionkit anew"):
+        load_library(folder / name, version_name, frame_kernel.VERSION + more)

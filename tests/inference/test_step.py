@@ -10,16 +10,14 @@ import torch
 
 from motionkit.errors import ModelError
 from motionkit.inference.step import NetworkStep
-from motionkit.inference.step_kernel import StepKernel, kernel_library
+from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import StepWeights, pack, why_not_packable
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import PRESETS, preset
+from oracle.step import numpy_step
 
 PACKED = [name for name, make in PRESETS.items() if why_not_packable(make()) is None]
-NO_KERNEL = pytest.mark.skipif(
-    kernel_library() is None, reason="motionkit was installed without its C kernel"
-)
-WAYS = ["numpy", pytest.param("kernel", marks=NO_KERNEL), pytest.param("small", marks=NO_KERNEL)]
+WAYS = ["numpy", "kernel", "small"]
 VARIANTS: list[dict] = [
     {"layer_controls": False},
     {"fusion": "none"},
@@ -36,7 +34,9 @@ TOLERANCE = {"numpy": 1e-5, "kernel": 1e-5, "small": 2e-4}
 
 
 def stepper(weights: StepWeights, way: str, batch: int) -> NetworkStep:
-    return NetworkStep(weights, batch, None if way == "numpy" else StepKernel(weights, small=way == "small"))
+    if way == "numpy":
+        return numpy_step(weights, batch)
+    return NetworkStep(StepKernel(weights, small=way == "small"), batch)
 
 
 def largest_difference(network: PartTransformer, inputs: tuple, way: str) -> float:
@@ -126,6 +126,6 @@ def test_what_cannot_be_packed_says_why(make_network: Callable, change: dict, re
 
 
 def test_memory_per_character_is_that_of_the_rings(make_network: Callable) -> None:
-    step = NetworkStep(pack(make_network(preset("tptn")).weights()), 3)
+    step = NetworkStep(StepKernel(pack(make_network(preset("tptn")).weights())), 3)
     rings = 2 * 2 * 2 * 6 * 8 * 128  # keys and values, modules, parts, layers, window, width
     assert step.bytes_per_character == 4 * (rings + 3 * 281 + 276)

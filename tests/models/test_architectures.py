@@ -15,7 +15,7 @@ from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import ModelError
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.architectures import ARCHITECTURES, config_from_dict
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.checkpoint import load_model, read_header

@@ -29,8 +29,9 @@ from motionkit.models.network import parameter_count
 from motionkit.models.pfnn import PhaseFunctionedConfig, PhaseFunctionedNetwork, gait_phase, spline_shares
 from motionkit.models.presets import preset
 from motionkit.training.presets import train_options
-from motionkit.training.sampler import SamplerOptions, WindowSampler
+from motionkit.training.sampler import WindowSampler
 from motionkit.training.trainer import TrainingRun
+from motionkit.training.windows import SamplerOptions
 
 NAMES = ("pfnn", "mvae", "htss", "neural-layering", "learned-motion-matching")
 SMALL = {
@@ -59,8 +60,8 @@ def test_baselines_train_and_roll_out(name: str, paper_folder: Path, tmp_path: P
     kept = run.sampler.batch(10**6, 8)
 
     def loss() -> float:
-        network = run.module.network.eval()
-        terms = network.losses(kept, run.module.space, 0.0)
+        network = run.learner.network.eval()
+        terms = network.losses(kept, run.learner.module.space, 0.0)
         network.train()
         return sum(float(terms[name].detach()) for name in ("mse", "pose") if name in terms)
 

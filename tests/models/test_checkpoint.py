@@ -11,6 +11,7 @@ from safetensors.numpy import save_file
 from motionkit.arrays import Array
 from motionkit.errors import ControlError, ModelError
 from motionkit.inference.step import NetworkStep
+from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack
 from motionkit.models.bundled import open_model
 from motionkit.models.checkpoint import load_model, model_arrays, read_header, save_model
@@ -22,7 +23,7 @@ def predict(model: MotionModel) -> Array:
     x = draw.standard_normal((1, 30, 276), np.float32)
     contacts = np.ones((1, 30, 4), np.float32)
     controls = draw.standard_normal((1, 30, model.controls.size), np.float32)
-    step = NetworkStep(pack(model.network), 1)
+    step = NetworkStep(StepKernel(pack(model.network)), 1)
     means = []
     for t in range(30):
         step.step(x[:, t], contacts[:, t], controls[:, t])

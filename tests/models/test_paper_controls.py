@@ -25,7 +25,8 @@ from motionkit.features.control import (
     types_ahead,
 )
 from motionkit.features.encode import identity_reference_rotations
-from motionkit.inference.rollout import Noise, RolloutState, default_noise
+from motionkit.inference.noise import Noise, default_noise
+from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import on_body, type_start
 from motionkit.inference.stepping import TorchStep
 from motionkit.models.checkpoint import load_model
@@ -33,8 +34,9 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import SamplingPreset
 from motionkit.motion.skeleton import JOINT_NAMES, canonical_skeleton, leg_length
 from motionkit.training.presets import train_options
-from motionkit.training.sampler import LEAST_CUT, ControlSampling, SamplerOptions, WindowSampler
+from motionkit.training.sampler import LEAST_CUT, WindowSampler
 from motionkit.training.trainer import train
+from motionkit.training.windows import ControlSampling, SamplerOptions
 from planned import controls_of
 
 SMALL = {"width": 48, "heads": 4, "ffn": 96, "layers": 2, "control_width": 16, "control_embedding": 24}
@@ -212,7 +214,7 @@ def test_frames_are_drawn_at_full_sigma(paper_model: MotionModel) -> None:
     mean.step(Controls.of_types(weights))
     drawn.step(Controls.of_types(weights))
     sigma = np.exp(np.asarray(mean.network.log_sigma))
-    deviations = (drawn.normalised - mean.normalised) / sigma
+    deviations = (drawn.frame.x - mean.frame.x) / sigma
     assert 0.8 < float(deviations.std()) < 1.2
 
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import pytest
 import torch
 
+from motionkit.models.network import NetworkStream
 from motionkit.models.presets import PRESETS, preset
-from motionkit.models.stream import NetworkStream
 
 FIELDS = ("mean", "log_sigma", "trajectory_mean", "trajectory_log_sigma", "contact_logits")
 STREAMED = [name for name, make in PRESETS.items() if make().variant.position == "bias"]

@@ -24,14 +24,16 @@ from motionkit.control.path import PathPart, make_path
 from motionkit.control.recording_choice import drawn_evenly
 from motionkit.errors import ModelError, MotionkitError
 from motionkit.inference.character import CharacterStream, model_first_type
-from motionkit.inference.step import NetworkStep
-from motionkit.inference.step_kernel import TILE, StepProgram
+from motionkit.inference.step_arrays import TILE
+from motionkit.inference.step_kernel import StepProgram
 from motionkit.inference.step_weights import ModuleWeights, StepWeights, pack
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import Variant
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.play.demo import write_demo
+from oracle.characters import pose_in_numpy
+from oracle.step import numpy_step
 from view.conftest import PATIENCE, drawn
 
 if TYPE_CHECKING:
@@ -196,10 +198,11 @@ IN_THE_PAGE = """([noise, asked, frames, choice]) => {
 def made_in_numpy(noise: Floats, asked: list[tuple[int, str, Any]], choice: int) -> Array:
     """Joint positions (T, 23, 3) of what is asked of a Driver, in numpy alone."""
     model = load_bundled_model()
-    stream = CharacterStream(model, 1, compiled=False)
-    stream.state.network = NetworkStep(stored_weights(pack(model.network)), 1)
+    stream = CharacterStream(model, 1)
+    pose_in_numpy(stream)
+    stream.state.network = numpy_step(stored_weights(pack(model.network)), 1)
     rows = iter(noise)
-    stream.state._draw_normals = lambda out: np.copyto(out, next(rows))  # type: ignore[method-assign]
+    stream.state.noise_state._draw = lambda out: np.copyto(out, next(rows))  # type: ignore[method-assign]
     kind = model_first_type(model)
     start = stream.model.types[kind].start_poses[0]
     stream.state.start(start.features[None], start.contacts[None], stream._weights(kind))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from motionkit.cli import motion_options
+from motionkit.cli import outputs
 from motionkit.errors import ControlError
 from motionkit.export.formats import WRITERS, read_motion
 from motionkit.features.control import Controls
@@ -166,7 +166,7 @@ def test_a_path_ends_with_an_arrival(session: Session) -> None:
     ask(session, 1, "path", points=[[0, 0], [0, 40]], type="walking", speed=300)
     assert play(session, 1)[0].characters[0].following is not None
     character.driver.follower.place.arc = 40.0  # the tiny model cannot walk there by itself
-    character.stream.state._ground[0, 1] = 40.0
+    character.stream.state.frame.ground[0, 1] = 40.0
     assert play(session, 1)[0].arrived == (character.id,)
     assert play(session, 1)[0].arrived == ()
 
@@ -287,7 +287,7 @@ def test_a_recording_holds_the_frames_that_were_sent(session: Session, tmp_path:
 
 
 def test_recordings_have_every_format(session: Session, tmp_path: Path) -> None:
-    assert set(FORMATS) == {ending.removeprefix(".") for ending in WRITERS} == set(motion_options.FORMATS)
+    assert set(FORMATS) == {ending.removeprefix(".") for ending in WRITERS} == set(outputs.FORMATS)
     session.join(1)
     ask(session, 1, "record", on=True)
     play(session, 8)

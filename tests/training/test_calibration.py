@@ -21,8 +21,7 @@ from motionkit.training.calibration import (
     made_manners,
     manner_of,
     recorded_manners,
-    with_gains,
-    with_noise,
+    with_presets,
 )
 from motionkit.training.trainer import train
 from synthetic_motions import make_walk
@@ -102,7 +101,7 @@ def test_types_that_references_move_get_the_gain_that_moves_them_as_recorded(
 def test_roll_outs_depend_on_the_gain(tiny_model: MotionModel, dataset: Dataset) -> None:
     gains = calibrated_gains(tiny_model, dataset, 20, repeats=1, gains=(1.0, 2.5))
     assert gains and set(gains.values()) <= {1.0, 2.5}
-    louder = with_gains(tiny_model, {"cartwheel": 2.0})
+    louder = with_presets(tiny_model, "reference_gain", {"cartwheel": 2.0})
     assert louder.types["cartwheel"].preset.reference_gain == 2.0
     assert louder.types["walking"].preset == tiny_model.types["walking"].preset
     soft, loud = (made_manners(model, ["cartwheel"], 20, 1) for model in (tiny_model, louder))
@@ -140,7 +139,7 @@ def test_types_that_noise_alone_moves_get_as_much_as_moves_them_as_recorded(
 def test_noise_of_its_own_is_for_roll_outs_without_references(
     tiny_model: MotionModel, tmp_path: Path
 ) -> None:
-    model = with_noise(tiny_model, {"cartwheel": 1.3})
+    model = with_presets(tiny_model, "noise_alone", {"cartwheel": 1.3})
     save_model(tmp_path / "m.safetensors", model)
     read = load_model(tmp_path / "m.safetensors")
     for kind, scale in (("cartwheel", 1.3), ("walking", read.types["walking"].preset.noise_scale)):
@@ -152,8 +151,8 @@ def test_noise_of_its_own_is_for_roll_outs_without_references(
 def test_training_ends_with_gains_and_noise_in_the_file(
     dataset_folder: Path, tmp_path: Path, tiny_options: Callable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("motionkit.training.trainer.calibrated_noise", lambda *_: {"cartwheel": 1.21})
-    monkeypatch.setattr("motionkit.training.trainer.calibrated_gains", lambda *_: {"cartwheel": 1.37})
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_noise", lambda *_: {"cartwheel": 1.21})
+    monkeypatch.setattr("motionkit.training.outcome.calibrated_gains", lambda *_: {"cartwheel": 1.37})
     train(dataset_folder, tmp_path / "m.safetensors", tiny_options(steps=1, score_seconds=0.1), device="cpu")
     read = load_model(tmp_path / "m.safetensors").types["cartwheel"].preset
     assert read.noise_alone == 1.21

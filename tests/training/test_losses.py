@@ -18,7 +18,8 @@ from motionkit.motion.rotations import quat_from_yaw, quat_to_sixd
 from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS, canonical_skeleton
 from motionkit.training import losses
 from motionkit.training.losses import Batch, FeatureSpace
-from motionkit.training.sampler import SamplerOptions, WindowSampler
+from motionkit.training.sampler import WindowSampler
+from motionkit.training.windows import SamplerOptions
 
 ONES = torch.ones(1, 4)
 OFFSETS = torch.from_numpy(canonical_skeleton().offsets)

@@ -16,8 +16,9 @@ from safetensors.torch import save_file
 
 from motionkit.errors import DatasetError, ModelError, MotionkitError
 from motionkit.models.checkpoint import load_model
-from motionkit.training import trainer
-from motionkit.training.trainer import TrainEvent, train
+from motionkit.training import outcome
+from motionkit.training.report import TrainEvent
+from motionkit.training.trainer import train
 
 ODD_NAMES = ("walk/run", "aux", "..")
 
@@ -88,7 +89,7 @@ def test_the_model_is_written_before_the_score_and_a_failed_score_is_a_note(
         there.append(path.is_file())
         raise RuntimeError("no such\nthing")
 
-    monkeypatch.setattr(trainer, "score_rollouts", fail)
+    monkeypatch.setattr(outcome, "score_rollouts", fail)
     notes: list[str] = []
     options = tiny_options(steps=1, score_seconds=0.1)
     result = train(dataset_folder, path, options, device="cpu", on_event=_notes(notes))

@@ -1,19 +1,22 @@
 from __future__ import annotations
 
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
 from motionkit.arrays import Array
-from motionkit.data.dataset import Dataset
+from motionkit.data.dataset import Clip, Dataset
 from motionkit.data.splice import splice_clips
 from motionkit.errors import DatasetError
 from motionkit.features.control import ControlLayout
 from motionkit.features.reference import BEFORE_EVENT, PAUSE
 from motionkit.training.presets import train_options
-from motionkit.training.sampler import SamplerOptions, Span, WindowSampler
+from motionkit.training.sampler import WindowSampler
+from motionkit.training.splices import Span, from_event
+from motionkit.training.windows import SamplerOptions, drifted
 
 WINDOW = 40
 
@@ -161,7 +164,7 @@ def test_splices_are_made_once_for_a_seed(dataset: Dataset) -> None:
     one, two = sampler(dataset, splices=5), sampler(dataset, splices=5)
     assert len(one.splices) == 5
     for a, b in zip(one.splices, two.splices, strict=True):
-        assert np.array_equal(a.features, b.features) and np.array_equal(a.types, b.types)
+        assert np.array_equal(a.data.features, b.data.features) and np.array_equal(a.data.types, b.data.types)
 
 
 def test_a_dataset_without_training_clips(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -203,14 +206,13 @@ def test_drifting_trajectories_are_too_long_or_too_short(dataset: Dataset) -> No
     assert 0.05 < np.std(factors) < 0.5
 
 
-def test_only_windows_that_go_straight_drift(dataset: Dataset) -> None:
-    windows = sampler(dataset, trajectory_drift=0.2)
+def test_only_windows_that_go_straight_drift() -> None:
     trajectory, way = np.ones((30, 24), np.float32), np.zeros((31, 3), np.float32)
     way[:, 0] = np.arange(31)
     random = torch.Generator().manual_seed(1)
-    assert not np.array_equal(windows._drifted(trajectory, way, random), trajectory)
+    assert not np.array_equal(drifted(trajectory, way, 0.2, random), trajectory)
     way[16:, 0] = way[15::-1, 0][:15]  # there and back
-    assert np.array_equal(windows._drifted(trajectory, way, random), trajectory)
+    assert np.array_equal(drifted(trajectory, way, 0.2, random), trajectory)
 
 
 def test_performances_are_repeated_over_a_pause(dataset: Dataset, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -221,7 +223,7 @@ def test_performances_are_repeated_over_a_pause(dataset: Dataset, monkeypatch: p
         asked.append((first, second, pause))
         return splice_clips(dataset, first, second, decay, pick, pause)
 
-    monkeypatch.setattr("motionkit.training.sampler.splice_clips", noted)
+    monkeypatch.setattr("motionkit.training.splices.splice_clips", noted)
     sampler(dataset, splices=60)
     assert {pause for *_, pause in asked} == {0, PAUSE}
     for number, ((clip_a, _, end), (clip_b, start, _), pause) in enumerate(asked):
@@ -231,18 +233,15 @@ def test_performances_are_repeated_over_a_pause(dataset: Dataset, monkeypatch: p
         assert (pause > 0) == (number % 2 == 1 and dataset.types[after] in dataset.phase_seconds)
 
 
-def test_strikes_are_repeated_from_shortly_before_one(
-    dataset: Dataset, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    made = sampler(dataset)
+def test_strikes_are_repeated_from_shortly_before_one() -> None:
     phases = np.full(100, -1.0, np.float32)
     phases[8:20] = phases[60:75] = phases[95:] = 0.5
-    monkeypatch.setattr(made, "dataset", SimpleNamespace(read=lambda *_: SimpleNamespace(phases=phases)))
-    span = Span(0, 30, 130)
-    found = [made._from_event(span, lambda count, n=n: n % count) for n in range(3)]
+    data: Any = SimpleNamespace(read=lambda *_: SimpleNamespace(phases=phases))
+    clip, span = Clip("strikes", 0, 200, "train", "", 0), Span(0, 30, 130)
+    found = [from_event(data, clip, span, lambda count, n=n: n % count) for n in range(3)]
     assert found == [Span(0, 30, 130), Span(0, 30 + 60 - BEFORE_EVENT, 130), Span(0, 30, 130)]
     phases[:] = 0.5  # a whole performance
-    assert made._from_event(span, lambda count: 0) == span
+    assert from_event(data, clip, span, lambda count: 0) == span
 
 
 def test_a_sampler_changes_its_options_but_not_its_splices(dataset: Dataset) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.bvh import read_bvh
 from motionkit.training import scores

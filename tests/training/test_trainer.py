@@ -21,7 +21,9 @@ from motionkit.training import trainer
 from motionkit.training.losses import WEIGHTS
 from motionkit.training.options import Stage, TrainOptions
 from motionkit.training.presets import train_options
-from motionkit.training.trainer import TrainEvent, resolve_device, train
+from motionkit.training.processes import resolve_device
+from motionkit.training.report import TrainEvent
+from motionkit.training.trainer import train
 
 TERMS = ("gauss", "smooth", "contact", "fk", "consistency", "trajectory", "total", "gradient")
 

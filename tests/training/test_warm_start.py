@@ -143,7 +143,8 @@ def test_weights_go_part_of_the_way_back_but_for_new_types() -> None:
 
 
 def test_windows_of_kept_types_have_their_share(foreign: Path) -> None:
-    from motionkit.training.sampler import SamplerOptions, WindowSampler
+    from motionkit.training.sampler import WindowSampler
+    from motionkit.training.windows import SamplerOptions
 
     model, dataset = load_bundled_model(), Dataset(foreign)
     dataset.scaling, dataset.pose_embedding = model.scaling, model.pose_embedding

@@ -1,17 +1,18 @@
-"""Shared by the subcommands: repeated options, and output for people and for programs."""
+"""Shared by the subcommands: options, records of their values, and output for people and for programs."""
 
 from __future__ import annotations
 
+import functools
+import inspect
 import json
 import math
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.files import safe_name
 from motionkit.names import visible
 from motionkit.seeds import LARGEST_SEED
 
@@ -22,40 +23,74 @@ if TYPE_CHECKING:
 
 STOPPED = 130  # exit code of a stopped command, the shells' convention for SIGINT
 
+# ---- options ----
+
+PLACE: Any = click.Path(path_type=Path)
+EXISTING: Any = click.Path(exists=True, path_type=Path)
+EXISTING_FILE: Any = click.Path(exists=True, dir_okay=False, path_type=Path)
+EXISTING_FOLDER: Any = click.Path(exists=True, file_okay=False, path_type=Path)
+FILE: Any = click.Path(dir_okay=False, path_type=Path)
+FOLDER: Any = click.Path(file_okay=False, path_type=Path)
+
+
+def option(*names: str, **more: Any) -> Callable:
+    """A click.option whose help shows the default, where it has one."""
+    return click.option(*names, **({"show_default": "default" in more} | more))
+
+
+def switch(names: str, text: str) -> Callable:
+    """An option that is on by default, such as "--ik/--no-ik"."""
+    return option(names, default=True, help=text)
+
+
+def together(*decorators: Callable) -> Callable:
+    """Several options as one decorator, in the order of the help."""
+
+    def decorate(function: Callable) -> Callable:
+        for decorator in reversed(decorators):
+            function = decorator(function)
+        return function
+
+    return decorate
+
+
+def gathered(name: str, record: Callable[..., Any]) -> Callable:
+    """Let the options that a record has fields for arrive at the command as one argument; put it below them."""
+    fields = tuple(inspect.signature(record).parameters)
+
+    def decorate(function: Callable) -> Callable:
+        @functools.wraps(function)
+        def with_record(**values: Any) -> Any:
+            mine = {field: values.pop(field) for field in fields}
+            return function(**values, **{name: record(**mine)})
+
+        return with_record
+
+    return decorate
+
+
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the result as JSON.")
 model_option = click.option(
-    "--model",
-    "model_path",
-    type=click.Path(exists=True, dir_okay=False, path_type=Path),
-    help="Model file; the bundled model by default.",
+    "--model", "model_path", type=EXISTING_FILE, help="Model file; the bundled model by default."
 )
 
 
 def seed_option(default: int = 0) -> Callable:
     """The --seed option of every command that draws random numbers."""
-    return click.option(
+    return option(
         "--seed",
         type=click.IntRange(0, LARGEST_SEED),
         default=default,
-        show_default=True,
         help="Random seed; the same seed gives the same result.",
     )
 
 
-def default_output(
-    name: str, ending: str = ".bvh", files: Callable[[Path], Sequence[Path]] = lambda path: [path]
-) -> Path:
-    """A name in the current folder that no file has yet.
+def labels_option(text: str) -> Callable:
+    """The --labels option: a table of segments."""
+    return click.option("--labels", type=EXISTING_FILE, help=text)
 
-    Args:
-        files: what will be written under a name; by default, one file of that name.
-    """
-    name = safe_name(name, 120)
-    path = Path(f"{name}{ending}")
-    number = 2
-    while any(file.exists() for file in files(path)):
-        path, number = Path(f"{name}-{number}{ending}"), number + 1
-    return path
+
+# ---- output ----
 
 
 def print_json(value: Any) -> None:
@@ -64,14 +99,14 @@ def print_json(value: Any) -> None:
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for JSON: NaN and infinity become None, tuples become lists."""
+    """Convert a value for JSON: NaN and infinity become None, tuples become lists, paths text."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
         return [plain(item) for item in value]
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return str(value) if isinstance(value, Path) else value
 
 
 def say(text: str) -> None:
@@ -105,13 +140,40 @@ def progress_bar() -> Progress:
     return make_progress(sys.stderr, disable=not sys.stderr.isatty())
 
 
-def stages_on(bar: Progress) -> Callable[[str, int, int], None]:
-    """A function that shows stages of work on a bar: show(stage, done, total)."""
-    tasks: dict[str, Any] = {}
+class Stages:
+    """Shows stages of work, one at a time, each on a bar that goes when the next stage begins, and at the end."""
 
-    def show(stage: str, done: int, total: int) -> None:
-        if stage not in tasks:
-            tasks[stage] = bar.add_task(stage, total=total)
-        bar.update(tasks[stage], completed=done)
+    def __init__(self) -> None:
+        self._stage = ""
+        self._bar: Progress | None = None
 
-    return show
+    def __enter__(self) -> Stages:
+        return self
+
+    def __exit__(self, *details: object) -> None:
+        self.close()
+
+    def __call__(self, stage: str, done: float, total: float | None = None) -> None:
+        """Show how much of a stage is done; total is None while it is unknown."""
+        if stage != self._stage or self._bar is None:
+            self.close()
+            self._stage, self._bar = stage, progress_bar()
+            self._bar.start()
+            self._bar.add_task(stage, total=total)
+        self._bar.update(self._bar.task_ids[0], completed=done, total=total)
+
+    def count(self, stage: str, total: float | None = None) -> Callable[..., None]:
+        """A function of what is done, and of the total if it is not known yet."""
+        self(stage, 0, total)
+        return lambda done, of=total: self(stage, done, of)
+
+    def share(self, stage: str) -> Callable[[float], None]:
+        """A function of the share that is done, 0 to 1."""
+        self(stage, 0, 100)
+        return lambda share: self(stage, 100 * share, 100)
+
+    def close(self) -> None:
+        """Take the bar away, for what is to be printed."""
+        if self._bar is not None:
+            self._bar.stop()
+        self._bar = None

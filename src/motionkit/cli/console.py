@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from typing import IO, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, ProgressColumn, Task, TextColumn, TimeRemainingColumn
+from rich.table import Table
 from rich.text import Text
 
 from motionkit.names import visible
@@ -23,6 +25,24 @@ class PlainConsole(Console):
     def render_str(self, text: str, **options: Any) -> Text:
         """Make a string printable; rich calls this for every line, cell and heading."""
         return super().render_str(visible(text), **options)
+
+
+def make_table(
+    columns: Sequence[str], rows: Iterable[Sequence[str]], left: Iterable[int] = (0,), **style: Any
+) -> Table:
+    """A table of text; without a title it has no lines.
+
+    Args:
+        left: numbers of the columns that begin at the left; others, which hold figures, end at the right.
+    """
+    usual = {} if "title" in style else {"box": None, "header_style": "bold", "pad_edge": False}
+    table = Table(**(usual | style))
+    left = set(left)
+    for number, name in enumerate(columns):
+        table.add_column(name, justify="left" if number in left else "right", overflow="fold")
+    for row in rows:
+        table.add_row(*row)
+    return table
 
 
 class _Count(ProgressColumn):

@@ -6,17 +6,16 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, model_option, print_json, remark, say
+from motionkit.cli.common import FOLDER, json_option, model_option, option, print_json, remark, say
 from motionkit.cli.synthesis_options import reference_option
 
 
 @click.command("demo")
-@click.option(
+@option(
     "-o",
     "--output",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=Path("site"),
-    show_default=True,
     help="Folder to write; made if it is not there, other files in it stay.",
 )
 @model_option
@@ -33,7 +32,7 @@ def command(output: Path, model_path: Path | None, reference: str, as_json: bool
 
     sizes = write_demo(output, open_model(model_path, reference))
     if as_json:
-        print_json({"folder": str(output), "bytes": sizes})
+        print_json({"folder": output, "bytes": sizes})
         return
     say(f"{output}: {sum(sizes.values()) / 1e6:.1f} MB")
     remark(f"to look at it: python -m http.server --directory {output}")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, model_option, print_json, remark, say
+from motionkit.cli.common import FILE, json_option, model_option, option, print_json, remark, say
 
 
 @click.command("export")
@@ -14,28 +14,18 @@ from motionkit.cli.common import json_option, model_option, print_json, remark, 
     "--onnx",
     "path",
     required=True,
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="ONNX file to write; a JSON file beside it describes its inputs and outputs.",
 )
 @model_option
-@click.option(
-    "--character", default="default", show_default=True, help="Body whose joints the graph computes."
-)
-@click.option(
-    "--weights",
-    type=click.Choice(["float32", "int8"]),
-    default="float32",
-    show_default=True,
-    help="Number format of the layers; int8 is smaller (a third) and faster, but less exact; some engines lack it.",
-)
+@option("--character", default="default", help="Body whose joints the graph computes.")
 @json_option
-def command(path: Path, model_path: Path | None, character: str, weights: str, as_json: bool) -> None:
+def command(path: Path, model_path: Path | None, character: str, as_json: bool) -> None:
     """Write a model as an ONNX graph that computes one frame.
 
     The graph takes controls and state, and returns a posed body and the next state (docs/onnx.md). If
     onnxruntime is installed, the command first runs graph and motionkit side by side for 600 frames and
-    prints the largest difference. It fails and writes nothing if joints differ by more than 0.5 cm
-    (int8: 200 cm).
+    prints the largest difference. It fails and writes nothing if joints differ by more than 0.5 cm.
     """
     from motionkit.export.onnx_export import export_onnx, metadata_path
     from motionkit.files import check_outputs
@@ -45,9 +35,9 @@ def command(path: Path, model_path: Path | None, character: str, weights: str, a
     check_outputs([path, beside], [model_path])
     if path.suffix.lower() != ".onnx":
         raise click.UsageError(f"--onnx {path}: expected a name that ends in .onnx")
-    check = export_onnx(open_model(model_path), path, character, weights)
+    check = export_onnx(open_model(model_path), path, character)
     if as_json:
-        result: dict = {"file": str(path), "metadata": str(beside)}
+        result: dict = {"file": path, "metadata": beside}
         if check is not None:
             result |= {
                 "frames": check.frames,

@@ -6,22 +6,15 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import default_output, json_option, print_json, remark, say
+from motionkit.cli.common import PLACE, gathered, json_option, remark
 from motionkit.cli.finite import FiniteRange
-from motionkit.cli.motion_options import (
-    RootMotion,
-    clip_output_option,
-    length_note,
-    naming,
-    root_options,
-    seam_json,
-    seam_words,
-)
-from motionkit.cli.showing import view_option, write_and_open
+from motionkit.cli.outputs import Wanted, clip_output_option, naming, shown_name, view_option
+from motionkit.cli.rig_options import RootMotion, root_options
+from motionkit.errors import MotionkitError
 
 
 @click.command("loop")
-@click.argument("clip", type=click.Path(path_type=Path))
+@click.argument("clip", type=PLACE)
 @clip_output_option("loop")
 @click.option(
     "--seconds",
@@ -36,14 +29,10 @@ from motionkit.cli.showing import view_option, write_and_open
 @root_options
 @view_option
 @json_option
+@gathered("root_motion", RootMotion)
+@gathered("wanted", Wanted)
 def command(
-    clip: Path,
-    output: Path | None,
-    seconds: float | None,
-    at_origin: bool,
-    root_motion: RootMotion,
-    view: bool,
-    as_json: bool,
+    clip: Path, seconds: float | None, at_origin: bool, root_motion: RootMotion, wanted: Wanted
 ) -> None:
     """Cut the best cycle out of CLIP, a motion of any rig, and close it: its last frame meets its first.
 
@@ -51,34 +40,21 @@ def command(
     over it. The command prints the differences at the seam, beside those of consecutive frames of the cycle.
     """
     from motionkit.editing.loop import make_loop
-    from motionkit.errors import MotionkitError
-    from motionkit.export.formats import read_clip, write_motion
-    from motionkit.files import check_outputs
+    from motionkit.export.formats import read_clip
+    from motionkit.view.figure_data import Shown
 
-    target = output or default_output(f"{clip.stem}-loop")
-    page_file = target.with_suffix(".html")
-    check_outputs([target, page_file] if view else [target], [clip])
+    wanted.check()
+    outputs = wanted.files(f"{clip.stem}-loop", [clip])
     source = read_clip(clip)
-    try:
+    with naming(clip, MotionkitError):
         loop = make_loop(source.motion, seconds, from_origin=at_origin)
-    except MotionkitError as error:
-        raise MotionkitError(f"{clip}: {error}") from None
     made = root_motion.applied(loop.motion, cyclic=True)
     with naming(clip):
-        write_motion(target, source.with_motion(made))
-    page = None
-    if view:
-        from motionkit.view.figure_data import Shown
-
-        page = write_and_open(page_file, [Shown(target.stem, made)], as_json)
-    length = (len(made) - 1) / made.fps
-    if note := length_note(length, seconds):
+        outputs.write(source.with_motion(made))
+    outputs.show(lambda: [Shown(outputs.file.stem, made)])
+    if note := loop.note(seconds):
         remark(note)
-    if as_json:
-        cut = {"start": loop.start, "end": loop.end, "seconds": length, "difference_cm": loop.difference}
-        print_json({"output": str(target), **cut, **seam_json(loop), **({"view": str(page)} if page else {})})
-        return
-    say(f"wrote {target}: frames {loop.start} to {loop.end} of {clip.name}, {length:.2f} s")
-    say(f"  {seam_words(loop)}")
-    if page:
-        say(f"wrote {page}")
+    cut = {"start": loop.start, "end": loop.end, "seconds": loop.seconds, "difference_cm": loop.difference}
+    length = f"frames {loop.start} to {loop.end} of {clip.name}, {loop.seconds:.2f} s"
+    lines = [f"wrote {shown_name(outputs.file)}: {length}", f"  {loop.seam.sentence()}"]
+    outputs.report({"output": outputs.file, **cut, **loop.seam.as_dict()}, lines)

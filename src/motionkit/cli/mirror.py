@@ -6,14 +6,14 @@ from pathlib import Path
 
 import click
 
-from motionkit.cli.common import json_option, print_json, progress_bar, remark, say
+from motionkit.cli.common import EXISTING, PLACE, Stages, json_option, print_json, remark, say
 from motionkit.errors import MotionkitError
 
 
 @click.command("mirror")
-@click.argument("source", type=click.Path(path_type=Path, exists=True))
-@click.argument("target", required=False, type=click.Path(path_type=Path))
-@click.option("-o", "--output", type=click.Path(path_type=Path), help="TARGET, as other commands have it.")
+@click.argument("source", type=EXISTING)
+@click.argument("target", required=False, type=PLACE)
+@click.option("-o", "--output", type=PLACE, help="TARGET, as other commands have it.")
 @click.option("--strict", is_flag=True, help="Folders: stop at the first file that cannot be mirrored.")
 @json_option
 def command(source: Path, target: Path | None, output: Path | None, strict: bool, as_json: bool) -> None:
@@ -42,24 +42,17 @@ def command(source: Path, target: Path | None, output: Path | None, strict: bool
 def _mirror_folder(source: Path, target: Path, strict: bool, as_json: bool) -> None:
     from motionkit.rig.mirror import mirror_folder
 
-    mirrored: list[dict[str, str]] = []
-    failed: list[dict[str, str]] = []
-    with progress_bar() as progress:
-        task = progress.add_task("mirroring", total=None)
-
-        def show(done: int, total: int) -> None:
-            progress.update(task, completed=done, total=total)
-
-        for path, error in mirror_folder(source, target, strict, show):
-            if error is None:
-                mirrored.append({"file": str(path), "output": str(target / path.relative_to(source))})
-            else:
-                failed.append({"file": str(path), "error": str(error)})
+    with Stages() as show:
+        found = list(mirror_folder(source, target, strict, show.count("mirroring")))
+    mirrored = [
+        {"file": path, "output": target / path.relative_to(source)} for path, error in found if not error
+    ]
+    failed = [{"file": path, "error": str(error)} for path, error in found if error]
     if as_json:
         print_json({"mirrored": mirrored, "failed": failed})
     else:
-        say(f"{target}: {len(mirrored)} of {len(mirrored) + len(failed)} files mirrored")
+        say(f"{target}: {len(mirrored)} of {len(found)} files mirrored")
     for fault in failed:
         remark(f"skipped: {fault['error']}")
     if failed:
-        raise MotionkitError(f"{len(failed)} of {len(mirrored) + len(failed)} files could not be mirrored")
+        raise MotionkitError(f"{len(failed)} of {len(found)} files could not be mirrored")

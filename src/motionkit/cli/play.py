@@ -6,14 +6,20 @@ import json
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.common import model_option, remark, say, visible
-from motionkit.cli.motion_options import FORMATS
+from motionkit.cli.common import gathered, model_option, option, remark, say, visible
+from motionkit.cli.outputs import FORMATS
 from motionkit.cli.rig_options import RigChoice, rig_options
+from motionkit.cli.showing import open_in_browser
 from motionkit.cli.synthesis_options import reference_option
+
+if TYPE_CHECKING:
+    from motionkit.play.server import Addresses
 
 
 def _target(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
@@ -43,23 +49,51 @@ def _visible_log() -> Iterator[None]:
         logging.getLogger().removeHandler(handler)
 
 
+@dataclass(frozen=True)
+class Listening:
+    """Where the server listens and sends, what its recordings are, and what is shown of it."""
+
+    host: str
+    port: int
+    tcp: int | None
+    vmc: tuple[str, int] | None
+    recording_format: str
+    headless: bool
+    no_open: bool
+    as_json: bool
+
+    def ready(self, addresses: Addresses) -> None:
+        """Print the addresses, and open the page."""
+        if self.as_json:
+            click.echo(json.dumps(asdict(addresses)))
+        else:
+            say(addresses.socket if self.headless else addresses.url)
+            if addresses.tcp:
+                remark(f"newline JSON on {addresses.tcp[0]}:{addresses.tcp[1]}")
+            if addresses.vmc:
+                remark(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}")
+            if addresses.token:
+                remark("anyone with this address and token can steer; TCP clients send the token first")
+            remark("Ctrl-C stops the server")
+        if not self.headless and not self.no_open:
+            open_in_browser(addresses.url)
+
+
 @click.command("play")
 @model_option
 @reference_option
 @click.option(
     "--character", help="Body of new characters; that of the --rig by default, else the model's default."
 )
-@click.option(
+@option(
     "--port",
     default=8642,
-    show_default=True,
     type=click.IntRange(0, 65535),
     help="Web page port; 0 picks a free one.",
 )
-@click.option(
+@option(
     "--host",
     default="127.0.0.1",
-    show_default=True,
     help="Address to listen on. With an address that other machines reach, they can connect; they need the "
     "printed token.",
 )
@@ -74,28 +108,21 @@ def _visible_log() -> Iterator[None]:
     "--vmc", metavar="HOST:PORT", callback=_target, help="Also send one character as VMC (OSC over UDP)."
 )
 @rig_options
-@click.option(
+@option(
     "--format",
     "recording_format",
     type=click.Choice(FORMATS),
     default="bvh",
-    show_default=True,
     help="Format of recordings; programs may ask for another one.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the addresses as one line of JSON.")
+@gathered("listening", Listening)
 def command(
     model_path: Path | None,
     reference: str,
     character: str | None,
-    port: int,
-    host: str,
-    no_open: bool,
-    headless: bool,
-    tcp: int | None,
-    vmc: tuple[str, int] | None,
     choice: RigChoice,
-    recording_format: str,
-    as_json: bool,
+    listening: Listening,
 ) -> None:
     """Start a server on this machine and open its page, to steer characters live.
 
@@ -111,32 +138,9 @@ def command(
     import asyncio
 
     from motionkit.cli.main import tell_stopped
-    from motionkit.cli.showing import open_in_browser
     from motionkit.models.bundled import open_model
-    from motionkit.play.server import Addresses, PlayServer, ServerOptions
+    from motionkit.play.server import PlayServer, ServerOptions
     from motionkit.play.session import Session
-
-    def ready(addresses: Addresses) -> None:
-        if as_json:
-            places = {
-                "url": addresses.url,
-                "socket": addresses.socket,
-                "tcp": addresses.tcp,
-                "vmc": addresses.vmc,
-                "token": addresses.token,
-            }
-            click.echo(json.dumps(places))
-        else:
-            say(addresses.socket if headless else addresses.url)
-            if addresses.tcp:
-                remark(f"newline JSON on {addresses.tcp[0]}:{addresses.tcp[1]}")
-            if addresses.vmc:
-                remark(f"VMC to {addresses.vmc[0]}:{addresses.vmc[1]}")
-            if addresses.token:
-                remark("anyone with this address and token can steer; TCP clients send the token first")
-            remark("Ctrl-C stops the server")
-        if not headless and not no_open:
-            open_in_browser(addresses.url)
 
     model = open_model(model_path, reference)
     if choice.rig is not None:
@@ -145,10 +149,19 @@ def command(
         model = with_rig(model, choice.rig)
         character = character or choice.rig.name
     session = Session(model, character or "default")
-    options = ServerOptions(host, port, tcp, vmc, not headless, choice.rig, choice.clip, recording_format)
+    options = ServerOptions(
+        listening.host,
+        listening.port,
+        listening.tcp,
+        listening.vmc,
+        not listening.headless,
+        choice.rig,
+        choice.clip,
+        listening.recording_format,
+    )
     with _visible_log():
         try:
-            asyncio.run(PlayServer(session, options).run(ready))
+            asyncio.run(PlayServer(session, options).run(listening.ready))
         except KeyboardInterrupt:
             pass  # on systems without signal handlers for the event loop
     tell_stopped()

@@ -1,45 +1,69 @@
-"""Options of the commands that write motion on a user's rig."""
+"""Options of how a motion is written: on a user's rig, and with its root motion where engines expect it."""
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from motionkit.cli.motion_options import HIPS, RootMotion
+from motionkit.cli.common import EXISTING_FILE, gathered, option, together
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
     from motionkit.motion.motion import Motion
     from motionkit.rig.rig import Rig
 
-_FILE: Any = click.Path(exists=True, dir_okay=False, path_type=Path)
-
 rig_option = click.option(
     "--rig",
     "rig_path",
-    type=_FILE,
+    type=EXISTING_FILE,
     help="Write the motion on the rig of this file (.bvh, .glb, .vrm): same joints, names, rest pose, channels, unit "
     "and axes; by default on the 23 canonical joints.",
 )
 map_option = click.option(
     "--map",
     "map_path",
-    type=_FILE,
+    type=EXISTING_FILE,
     help="Bone map of the --rig file (JSON, from `motionkit retarget --save-map`); found by names and shape by "
     "default.",
 )
 clip_option = click.option(
     "--from",
     "clip_path",
-    type=_FILE,
+    type=EXISTING_FILE,
     help="BVH file of the --rig: its joints that motionkit does not know (fingers, props) move as they do there; in "
     "their rest pose by default.",
 )
+root_options = together(
+    click.option("--in-place", is_flag=True, help="Remove root motion over the ground; sway and turns stay."),
+    option(
+        "--root",
+        type=click.Choice(["hips", "ground"]),
+        default="hips",
+        help="Joint with the root motion: the hips, or a new root joint on the ground below them, as engines expect.",
+    ),
+)
+
+
+@dataclass(frozen=True)
+class RootMotion:
+    """How the way over the ground is written: in place or not, carried by the hips or by a bone on the ground."""
+
+    in_place: bool = False
+    root: str = "hips"
+
+    def applied(self, motion: Motion, cyclic: bool = False) -> Motion:
+        """The motion with its way as asked for; cyclic for one whose last frame is its first."""
+        if not self.in_place and self.root == "hips":
+            return motion
+        from motionkit.editing.root_motion import in_place, with_ground_root
+
+        if self.in_place:
+            motion = in_place(motion, cyclic)
+        return with_ground_root(motion, cyclic) if self.root == "ground" else motion
 
 
 @dataclass(frozen=True)
@@ -50,44 +74,43 @@ class RigChoice:
         rig: the rig, or None.
         clip: its motion from --from, or None.
         files: the files that were read.
+        way: how the way over the ground is written.
     """
 
-    rig: Rig | None
-    clip: Motion | None
-    files: tuple[Path, ...]
+    rig: Rig | None = None
+    clip: Motion | None = None
+    files: tuple[Path, ...] = ()
+    way: RootMotion = RootMotion()
 
-    def put(self, motion: Motion, ik: bool, way: RootMotion = HIPS, cyclic: bool = False) -> Motion:
-        """What to write for a motion on the canonical joints: itself, or the motion on the rig.
+    @property
+    def words(self) -> str:
+        """What stands behind a motion in messages: the rig it is on."""
+        return "" if self.rig is None else f" on {self.rig.name}"
 
-        Args:
-            motion: on the canonical joints.
-            ik: hold the feet of the rig.
-            way: how the way over the ground is written.
-            cyclic: the last frame of the motion is its first.
-        """
-        return way.applied(self._on_rig(motion, ik, way), cyclic)
-
-    def put_and_measure(
-        self, motion: Motion, ik: bool, way: RootMotion, cyclic: bool = False
-    ) -> tuple[Motion, Motion]:
-        """What to write, as put gives it, and the motion that metrics measure: the same on the canonical joints."""
-        made = self._on_rig(motion, ik, way)
-        if self.rig is None:
-            return way.applied(made, cyclic), motion
-        from motionkit.rig.on_rig import from_rig
-
-        return way.applied(made, cyclic), from_rig(made, self.rig)
-
-    def _on_rig(self, motion: Motion, ik: bool, way: RootMotion) -> Motion:
+    def on_rig(self, motion: Motion, ik: bool) -> Motion:
+        """A motion on the canonical joints, put on the rig; ik holds the feet of the rig."""
         if self.rig is None:
             return motion
         from motionkit.finish.on_rig import on_rig
 
-        if way.root == "ground":
-            raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
         return on_rig(motion, self.rig, ik, self.clip)
 
-    def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]]) -> Clip:
+    def put(self, motion: Motion, ik: bool, cyclic: bool = False) -> tuple[Motion, Motion]:
+        """What to write for a motion, and the motion that metrics measure: the same on the canonical joints.
+
+        Args:
+            motion: on the canonical joints.
+            ik: hold the feet of the rig.
+            cyclic: the last frame of the motion is its first.
+        """
+        made = self.on_rig(motion, ik)
+        if self.rig is None:
+            return self.way.applied(made, cyclic), motion
+        from motionkit.rig.on_rig import from_rig
+
+        return self.way.applied(made, cyclic), from_rig(made, self.rig)
+
+    def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]] = ()) -> Clip:
         """What writers take for a motion from put; a BVH file gets the hierarchy and channels of the rig."""
         from motionkit.export.clip import Clip
 
@@ -96,16 +119,13 @@ class RigChoice:
         return Clip(motion, name, types, self.rig.channels, self.rig.hierarchy)
 
 
-NO_RIG = RigChoice(None, None, ())
-
-
 def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | None) -> RigChoice:
     """Read what the options name; raises UsageError for --map or --from without --rig."""
     for name, path in (("--map", map_path), ("--from", clip_path)):
         if path is not None and rig_path is None:
             raise click.UsageError(f"{name} needs --rig, the file of the rig")
     if rig_path is None:
-        return NO_RIG
+        return RigChoice()
     from motionkit.rig.on_rig import read_clip, read_rig
 
     rig = read_rig(rig_path, map_path)
@@ -113,13 +133,14 @@ def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | Non
     return RigChoice(rig, clip, tuple(path for path in (rig_path, map_path, clip_path) if path is not None))
 
 
-def rig_options(function: Callable) -> Callable:
-    """The options --rig, --map and --from; the command gets what they name as `choice`."""
+def open_written(
+    rig_path: Path | None, map_path: Path | None, clip_path: Path | None, in_place: bool, root: str
+) -> RigChoice:
+    """As open_rig, with the way over the ground; raises UsageError for a ground joint on a rig."""
+    if rig_path is not None and root == "ground":
+        raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
+    return replace(open_rig(rig_path, map_path, clip_path), way=RootMotion(in_place, root))
 
-    @functools.wraps(function)
-    def with_rig(
-        *arguments: Any, rig_path: Path | None, map_path: Path | None, clip_path: Path | None, **options: Any
-    ) -> Any:
-        return function(*arguments, choice=open_rig(rig_path, map_path, clip_path), **options)
 
-    return rig_option(map_option(clip_option(with_rig)))
+rig_options = together(rig_option, map_option, clip_option, gathered("choice", open_rig))
+written_options = together(root_options, rig_option, map_option, clip_option)

@@ -1,32 +1,10 @@
-"""Shared by commands that show motions: the --view option, and opening a file in the browser."""
+"""Opening a page in the browser, where there is one."""
 
 from __future__ import annotations
 
 import os
 import sys
 import webbrowser
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
-
-import click
-
-if TYPE_CHECKING:
-    from motionkit.view.figure_data import Shown
-
-view_option = click.option(
-    "--view", is_flag=True, help="Also write a web page that plays the motion, and open it."
-)
-
-
-def write_and_open(path: Path, shown: Sequence[Shown], quiet: bool) -> Path:
-    """Write a viewer file, open it unless quiet, and return its path."""
-    from motionkit.view.viewer import write_viewer
-
-    write_viewer(path, shown)
-    if not quiet:
-        open_in_browser(path.resolve().as_uri())
-    return path
 
 
 def open_in_browser(address: str) -> bool:

@@ -4,21 +4,36 @@ from __future__ import annotations
 
 import math
 import sys
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from motionkit.cli.common import STOPPED, json_option, print_json, seed_option, stdout_console
+from motionkit.cli.common import (
+    EXISTING_FOLDER,
+    FILE,
+    FOLDER,
+    STOPPED,
+    gathered,
+    json_option,
+    option,
+    print_json,
+    say,
+    seed_option,
+)
 from motionkit.cli.finite import FiniteRange
 from motionkit.cli.training_monitor import TrainingMonitor, check_preview
-from motionkit.errors import MotionkitError, OverwriteError
+from motionkit.errors import OverwriteError
 from motionkit.files import check_outputs
 from motionkit.names import nfc
 from motionkit.training.budgets import BUDGETS
 
+if TYPE_CHECKING:
+    from motionkit.training.options import TrainOptions
+
 BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
-KEPT_SHARE = 0.5  # of the windows, with --add, are of the types that the model knew
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
 
 
@@ -41,20 +56,62 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
     return weights
 
 
+@dataclass(frozen=True)
+class Beginning:
+    """What training begins from."""
+
+    init: str | None
+    from_scratch: bool
+    add: bool
+
+    def of(self, preset: str) -> str | None:
+        """The model to begin from, None for random weights; raises UsageError for contradictions."""
+        if self.from_scratch and (self.init or self.add):
+            other = "--init" if self.init else "--add"
+            raise click.UsageError(f"--from-scratch cannot be combined with {other}")
+        init = self.init
+        if init is None and not self.from_scratch and preset == BUNDLED_PRESET:
+            init = BUNDLED
+        if self.add and init is None:
+            raise click.UsageError(
+                f"--add needs a model to begin from; give --init, or the preset {BUNDLED_PRESET}"
+            )
+        return init
+
+
+@dataclass(frozen=True)
+class Run:
+    """What training writes, and whether it goes on."""
+
+    output: Path
+    run_folder: Path | None
+    preview: Path | None
+    force: bool
+    resume: bool
+    as_json: bool
+
+    @property
+    def folder(self) -> Path:
+        """The run folder: beside the model by default."""
+        return self.run_folder or self.output.with_suffix(".run")
+
+    def check(self, inputs: list[str | Path | None]) -> None:
+        """Refuse, before any work, to overwrite an input, or an earlier run that is neither resumed nor given up."""
+        check_preview(self.preview)
+        check_outputs([self.output, *([self.preview] if self.preview else [])], inputs)
+        if self.resume or self.force:
+            return
+        for path in (self.output, self.folder / "checkpoint.safetensors"):
+            if path.exists():
+                raise OverwriteError(f"{path}: exists; continue with --resume, or overwrite it with --force")
+
+
 @click.command("train")
-@click.argument("dataset", type=click.Path(exists=True, file_okay=False, path_type=Path))
-@click.option(
-    "-o",
-    "--output",
-    default="model.safetensors",
-    show_default=True,
-    type=click.Path(dir_okay=False, path_type=Path),
-    help="Model file to write.",
-)
-@click.option(
+@click.argument("dataset", type=EXISTING_FOLDER)
+@option("-o", "--output", default="model.safetensors", type=FILE, help="Model file to write.")
+@option(
     "--preset",
     default="tptn",
-    show_default=True,
     type=click.Choice(PRESET_CHOICES),
     help="Network and training settings (docs/training.md).",
 )
@@ -91,6 +148,7 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 @click.option("--rate", type=FiniteRange(1e-7, 1.0), help="Peak learning rate; the preset's by default.")
 @click.option(
     "--optimizer",
+    "method",
     type=click.Choice(["muon", "adamw"]),
     help="Optimizer of the matrices within layers; by default muon from random weights, adamw from a model and for "
     "tptn-paper.",
@@ -131,16 +189,13 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--run-folder",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     help="Folder for checkpoint, log.jsonl and samples; beside the model by default.",
 )
-@click.option(
-    "--device", default="auto", show_default=True, help="Device to train on: auto, cpu, cuda, cuda:1 ..."
-)
-@click.option(
+@option("--device", default="auto", help="Device to train on: auto, cpu, cuda, cuda:1 ...")
+@option(
     "--precision",
     default="auto",
-    show_default=True,
     type=click.Choice(["auto", "float32", "bfloat16"]),
     help="Number format of the network's arithmetic.",
 )
@@ -151,42 +206,22 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 )
 @click.option(
     "--preview",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     help="Page (.html) or contact sheet (.png) of the motions of each evaluation so far.",
 )
 @click.option("--half", is_flag=True, help="Store the weights in 16 bits, half the size.")
 @seed_option()
 @json_option
+@gathered("begins", Beginning)
+@gathered("run", Run)
 def command(
     dataset: Path,
-    output: Path,
+    begins: Beginning,
+    run: Run,
     preset: str,
-    minutes: float | None,
-    steps: int | None,
-    budget: str | None,
-    resume: bool,
-    force: bool,
-    init: str | None,
-    from_scratch: bool,
-    add: bool,
-    batch: int | None,
-    window: int | None,
-    rate: float | None,
-    optimizer: str | None,
-    type_weights: dict[str, float],
-    step_weight: float | None,
-    step_except: tuple[str, ...],
-    reference_dropout: float | None,
-    trajectory_drift: float | None,
-    splices: int | None,
-    run_folder: Path | None,
     device: str,
-    precision: str,
     score_minutes: float | None,
-    preview: Path | None,
-    half: bool,
-    seed: int,
-    as_json: bool,
+    **changes: Any,
 ) -> None:
     """Train a motion model on a DATASET folder made by preprocess.
 
@@ -195,87 +230,47 @@ def command(
     --resume continues the run exactly. For several processes: torchrun --nproc-per-node N -m motionkit train
     DATASET ...
     """
-    init = _beginning(init, from_scratch, add, preset)
-    check_preview(preview)
-    check_outputs(
-        [output, *([preview] if preview else [])], [init if init != BUNDLED else None, *dataset.glob("*")]
-    )
-    if not resume and not force:
-        _refuse_to_replace(output, run_folder or output.with_suffix(".run"))
+    init = begins.of(preset)
+    run.check([init if init != BUNDLED else None, *dataset.glob("*")])
 
-    from importlib.util import find_spec
-
-    if find_spec("torch") is None:
-        raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
-    from motionkit.api import FINE_TUNE_MINUTES, TRAIN_MINUTES
+    import motionkit as mk
     from motionkit.data.amounts import small_types
-    from motionkit.data.dataset import Dataset
-    from motionkit.training.presets import fine_tune_options, train_options
-    from motionkit.training.trainer import train
 
-    if minutes is None and steps is None and budget is None:
-        minutes = TRAIN_MINUTES if init is None else FINE_TUNE_MINUTES
-    options = (train_options if init is None else partial(fine_tune_options, init=init))(
-        preset,
-        steps=steps,
-        minutes=minutes,
-        budget=budget,
-        kept_share=KEPT_SHARE if add else None,
-        batch=batch,
-        window=window,
-        rate=rate,
-        method=optimizer,
-        type_weights=type_weights,
-        step_weight=step_weight,
-        step_except=step_except,
-        reference_dropout=reference_dropout,
-        trajectory_drift=trajectory_drift,
-        splices=splices,
-        seed=seed,
-        precision=precision,
-        score_minutes=score_minutes or (1.0 if preview else None),
-        half=half,
+    options = _options(preset, init, begins.add, score_minutes or (1.0 if run.preview else None), changes)
+    monitor = TrainingMonitor(
+        run.as_json, options, run.preview, run.folder / "samples", small_types(mk.Dataset(dataset))
     )
-    samples = (run_folder or output.with_suffix(".run")) / "samples"
-    monitor = TrainingMonitor(as_json, options, preview, samples, small_types(Dataset(dataset)))
     with monitor:
-        result = train(dataset, output, options, resume, run_folder, device, monitor)
+        result = mk.train(dataset, run.output, options, run.resume, run.run_folder, device, monitor)
     if not monitor.first_process:
         return
     summary = {
-        "model": str(result.model),
+        "model": result.model,
         "steps": result.steps,
         "seconds": round(result.seconds, 1),
         "finished": result.finished,
         "losses": result.losses,
     }
-    if as_json:
+    if run.as_json:
         print_json(summary)
         return
     word = "trained" if result.finished else "stopped"
     # Without losses no step was made: the run had gone as far before.
     loss = f"loss {result.losses['total']:.2f}" if "total" in result.losses else "no step was left to make"
-    stdout_console().print(
-        f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; {loss}; wrote {result.model}",
-    )
+    say(f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; {loss}; wrote {result.model}")
     if not result.finished:
         sys.exit(STOPPED)
 
 
-def _beginning(init: str | None, from_scratch: bool, add: bool, preset: str) -> str | None:
-    """The model to begin from, None for random weights. Raises UsageError for options that contradict each other."""
-    if from_scratch and (init or add):
-        raise click.UsageError(f"--from-scratch cannot be combined with {'--init' if init else '--add'}")
-    if init is None and not from_scratch and preset == BUNDLED_PRESET:
-        init = BUNDLED
-    if add and init is None:
-        raise click.UsageError(
-            f"--add needs a model to begin from; give --init, or the preset {BUNDLED_PRESET}"
-        )
-    return init
+def _options(
+    preset: str, init: str | None, add: bool, score_minutes: float | None, changes: dict[str, Any]
+) -> TrainOptions:
+    """The options of a run; changes are those of train_options."""
+    import motionkit as mk
 
+    make = mk.train_options if init is None else partial(mk.fine_tune_options, init=init)
+    from motionkit.training.presets import FINE_TUNE_MINUTES, KEPT_SHARE, TRAIN_MINUTES
 
-def _refuse_to_replace(model: Path, run_folder: Path) -> None:
-    for path in (model, run_folder / "checkpoint.safetensors"):
-        if path.exists():
-            raise OverwriteError(f"{path}: exists; continue with --resume, or overwrite it with --force")
+    if changes["minutes"] is None and changes["steps"] is None and changes["budget"] is None:
+        changes |= {"minutes": TRAIN_MINUTES if init is None else FINE_TUNE_MINUTES}
+    return make(preset, kept_share=KEPT_SHARE if add else None, score_minutes=score_minutes, **changes)

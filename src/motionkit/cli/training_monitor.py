@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from motionkit.cli.common import stderr_console
+from motionkit.names import duration
 
 if TYPE_CHECKING:
     from rich.live import Live
 
     from motionkit.training.options import TrainOptions
-    from motionkit.training.trainer import TrainEvent
+    from motionkit.training.report import TrainEvent
+    from motionkit.view.preview import Preview
 
 PREVIEW_KINDS = (".html", ".png")
-SHOWN_ROUNDS = 4  # of evaluations in a preview; of more, the first and the last ones
 _BAR = 30  # columns
 
 
@@ -48,14 +49,17 @@ class TrainingMonitor:
         """
         self.losses = losses
         self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
-        self.preview, self.samples = preview, samples
+        self.preview: Preview | None = None
+        if preview is not None:
+            from motionkit.view.preview import Preview
+
+            self.preview = Preview(preview, samples)
         self.first_process = os.environ.get("RANK", "0") == "0"
         self.console = stderr_console()
         self.live: Live | None = None
         self.began: tuple[int, float] | None = (
             None  # step and seconds of the first event: a run may be resumed
         )
-        self.rounds: list[tuple[int, list[Path]]] = []
         self.prepared = -1
         self.stopping = ""
 
@@ -78,8 +82,8 @@ class TrainingMonitor:
     def __call__(self, event: TrainEvent) -> None:
         while self.warnings:
             self.console.print(f"warning: {self.warnings.pop(0)}")
-        if event.kind == "score" and self.preview is not None:
-            self._grow(event)
+        if event.kind == "score" and self.preview and (fault := self.preview.grow(event.step)):
+            self.console.print(fault)
         if self.quiet:
             return
         if event.kind == "stop":
@@ -132,45 +136,6 @@ class TrainingMonitor:
             lines.append(", ".join(f"{name} {value:.2f}" for name, value in event.losses.items()))
         return Group(*lines, *([self.stopping] if self.stopping else []))
 
-    def _grow(self, event: TrainEvent) -> None:
-        """Write the preview anew: the roll-outs of every evaluation, after the recordings."""
-        from motionkit.api import write_view
-        from motionkit.errors import MotionkitError
-        from motionkit.motion.bvh import bvh_to_motion, read_bvh
-
-        assert self.preview is not None
-        kept = self.samples.parent / "preview"
-        try:
-            kept.mkdir(parents=True, exist_ok=True)
-            copies = []
-            for made in sorted(self.samples.glob("*-predicted.bvh")):
-                copy = kept / f"{made.stem.removesuffix('-predicted')}-step-{event.step}.bvh"
-                copy.write_bytes(made.read_bytes())
-                copies.append(copy)
-            self.rounds.append((event.step, copies))
-            shown = self.rounds[:1] + self.rounds[1:][1 - SHOWN_ROUNDS :]
-            files = [file for _, made in shown for file in made] + sorted(self.samples.glob("*-true.bvh"))
-            files.sort(key=_type_and_step)
-            motions = [bvh_to_motion(read_bvh(file)) for file in files]
-            write_view(self.preview, *motions, names=[file.stem for file in files])
-        except (MotionkitError, OSError) as error:
-            self.console.print(f"the preview failed, the run continues: {error}")
-
-
-def _type_and_step(file: Path) -> tuple[str, int]:
-    """Files of one type after each other: the recording, then the roll-outs by step."""
-    if file.stem.endswith("-true"):
-        return file.stem.removesuffix("-true"), -1
-    kind, _, step = file.stem.rpartition("-step-")
-    return kind, int(step)
-
-
-def duration(seconds: float) -> str:
-    """Seconds in words: "40 s", "4 min", "2.5 h"."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
-
 
 def _bar(share: float) -> str:
     done = round(_BAR * min(max(share, 0.0), 1.0))
@@ -179,17 +144,18 @@ def _bar(share: float) -> str:
 
 def score_table(event: TrainEvent) -> Any:
     """The scores of roll-outs as a table."""
-    from rich.table import Table
+    from motionkit.cli.console import make_table
 
-    table = Table(title=f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)")
-    for name in ("type", "joint speed", "pose distance cm", "slide", "root height cm"):
-        table.add_column(name, justify="left" if name == "type" else "right")
-    for score in event.scores:
-        table.add_row(
+    rows = [
+        (
             score.type,
             f"{score.joint_speed:.2f}",
             f"{score.pose_distance:.1f}",
             f"{score.slide:.2f}",
             f"{score.height[0]:.0f} to {score.height[1]:.0f}",
         )
-    return table
+        for score in event.scores
+    ]
+    columns = ("type", "joint speed", "pose distance cm", "slide", "root height cm")
+    title = f"roll-outs at step {event.step} (joint speed and foot slide relative to recordings)"
+    return make_table(columns, rows, title=title)

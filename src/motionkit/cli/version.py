@@ -4,27 +4,32 @@ from __future__ import annotations
 
 import click
 
-from motionkit import __version__
+from motionkit.version import __version__
 
 
 def version_text() -> str:
-    """The release, the C kernels that load, torch and the bundled model, a line each; imports no torch."""
-    from motionkit.inference.frame_kernel import frame_library
-    from motionkit.inference.step_kernel import kernel_library
-
-    libraries = {
-        "step": kernel_library,
-        "frame": frame_library,
-    }  # that of training needs torch to be imported
-    loaded = [name for name, library in libraries.items() if library() is not None]
+    """The release, the C kernels, torch and the bundled model, a line each; imports no torch."""
     return "\n".join(
         [
             f"motionkit, version {__version__}",
-            f"kernels: {', '.join(loaded) or 'none, numpy does the work'}",
+            f"kernels: {_kernels()}",
             f"torch: {_torch()}",
             f"model: {_model()}",
         ]
     )
+
+
+def _kernels() -> str:
+    """Those of inference; that of training needs torch to be imported."""
+    from motionkit.errors import MotionkitError
+    from motionkit.inference.frame_kernel import frame_library
+    from motionkit.inference.step_kernel import kernel_library
+
+    try:
+        kernel_library(), frame_library()
+    except MotionkitError as error:
+        return str(error)
+    return "step, frame"
 
 
 def _torch() -> str:

@@ -21,7 +21,8 @@ from motionkit.control.speeds import acceleration_limit
 from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.inference.noise import default_noise
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
@@ -174,7 +175,7 @@ def follow_path(
     place = np.array([[*path.points[0], heading]], np.float32)
     limit = int((PATIENCE * plan.seconds + 3.0) * model.fps)
     state = RolloutState(model, 1, options.noise or default_noise(model), options.seed)
-    state.set_skeletons([body])
+    state.controls.set_skeletons([body])
     state.start(begin.start.features, begin.start.contacts, weights, place, begin.length)
 
     furthest = 0.0

@@ -19,15 +19,8 @@ from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
 from motionkit.finish.finish import Finish, finish
-from motionkit.inference.rollout import (
-    Controller,
-    Noise,
-    Rollout,
-    RolloutState,
-    default_noise,
-    rollout_motion,
-    run,
-)
+from motionkit.inference.noise import Noise, default_noise
+from motionkit.inference.rollout import Controller, Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
@@ -125,7 +118,7 @@ def synthesize(
         openings.append(opening(model, own[0].type, bodies[-1], init, options.seed + i))
         plans.append(plan_types(model, own, openings[-1].shown))
     state = _begun(model, options, bodies, openings, plans)
-    controller: Controller = CrowdController(model, plans, options.seed, state)
+    controller: Controller = CrowdController(model, plans, options.seed, state.frame)
     if options.keys:
         keyed = plan_keys(plans[0], options.keys)
         controller = KeyedController(model, controller, keyed, openings[0], model.body_scale(names[0]))
@@ -152,7 +145,7 @@ def _begun(
 ) -> RolloutState:
     """A roll-out that has shown the opening of each character."""
     state = RolloutState(model, options.count, options.noise or default_noise(model), options.seed)
-    state.set_skeletons(bodies)
+    state.controls.set_skeletons(bodies)
     starts = [each.start for each in openings]
     state.start(
         [start.features[0] for start in starts],

@@ -13,13 +13,12 @@ import numpy as np
 from motionkit.data.events import KINDS
 from motionkit.data.labels import type_fault
 from motionkit.errors import DatasetError
-from motionkit.features.control import TRAJECTORY_COUNT
+from motionkit.features.control import MOST_TYPES, TRAJECTORY_COUNT
 from motionkit.features.layout import FEATURE_COUNT, LAYOUTS
-from motionkit.files import check_regular
+from motionkit.files import check_regular, is_number
 from motionkit.motion.skeleton import JOINT_COUNT
 from motionkit.names import nfc
 
-MAX_TYPES = 1000
 MAX_ROWS = 2**40
 MAX_ARRAY_BYTES = 2**50
 # Largest absolute value; results computed from such features stay within float32.
@@ -29,7 +28,7 @@ ARRAY_KINDS: dict[str, tuple[tuple[int, ...], type, float, float]] = {
     "features": ((FEATURE_COUNT,), np.float32, -MAX_VALUE, MAX_VALUE),
     "contacts": ((4,), np.uint8, 0, 1),
     "ground": ((3,), np.float32, -MAX_VALUE, MAX_VALUE),
-    "types": ((), np.int16, 0, MAX_TYPES - 1),
+    "types": ((), np.int16, 0, MOST_TYPES - 1),
     "phases": ((), np.float32, -1.0, 1.0),
 }
 
@@ -52,8 +51,8 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     check("types", isinstance(types, list) and all(isinstance(t, str) for t in types), "names")
     faults = [type_fault(t) for t in types if type_fault(t)]
     check("types", not faults, f"names of motion types, found {''.join(faults[:1])}")
-    check("types", 0 < len(types) <= MAX_TYPES and len(set(map(nfc, types))) == len(types), "distinct names")
-    check("fps", _number(manifest.get("fps"), 1.0, 1000.0), "a number from 1 to 1000")
+    check("types", 0 < len(types) <= MOST_TYPES and len(set(map(nfc, types))) == len(types), "distinct names")
+    check("fps", is_number(manifest.get("fps"), 1.0, 1000.0), "a number from 1 to 1000")
     check("layout", manifest.get("layout") in LAYOUTS, f"one of {', '.join(LAYOUTS)}")
     body = (JOINT_COUNT, 3)
     check(
@@ -79,7 +78,7 @@ def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> 
     good = (
         _mapping(seconds)
         and set(seconds) <= set(types)
-        and all(_number(s, 1e-3, 3600.0) for s in seconds.values())
+        and all(is_number(s, 1e-3, 3600.0) for s in seconds.values())
     )
     check("phase_seconds", good, "seconds of some of the types")
     good = _mapping(events) and set(events) <= set(types) and all(e in ("", *KINDS) for e in events.values())
@@ -101,18 +100,10 @@ def _mapping(value: object) -> bool:
     return isinstance(value, dict)
 
 
-def _number(value: object, low: float, high: float) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and low <= value <= high
-
-
-def _whole(value: object, low: int, high: int) -> bool:
-    return isinstance(value, int) and _number(value, low, high)
-
-
 def _table(value: object, shape: tuple[int, ...]) -> bool:
     """Whether nested lists have a shape and contain only numbers."""
     if not shape:
-        return _number(value, -MAX_VALUE, MAX_VALUE)
+        return is_number(value, -MAX_VALUE, MAX_VALUE)
     return (
         isinstance(value, list) and len(value) == shape[0] and all(_table(item, shape[1:]) for item in value)
     )
@@ -125,10 +116,10 @@ def _is_clip(value: object, clip_type: type, bodies: int) -> bool:
         and names - {"mirrored"} <= set(value) <= names
         and isinstance(value["name"], str)
         and isinstance(value["subject"], str)
-        and _whole(value["start"], 0, MAX_ROWS)
-        and _whole(value["frames"], 1, MAX_ROWS)
+        and is_number(value["start"], 0, MAX_ROWS, whole=True)
+        and is_number(value["frames"], 1, MAX_ROWS, whole=True)
         and value["split"] in ("train", "validation", "test")
-        and _whole(value["body"], 0, bodies - 1)
+        and is_number(value["body"], 0, bodies - 1, whole=True)
         and isinstance(value.get("mirrored", False), bool)
     )
 

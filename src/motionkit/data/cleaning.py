@@ -19,7 +19,6 @@ from motionkit.arrays import Array, lower_median, normalized
 from motionkit.motion.floor import TOES, floor_shift
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import (
-    quat_angle,
     quat_continuous,
     quat_identity,
     quat_inverse,
@@ -30,45 +29,83 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_NAMES
 
-# Breaks: a jump of the whole body, or of one joint, that the following frames do not continue.
-LEAD_SECONDS = 0.5
-EDGE_SECONDS = 0.1
-# No dance or walk comes this close to the rest pose (mean over the joints); T-poses are at 5 to 7 degrees.
-REST_ANGLE = math.radians(10.0)
-BLEND_RATIO = 2.0
-FROZEN_ANGLE = math.radians(0.01)
-FROZEN_DISTANCE = 1e-3
-BODY_BREAK = math.radians(3.0)
-FAR_BODY_BREAK = math.radians(6.0)
-ROOT_BREAK = 8.0
-JOINT_BREAK = math.radians(30.0)
-BREAK_RATIO = 3.5
-LOOK_AHEAD = 8
-
-# Pops: a joint jumps away and back. Longer pops need a larger jump to count.
-POP_JUMP = math.radians(8.0)
-LONG_POP_JUMP = math.radians(30.0)
-POP_RATIO = 3.0
-LONG_POP_RATIO = 4.0
-LONG_POP_SECONDS = 0.034
-NEIGHBOURS = 4
-ROOT_POP = 1.2
-ROOT_POP_RATIO = 4.0
-JUMP_LEFT = math.radians(60.0)
-
-# Flips: hip and ankle stay, but knee and toes jump to the other side of the line between them and return some frames
-# later. A limb is (upper, middle, end).
+# Upper, middle and end joint of a leg or arm, which flips where hip and ankle stay, but knee and toes jump to the
+# other side of the line between them and return some frames later.
 Limb = tuple[int, int, int]
 LIMBS: tuple[Limb, ...] = tuple(
     (JOINT_NAMES.index(side + upper), JOINT_NAMES.index(side + middle), JOINT_NAMES.index(side + end))
     for side in ("Left", "Right")
     for upper, middle, end in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand"))
 )
-FLIP_JUMP = math.radians(40.0)
-FLIP_FULL = math.radians(150.0)
-FLIP_SECONDS = 0.25
-FLIP_TURN = math.radians(75.0)
 
+
+@dataclass(frozen=True)
+class Breaks:
+    """When frames at an end are cut off: the body stands still, or leaps and does not go on as it leapt.
+
+    Seconds, radians and cm; steps are those from frame to frame at 60 fps, and larger at a lower rate.
+    """
+
+    # How far from the ends leaps of the whole body and of single joints count. Chosen: T-poses and their blends are
+    # within half a second, and what a joint does after a tenth is motion. Longer ones cut motion that begins fast.
+    lead_seconds: float = 0.5
+    edge_seconds: float = 0.1
+    # Mean angle to the rest pose of a first frame that is a T-pose. Measured: these are at 4.8 to 6.7 degrees, no
+    # frame of real motion is within 11.5.
+    rest_angle: float = math.radians(10.0)
+    # Blends out of a T-pose end where the step falls to so many times the median that follows. Chosen; with less,
+    # more of the calm beginning goes.
+    blend_ratio: float = 2.0
+    # Steps below which a body is frozen. Chosen; with more, a body that only breathes would count.
+    frozen_angle: float = math.radians(0.01)
+    frozen_distance: float = 1e-3
+    # Steps that may be leaps: all joints on average, the same beyond edge_seconds, the root, one joint. Measured on
+    # 76 clips that labels say begin badly: all are found, and one besides. With less, fast starts are cut.
+    body: float = math.radians(3.0)
+    far_body: float = math.radians(6.0)
+    root: float = 8.0
+    joint: float = math.radians(30.0)
+    # A leap is so many times any of the next `look_ahead` steps. Measured likewise: with less, kicks are cut.
+    ratio: float = 3.5
+    look_ahead: int = 8
+
+
+@dataclass(frozen=True)
+class Pops:
+    """When a joint, or the root's place, jumps away and back and is bridged. Radians, cm, seconds and ratios.
+
+    Measured on CMU clips (docs/cleaning.md): single frames off by 8 degrees are no motion, kicks and flips have fast
+    steps beside their fastest ones. Smaller jumps or ratios would flatten these, larger ones leave glitches.
+    """
+
+    jump: float = math.radians(8.0)  # least jump away and back, of one or two frames
+    ratio: float = 3.0  # times the steps around, and the gap that bridging leaves
+    # The same of longer pops, which motion comes nearer to.
+    long_jump: float = math.radians(30.0)
+    long_ratio: float = 4.0
+    long_seconds: float = 0.034  # of the longest: four frames at 120 fps; toes roll in a run in two at 30
+    neighbours: int = 4  # steps before and after that count as around
+    away: float = 0.7  # of the jump, by which all frames of the pop are off the bridge
+    root_jump: float = 1.2  # distance of the root from the line of its neighbours
+    root_ratio: float = 4.0  # times the distances nearby
+
+
+@dataclass(frozen=True)
+class Flips:
+    """When a knee or elbow is on the wrong side. Measured on CMU subject 05, 24 flips in 8 clips (docs/cleaning.md)."""
+
+    jump: float = math.radians(
+        40.0
+    )  # of both thigh and foot, away and back; with less, fast swings would count
+    seconds: float = 0.25  # of the longest; what stays longer may be meant
+    # How far the good frames around may be apart, for a flip of `full`; smaller flips in proportion. Chosen: with more,
+    # turns that happen to pause would be undone.
+    turn: float = math.radians(75.0)
+    full: float = math.radians(150.0)
+
+
+BREAKS, POPS, FLIPS = Breaks(), Pops(), Flips()
+JUMP_LEFT = math.radians(60.0)  # a step that is noted, if it is left; 15 of 248 CMU clips have such
 MOST_JUMPS_TOLD = 20
 
 
@@ -132,7 +169,7 @@ def _steps(motion: Motion) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """quat_angle from the chord of the difference, which is exact for small angles too."""
+    """Angles (...) between rotations (..., 4), from the chord of the difference: exact for small ones too, and fast."""
     same = (a * b).sum(axis=-1, keepdims=True) >= 0
     squared = (np.where(same, a - b, a + b) ** 2).sum(axis=-1)
     return 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(squared), 1.0))
@@ -151,13 +188,13 @@ def _good_span(motion: Motion) -> tuple[int, int]:
 def _lead(angles: Array, distances: Array, fps: float) -> int:
     """Number of frames to cut at the start, from the steps (T - 1, J) and (T - 1)."""
     half = len(angles) // 2
-    edge = min(max(3, round(EDGE_SECONDS * fps)), half)
-    window = min(round(LEAD_SECONDS * fps), half)
+    edge = min(max(3, round(BREAKS.edge_seconds * fps)), half)
+    window = min(round(BREAKS.lead_seconds * fps), half)
     coarse = max(1.0, 60.0 / fps)  # real steps are larger at lower frame rates
     body = angles.mean(axis=1)
     lead = max(
-        _last_true(_breaks(body, coarse * FAR_BODY_BREAK, window)),
-        _last_true(_breaks(distances, coarse * ROOT_BREAK, window)),
+        _last_true(_breaks(body, coarse * BREAKS.far_body, window)),
+        _last_true(_breaks(distances, coarse * BREAKS.root, window)),
         _edge_breaks(angles, edge, coarse),
     )
     return lead + _frozen(angles[lead:], distances[lead:])
@@ -166,42 +203,46 @@ def _lead(angles: Array, distances: Array, fps: float) -> int:
 def _rest_pose_blend(motion: Motion, angles: Array) -> int:
     """Number of frames that blend out of the rest pose, from the steps (T - 1, J); 0 if there is no blend."""
     first = motion.local_rotations[0, 1:]
-    if float(_angle(first, quat_identity((1,), first.dtype)).mean()) > REST_ANGLE:
+    if float(_angle(first, quat_identity((1,), first.dtype)).mean()) > BREAKS.rest_angle:
         return 0
     body = angles.mean(axis=1)
-    later = body[round(EDGE_SECONDS * motion.fps) : round((EDGE_SECONDS + LEAD_SECONDS) * motion.fps)]
+    later = body[
+        round(BREAKS.edge_seconds * motion.fps) : round(
+            (BREAKS.edge_seconds + BREAKS.lead_seconds) * motion.fps
+        )
+    ]
     if not len(later):
         return 0
-    calm = np.flatnonzero(body <= BLEND_RATIO * lower_median(later))
+    calm = np.flatnonzero(body <= BREAKS.blend_ratio * lower_median(later))
     return int(calm[0]) if len(calm) else 0
 
 
 def _tail(angles: Array, distances: Array, fps: float) -> int:
     """Number of frames to cut at the end, from the steps in reverse order."""
-    edge = min(max(3, round(EDGE_SECONDS * fps)), len(angles) // 2)
+    edge = min(max(3, round(BREAKS.edge_seconds * fps)), len(angles) // 2)
     coarse = max(1.0, 60.0 / fps)
-    tail = max(_last_true(_breaks(distances, coarse * ROOT_BREAK, edge)), _edge_breaks(angles, edge, coarse))
+    tail = max(_last_true(_breaks(distances, coarse * BREAKS.root, edge)), _edge_breaks(angles, edge, coarse))
     return tail + _frozen(angles[tail:], distances[tail:])
 
 
 def _edge_breaks(angles: Array, edge: int, coarse: float) -> int:
     """Number of frames before the last break of the body or of a joint, within the first steps (T - 1, J)."""
-    body = _breaks(angles.mean(axis=1), coarse * BODY_BREAK, edge)
-    joints = _breaks(angles, coarse * JOINT_BREAK, edge)
+    body = _breaks(angles.mean(axis=1), coarse * BREAKS.body, edge)
+    joints = _breaks(angles, coarse * BREAKS.joint, edge)
     joints[2:, list(TOES)] = False  # toes jitter; cut only the outermost frames for them
     return _last_true(body | joints.any(axis=1))
 
 
 def _breaks(steps: Array, least: float, window: int) -> Array:
-    """Which of the first steps (window, ...) far exceed the LOOK_AHEAD steps that follow."""
-    ahead = np.concatenate([steps, np.broadcast_to(steps[-1:], (LOOK_AHEAD, *steps.shape[1:]))])
-    following = sliding_window_view(ahead[1:], LOOK_AHEAD, axis=0)[:window].max(axis=-1)
-    return (steps[:window] > least) & (steps[:window] > BREAK_RATIO * following)
+    """Which of the first steps (window, ...) far exceed the BREAKS.look_ahead steps that follow."""
+    ahead = np.concatenate([steps, np.broadcast_to(steps[-1:], (BREAKS.look_ahead, *steps.shape[1:]))])
+    following = sliding_window_view(ahead[1:], BREAKS.look_ahead, axis=0)[:window].max(axis=-1)
+    return (steps[:window] > least) & (steps[:window] > BREAKS.ratio * following)
 
 
 def _frozen(angles: Array, distances: Array) -> int:
     """Number of steps at the start without any movement; 0 if nothing ever moves."""
-    still = (angles.max(axis=1) < FROZEN_ANGLE) & (distances < FROZEN_DISTANCE)
+    still = (angles.max(axis=1) < BREAKS.frozen_angle) & (distances < BREAKS.frozen_distance)
     moving = np.flatnonzero(~still)
     return int(moving[0]) if len(moving) else 0
 
@@ -216,7 +257,7 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
     """The motion with short pops bridged, and their frames and joints."""
     rotations, places = motion.local_rotations.copy(), motion.root_positions.copy()
     # At a low frame rate, two frames away and back are real motion: toes roll off that fast in a run.
-    longest = max(1, round(LONG_POP_SECONDS * motion.fps))
+    longest = max(1, round(POPS.long_seconds * motion.fps))
     coarse = max(1.0, 60.0 / motion.fps)
     steps = _angle(rotations[:-1], rotations[1:])
     mended: list[tuple[int, str]] = []
@@ -245,28 +286,28 @@ def _joint_pops(rotations: Array, steps: Array, span: int, coarse: float) -> lis
     interpolation. This separates a pop from a fast swing, whose neighbours are fast too. The smallest jump is
     multiplied by coarse, because real steps are larger at lower frame rates.
     """
-    least, ratio = (POP_JUMP, POP_RATIO) if span <= 2 else (LONG_POP_JUMP, LONG_POP_RATIO)
+    least, ratio = (POPS.jump, POPS.ratio) if span <= 2 else (POPS.long_jump, POPS.long_ratio)
     jump = np.minimum(steps[: len(steps) - span], steps[span:])
     frames, joints = np.nonzero(jump > coarse * least)
     if not len(frames):
         return []
     before, after = rotations[frames, joints], rotations[frames + span + 1, joints]
     around = np.zeros(len(frames), steps.dtype)
-    for near in range(1, NEIGHBOURS + 1):
+    for near in range(1, POPS.neighbours + 1):
         around = np.maximum(around, _step_at(steps, frames - near, joints))
         around = np.maximum(around, _step_at(steps, frames + span + near, joints))
     around = np.maximum(around, _angle(before, after) / (span + 1))
     jump = jump[frames, joints]
     away = np.stack(
         [
-            quat_angle(
+            _angle(
                 rotations[frames + i, joints],
                 quat_slerp(before, after, np.full_like(jump, i / (span + 1))),
             )
             for i in range(1, span + 1)
         ]
     ).min(axis=0)
-    found = (jump > ratio * np.maximum(around, math.radians(1.0))) & (away > 0.7 * jump)
+    found = (jump > ratio * np.maximum(around, math.radians(1.0))) & (away > POPS.away * jump)
     return [(int(t) + 1, int(j)) for t, j in zip(frames[found], joints[found], strict=True)]
 
 
@@ -303,16 +344,16 @@ def _mend_flips(motion: Motion, limbs: Sequence[Limb]) -> tuple[Motion, list[tup
 
 def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]]:
     """First and last frame of every short span in which a limb (T, 4), (T, 4) is on the wrong side."""
-    jumps = (_angle(upper[:-1], upper[1:]) > FLIP_JUMP) & (_angle(end[:-1], end[1:]) > FLIP_JUMP)
+    jumps = (_angle(upper[:-1], upper[1:]) > FLIPS.jump) & (_angle(end[:-1], end[1:]) > FLIPS.jump)
     events = np.flatnonzero(jumps).tolist()
     spans: list[tuple[int, int]] = []
     for away, back in pairwise(events):
         taken = bool(spans) and away < spans[-1][1] + 1
-        if taken or back - away > FLIP_SECONDS * fps:
+        if taken or back - away > FLIPS.seconds * fps:
             continue
         ends_apart = float(_angle(upper[away], upper[back + 1]))
         jump = float(_angle(upper[away], upper[away + 1]))
-        if ends_apart < FLIP_TURN * min(1.0, jump / FLIP_FULL):
+        if ends_apart < FLIPS.turn * min(1.0, jump / FLIPS.full):
             spans.append((away + 1, back))
     return spans
 
@@ -334,12 +375,12 @@ def _twist(rotations: Array, axes: Array) -> Array:
 
 def _root_pops(places: Array) -> list[int]:
     """Frames whose place (T, 3) deviates from the line of its neighbours far more than nearby frames do."""
-    if len(places) < 2 * NEIGHBOURS:
+    if len(places) < 2 * POPS.neighbours:
         return []
     residual = np.zeros(len(places), places.dtype)
     residual[1:-1] = np.linalg.norm(places[1:-1] - 0.5 * (places[:-2] + places[2:]), axis=-1)
     found = []
-    for frame in np.flatnonzero(residual > ROOT_POP).tolist():
+    for frame in np.flatnonzero(residual > POPS.root_jump).tolist():
         # A pop shows at half its size in its two neighbours, so they do not count as nearby.
         nearby = np.concatenate(
             [residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]]
@@ -347,7 +388,7 @@ def _root_pops(places: Array) -> list[int]:
         # A jump without a return gives two equal residuals side by side.
         beside = max(float(residual[frame - 1]), float(residual[frame + 1]))
         level = max(0.1, float(nearby.max())) if len(nearby) else math.inf
-        if residual[frame] > max(1.4 * beside, ROOT_POP_RATIO * level):
+        if residual[frame] > max(1.4 * beside, POPS.root_ratio * level):
             found.append(frame)
     return found
 

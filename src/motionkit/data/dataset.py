@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -25,7 +25,7 @@ from motionkit.data.checking import check_manifest, check_range, open_array, sam
 from motionkit.data.events import SIDED
 from motionkit.data.folder import ARRAYS, MANIFEST, set_aside
 from motionkit.data.labels import mirrored_type
-from motionkit.data.phases import mirror_phases
+from motionkit.data.phases import NO_PHASE, mirror_phases, type_stretches
 from motionkit.errors import DatasetError
 from motionkit.features.decode import decode_motion
 from motionkit.features.layout import FeatureLayout, contact_mirror, feature_layout
@@ -83,6 +83,13 @@ class ClipData:
     types: Array
     phases: Array
     reference: Array
+
+    @staticmethod
+    def plain(features: Array, contacts: Array, ground: Array, types: Array) -> ClipData:
+        """The data of a clip without phases and reference poses."""
+        phases = np.full(len(types), NO_PHASE, np.float32)
+        reference = np.zeros((len(types), REFERENCE_COUNT), np.float32)
+        return ClipData(features, contacts, ground, types, phases, reference)
 
     def cut(self, start: int, end: int) -> ClipData:
         """Frames start to end (exclusive)."""
@@ -268,6 +275,12 @@ class Dataset:
     def select(self, split: str) -> list[Clip]:
         """The clips of a split, "train", "validation" or "test"."""
         return [clip for clip in self.clips if clip.split == split]
+
+    def stretches(self) -> Iterator[tuple[Clip, int, int, int]]:
+        """Each stretch of one type in the training clips: its clip, first and last frame (exclusive), and type id."""
+        for clip in self.select("train"):
+            for start, end, kind in type_stretches(self.clip_types(clip)):
+                yield clip, start, end, kind
 
     def check_layout(self, layout: str, needing: str) -> None:
         """Raise DatasetError unless the features have this layout; needing says who needs it."""

@@ -14,25 +14,21 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.data.cleaning import clean
 from motionkit.data.events import frames_in_the_air
-from motionkit.data.glitches import find_leaps
-from motionkit.data.labels import BEYOND_END, Segment, SourceFile, beyond_end, find_sources, mirrored_type
+from motionkit.data.first_pass import FPS, MIN_CLIP_FRAMES, read_source
+from motionkit.data.labels import BEYOND_END, SourceFile, beyond_end, find_sources, mirrored_type
 from motionkit.data.level import floor_tilts, footfalls, performer
+from motionkit.data.options import PreprocessOptions
 from motionkit.data.phases import PhaseStretch, phase_rule, phase_stretch
 from motionkit.data.repeat import FEW_SECONDS as REPEATED_BELOW
 from motionkit.data.repeat import LEAST_FRAMES
 from motionkit.errors import MotionkitError
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
-from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.motion import Motion, resample
-from motionkit.motion.rotations import quat_identity
+from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT
-from motionkit.rig.retarget import RetargetReport, retarget_file
+from motionkit.rig.retarget import RetargetReport
 
-FPS = 60.0
-MIN_FRAMES = 16  # of a labelled stretch
 FEW_SECONDS = 10.0  # of a type; it is learnt badly from less
 # A type leaves the ground if this share of its clips does; the others are then suspect.
 MOST = 0.6
@@ -148,12 +144,7 @@ class _Shown:
         return self.split not in HELD_OUT
 
 
-@dataclass(frozen=True, eq=False)
-class _Standing:
-    """Where the toes of a clip stand, (F, 3) each, and whose they are."""
-
-    performer: str
-    footfalls: tuple[Array, ...]
+Standing = tuple[str, tuple[Array, ...]]  # a performer, and where the toes of a clip stand: (F, 3) each
 
 
 def diagnose(
@@ -173,7 +164,7 @@ def diagnose(
     sources, table = find_sources([Path(folder) for folder in folders], labels)
     clips: list[ClipFacts] = []
     skipped: list[str] = []
-    standing: list[_Standing | None] = []
+    standing: list[Standing | None] = []
     shown: dict[str, list[_Shown]] = defaultdict(list)
     for done, source in enumerate(sources, 1):
         if source.skip_reason:
@@ -204,53 +195,49 @@ def diagnose(
     return Diagnosis(tuple(clips), types, table, tuple(warnings), tuple(skipped))
 
 
-def _with_tilts(clips: list[ClipFacts], standing: list[_Standing | None]) -> list[ClipFacts]:
+def _with_tilts(clips: list[ClipFacts], standing: list[Standing | None]) -> list[ClipFacts]:
     """The clips with the tilt of the floor under their performers."""
-    tilts = floor_tilts((stands.performer, stands.footfalls) for stands in standing if stands is not None)
+    tilts = floor_tilts(filter(None, standing))
     return [
-        clip if stands is None else replace(clip, tilt=tuple(tilts[stands.performer].round(4).tolist()))
+        clip if stands is None else replace(clip, tilt=tuple(tilts[stands[0]].round(4).tolist()))
         for clip, stands in zip(clips, standing, strict=True)
     ]
 
 
-def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], _Standing | None]:
+def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Standing | None]:
     """The facts of a file, its stretches by type, and where its toes stand."""
     try:
-        fps = next((s.fps for s in source.segments if s.fps), None)
-        motion, rig = retarget_file(source.path, fps=fps)
-        cleaned, cleaning = clean(motion)
+        reading = read_source(source, PreprocessOptions(), plant=False)
     except MotionkitError as error:
         return ClipFacts(source.name, fault=str(error)), [], None
-    whole = resample(cleaned, FPS)
-    leaps = find_leaps(motion_kinematics(whole)[1])
+    rig, cleaning = reading.rig, reading.cleaning
     stretches = []
     for segment in source.segments:
-        part = _cut(whole, segment, cleaning.lead_in, motion.fps)
-        if len(part) >= MIN_FRAMES:
+        part = reading.motion.cut(*reading.place(segment, whole=False))
+        if len(part) >= MIN_CLIP_FRAMES:
             stretches.append((segment.type, _describe(source.name, part, segment.split)))
-    seconds = sum(stretch.seconds for _, stretch in stretches)
-    fault = "" if stretches else f"{source.path}: no labelled stretch of at least {MIN_FRAMES} frames"
-    doubts = filter(None, [beyond_end(source.segments, len(motion))])
+    missing = f"no {', '.join(rig.missing)}" if rig.missing else ""
     facts = ClipFacts(
         source.name,
         tuple(dict.fromkeys(segment.type for segment in source.segments)),
-        seconds,
-        motion.fps,
+        sum(stretch.seconds for _, stretch in stretches),
+        reading.fps,
         f"{rig.source_joints} joints below {next(iter(rig.mapped.values()), '')}",
         rig.scale_source,
         _up(rig),
         cleaning.floor_shift,
-        len(cleaning.pops) + len(leaps),
+        len(cleaning.pops) + len(reading.leaps),
         notes=(
-            *doubts,
-            *((f"no {', '.join(rig.missing)}",) if rig.missing else ()),
+            *filter(None, (beyond_end(source.segments, reading.frames), missing)),
             *rig.notes,
             *cleaning.notes,
         ),
-        fault=fault,
     )
+    if not stretches:
+        fault = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames"
+        return replace(facts, fault=fault), [], None
     whose = performer((segment.subject for segment in source.segments), rig.body)
-    return facts, stretches, _Standing(whose, footfalls(whole)) if stretches else None
+    return facts, stretches, (whose, footfalls(reading.motion))
 
 
 def _up(rig: RetargetReport) -> str:
@@ -258,16 +245,9 @@ def _up(rig: RetargetReport) -> str:
     return next((note.split()[2] for note in rig.notes if note.startswith("up axis ")), "Y")
 
 
-def _cut(motion: Motion, segment: Segment, lead_in: int, fps: float) -> Motion:
-    """The frames of a segment, which counts the file's own frames, in a motion at FPS without the lead-in."""
-    first = max(0, round((segment.start - lead_in) * FPS / fps))
-    last = len(motion) if segment.end < 0 else round((segment.end - lead_in) * FPS / fps)
-    return motion.cut(min(first, len(motion)), max(first, min(last, len(motion))))
-
-
 def _describe(name: str, motion: Motion, split: str) -> _Shown:
     layout = feature_layout(DEFAULT_LAYOUT)
-    features = encode_motion(motion, quat_identity((JOINT_COUNT,)), DEFAULT_LAYOUT).features
+    features = encode_motion(motion).features
     poses = features[:, layout.blocks["joint_positions"]]
     velocity = features[:, layout.blocks["root_xz_velocity"]].mean(axis=0)
     # In cm per joint: where the joints are, how far they go from there, and how the body moves over the ground.

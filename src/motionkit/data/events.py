@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, spans
+from motionkit.features.decode import joint_positions
 from motionkit.features.layout import FeatureLayout
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES
 
@@ -46,7 +47,7 @@ class Event:
 
 def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]]:
     """Events of each kind, in temporal order, in unnormalised features (T, 276)."""
-    positions = _positions(features, layout)
+    positions = joint_positions(features, layout.version)
     return {
         "kick": sorted(_kicks(positions), key=lambda event: event.start),
         "punch": sorted(_punches(positions), key=lambda event: event.start),
@@ -56,22 +57,7 @@ def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]
 
 def frames_in_the_air(features: Array, layout: FeatureLayout) -> int:
     """How many of the frames of unnormalised features (T, 276) are flights of both feet."""
-    return sum(end - start for start, end in _flights(_positions(features, layout)))
-
-
-def _positions(features: Array, layout: FeatureLayout) -> np.ndarray:
-    """Joint positions (T, 23, 3) in the heading frame."""
-    block = layout.blocks["joint_positions"]
-    out = np.zeros((len(features), len(JOINT_NAMES), 3), np.float32)
-    for index in range(block.start, block.stop):
-        column = layout.columns[index]
-        out[:, column.joint, column.component] = features[:, index]
-    return out
-
-
-def _runs(flags: np.ndarray) -> list[tuple[int, int]]:
-    edges = np.diff(np.concatenate([[0], flags.astype(np.int8), [0]]))
-    return list(zip(np.flatnonzero(edges == 1).tolist(), np.flatnonzero(edges == -1).tolist(), strict=True))
+    return sum(end - start for start, end in _flights(joint_positions(features, layout.version)))
 
 
 def _event(kind: str, start: int, end: int, frames: int, right: bool = False) -> Event:
@@ -83,7 +69,7 @@ def _kicks(positions: np.ndarray) -> list[Event]:
     height = KICK_HEIGHT * np.median(positions[:, 0, 1])
     for right, ankle in ((False, FOOT_JOINTS[0]), (True, FOOT_JOINTS[2])):
         foot = positions[:, ankle, 1]
-        for start, end in _runs(foot > height):
+        for start, end in spans(foot > height):
             first, last = start, end
             while first > 0 and foot[first] > FOOT_DOWN and start - first < LONGEST_LIFT:
                 first -= 1
@@ -104,7 +90,7 @@ def _punches(positions: np.ndarray) -> list[Event]:
         reach = np.linalg.norm(hand - shoulder, axis=-1)
         length = np.linalg.norm(hand - elbow, axis=-1) + np.linalg.norm(elbow - shoulder, axis=-1)
         speed = np.gradient(reach) * 60.0
-        for start, end in _runs(speed > 0.6 * PUNCH_SPEED):
+        for start, end in spans(speed > 0.6 * PUNCH_SPEED):
             there = min(len(reach) - 1, end + 2)
             if speed[start:end].max() > PUNCH_SPEED and reach[there] > PUNCH_REACH * length[there]:
                 out.append(_event("punch", end, end, len(reach), right))
@@ -113,7 +99,7 @@ def _punches(positions: np.ndarray) -> list[Event]:
 
 def _flights(positions: np.ndarray) -> list[tuple[int, int]]:
     clearance = positions[:, FOOT_JOINTS, 1] - _STANDING
-    return [run for run in _runs(clearance.min(axis=1) > AIR) if run[1] - run[0] >= AIR_FRAMES]
+    return [run for run in spans(clearance.min(axis=1) > AIR) if run[1] - run[0] >= AIR_FRAMES]
 
 
 def _jumps(positions: np.ndarray) -> list[Event]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
@@ -11,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from motionkit.data.cleaning import clean
+from motionkit.data.cleaning import CleaningReport, clean
 from motionkit.data.folder import MOTIONS
 from motionkit.data.glitches import cut_at_leaps, find_leaps
 from motionkit.data.labels import Segment, SourceFile, beyond_end
@@ -23,8 +24,8 @@ from motionkit.errors import DatasetError, MotionkitError
 from motionkit.files import read_bytes
 from motionkit.motion.bvh_text import MAX_BYTES
 from motionkit.motion.kinematics import motion_kinematics
-from motionkit.motion.motion import resample
-from motionkit.rig.retarget import retarget_file
+from motionkit.motion.motion import Motion, resample
+from motionkit.rig.retarget import RetargetReport, retarget_file
 
 FPS = 60.0
 MIN_CLIP_FRAMES = 16
@@ -104,6 +105,51 @@ def read_files(
     return prepared
 
 
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """A file on the canonical joints, repaired.
+
+    Attributes:
+        motion: at FPS, without what cleaning has cut off.
+        rig, cleaning: what was found on the way.
+        fps, frames: rate and length of the file itself.
+        leaps: frames of the motion that it leaps to.
+    """
+
+    motion: Motion
+    rig: RetargetReport
+    cleaning: CleaningReport
+    fps: float
+    frames: int
+    leaps: list[int]
+
+    def place(self, segment: Segment, whole: bool = True) -> tuple[int, int]:
+        """First and last frame (exclusive) of the motion within a segment, which counts the frames of the file.
+
+        Args:
+            whole: leave out frames that are partly outside; otherwise take the nearest.
+        """
+        begin, end = ((at - self.cleaning.lead_in) * FPS / self.fps for at in (segment.start, segment.end))
+        first = math.ceil(begin - 1e-6) if whole else round(begin)
+        last = math.floor(end + 1e-6) if whole else round(end)
+        first, last = max(0, first), len(self.motion) if segment.end < 0 else min(last, len(self.motion))
+        return first, max(first, last)
+
+
+def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = True) -> Reading:
+    """Read, retarget, clean and resample a file; raises BvhError or SkeletonError.
+
+    Args:
+        plant: as in retarget.
+    """
+    fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
+    motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant)
+    cleaned, cleaning = clean(motion)
+    whole = resample(cleaned, FPS)
+    leaps = find_leaps(motion_kinematics(whole)[1])
+    return Reading(whole, rig, cleaning, motion.fps, len(motion), leaps)
+
+
 def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     """Prepare one file: its motion is written to motion_file."""
     source, motion_file, options = item
@@ -112,28 +158,24 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
         report.skipped = source.skip_reason
         return Prepared(report, motion_file, (), [], [], None)
     try:
-        fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
-        motion, mapping = retarget_file(source.path, options.scale, fps, options.own_bodies, plant=True)
-        report.labels = beyond_end(source.segments, len(motion))
-        motion, cleaning = clean(motion)
-        native_fps = motion.fps
-        motion = resample(motion, FPS)
+        reading = read_source(source, options)
+        report.labels = beyond_end(source.segments, reading.frames)
         report.sha256 = hashlib.sha256(read_bytes(source.path, MAX_BYTES)).hexdigest()
     except MotionkitError as error:
         report.skipped, report.fault = str(error), True
         return Prepared(report, motion_file, (), [], [], None)
+    motion, rig = reading.motion, reading.rig
     report.mapping = {
-        "source_joints": mapping.source_joints,
-        "missing": list(mapping.missing),
-        "scale": mapping.scale,
-        "scale_source": mapping.scale_source,
-        "leg_length": mapping.leg_length,
-        "notes": list(mapping.notes),
+        "source_joints": rig.source_joints,
+        "missing": list(rig.missing),
+        "scale": rig.scale,
+        "scale_source": rig.scale_source,
+        "leg_length": rig.leg_length,
+        "notes": list(rig.notes),
     }
-    report.cleaning = asdict(cleaning)
-    leaps = find_leaps(motion_kinematics(motion)[1])
-    report.leaps = len(leaps)
-    runs = _runs(source.segments, cleaning.lead_in, native_fps, len(motion), leaps)
+    report.cleaning = asdict(reading.cleaning)
+    report.leaps = len(reading.leaps)
+    runs = _runs(source.segments, reading)
     if not runs:
         report.skipped = f"{source.path}: no labelled stretch of at least {MIN_CLIP_FRAMES} frames at 60 fps"
         return Prepared(report, motion_file, (), [], [], None)
@@ -141,26 +183,23 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
     rows = np.concatenate([np.arange(start, end) for start, end, *_ in runs])
     quats = motion.local_rotations.astype(np.float64)[rows]
     moment = np.einsum("tja,tjb->jab", quats, quats)
-    body, own_body = motion.skeleton.offsets.tolist(), mapping.body.tolist()
+    body, own_body = motion.skeleton.offsets.tolist(), rig.body.tolist()
     spans = [span for run in runs for span in run.spans]
     poses, falls = type_poses(motion, spans), footfalls(motion)
     return Prepared(report, motion_file, runs, body, own_body, moment, poses, falls)
 
 
-def _runs(
-    segments: Sequence[Segment], lead_in: int, fps: float, frames: int, leaps: list[int]
-) -> tuple[Run, ...]:
+def _runs(segments: Sequence[Segment], reading: Reading) -> tuple[Run, ...]:
     """Stretches of 60 fps frames without gaps and leaps, each with its typed spans, split and subject.
 
     Adjacent segments stay together, so that the model learns from real transitions.
     """
     runs: list[Run] = []
     for segment in segments:
-        first = max(0, int(np.ceil((segment.start - lead_in) * FPS / fps - 1e-6)))
-        last = frames if segment.end < 0 else int(np.floor((segment.end - lead_in) * FPS / fps + 1e-6))
-        for start, end in cut_at_leaps(first, min(frames, last), leaps):
+        for start, end in cut_at_leaps(*reading.place(segment), reading.leaps):
             before = runs[-1] if runs else None
-            if before and before.end >= start - 1 and before.split == segment.split and start not in leaps:
+            leapt = start in reading.leaps
+            if before and before.end >= start - 1 and before.split == segment.split and not leapt:
                 spans = (*before.spans, (before.end, end, segment.type))
                 runs[-1] = before._replace(end=end, spans=spans)
             else:

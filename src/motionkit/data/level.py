@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,16 +19,36 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_multiply, quat_normalize, quat_rotate
 
-# A toe higher than this above the standing ones (cm) is held in the air.
-HELD_UP = 12.0
-# Slopes (cm per cm) are sought around zero with this deviation; a steeper one than STEEPEST is a ramp, not an error.
-USUAL_SLOPE, STEEPEST = 0.01, 0.04
-LEAST_SLOPE = 0.003  # below it the floor of a clip is level within what feet tell
-CERTAIN = 3.0  # deviations by which a slope must differ from none
-EVENER = 0.85  # share of the unevenness that may be left, if a floor is to be levelled
-LEAST_NOISE, OUTLIER = 0.5, 1.0  # cm: deviation of the heights of footfalls, and what counts linearly beyond
-ROUNDS = 20
-CELL, STRAY = 30.0, 5.0  # cm
+
+@dataclass(frozen=True)
+class TiltRule:
+    """How the tilt of a floor is found. Measured on CMU subjects (docs/cleaning.md), if nothing else is said.
+
+    Slopes are in cm per cm, distances and heights in cm.
+    """
+
+    held_up: float = (
+        12.0  # a toe so much higher than standing ones is held in the air; with more, it counts as floor
+    )
+    cell: float = 30.0  # size of the cells of the floor of which each counts once. Chosen: about a foot
+    # Slopes are sought around zero with this deviation, and those between the two others are taken out: a steeper one
+    # is a ramp and no error of the recording, a smaller one is within what feet tell.
+    usual: float = 0.01
+    least: float = 0.003
+    steepest: float = 0.04
+    certain: float = (
+        3.0  # deviations by which a slope must differ from none; with less, walks in one place tilt floors
+    )
+    evener: float = 0.85  # share of the unevenness that may be left; with more, floors are turned for nothing
+    stray: float = 5.0  # distance from a floor that counts as the most in its unevenness. Chosen
+    # Deviation of the heights of footfalls, at least, and the height off the plane beyond which they count linearly.
+    # Chosen: toes of one performer stand within half a centimetre.
+    noise: float = 0.5
+    outlier: float = 1.0
+    rounds: int = 20  # of least squares; the weights have settled
+
+
+TILT = TiltRule()
 
 
 def performer(named: Iterable[str], body: Array) -> str:
@@ -45,14 +65,14 @@ def footfalls(motion: Motion) -> tuple[Array, ...]:
         motion: its standing toes are at TOE_HEIGHT in the middle of the clip.
     """
     toes = motion_kinematics(motion)[1][:, list(TOES)].astype(np.float64)
-    standing = standing_toes(toes, motion.fps) & (toes[..., 1] < TOE_HEIGHT + HELD_UP)
+    standing = standing_toes(toes, motion.fps) & (toes[..., 1] < TOE_HEIGHT + TILT.held_up)
     return tuple(_cells(toes[standing[:, side], side]) for side in range(len(TOES)))
 
 
 def _cells(places: Array) -> Array:
     """Mean (F, 3) of the places (N, 3) in each cell of the floor."""
     _, cell, counts = np.unique(
-        np.floor(places[:, [0, 2]] / CELL), axis=0, return_inverse=True, return_counts=True
+        np.floor(places[:, [0, 2]] / TILT.cell), axis=0, return_inverse=True, return_counts=True
     )
     sums = np.zeros((len(counts), 3))
     np.add.at(sums, cell.reshape(-1), places)
@@ -75,7 +95,7 @@ def floor_tilt(groups: Sequence[Array]) -> Array:
     """Slopes (2,) of the floor along x and z, in cm per cm, shared by toes and clips whose heights may differ.
 
     Least squares with outliers counted linearly and slopes drawn towards none, so that a few steps in one place say
-    nothing. A direction in which the slope is not CERTAIN gets none, and so does a floor that becomes little evener.
+    nothing. A direction in which the slope is not certain gets none, and so does a floor that becomes little evener.
 
     Args:
         groups: footfalls (F, 3) of each toe in each clip.
@@ -87,29 +107,29 @@ def floor_tilt(groups: Sequence[Array]) -> Array:
     group = np.repeat(np.arange(len(rows)), [len(each) for each in rows])
     weights: Array = np.ones(len(falls))
     slope: Array = np.zeros(2)
-    for _ in range(ROUNDS):
+    for _ in range(TILT.rounds):
         total = np.bincount(group, weights)
         means = np.stack([np.bincount(group, weights * falls[:, k]) / total for k in range(3)], axis=1)
         apart = falls - means[group]
         ground, height = apart[:, [0, 2]], apart[:, 1]
         left = height - ground @ slope
-        noise = max(LEAST_NOISE, float(np.sqrt((weights * left**2).sum() / weights.sum())))
-        precision = (ground * weights[:, None]).T @ ground / noise**2 + np.eye(2) / USUAL_SLOPE**2
+        noise = max(TILT.noise, float(np.sqrt((weights * left**2).sum() / weights.sum())))
+        precision = (ground * weights[:, None]).T @ ground / noise**2 + np.eye(2) / TILT.usual**2
         slope = np.linalg.solve(precision, (ground * weights[:, None]).T @ height / noise**2)
-        weights = np.minimum(1.0, OUTLIER / np.maximum(np.abs(height - ground @ slope), 1e-9))
+        weights = np.minimum(1.0, TILT.outlier / np.maximum(np.abs(height - ground @ slope), 1e-9))
     sizes, axes = np.linalg.eigh(precision)
     along = axes.T @ slope
-    slope = axes @ np.where(np.abs(along) * np.sqrt(sizes) >= CERTAIN, along, 0.0)
-    if not LEAST_SLOPE <= float(np.linalg.norm(slope)) <= STEEPEST:
+    slope = axes @ np.where(np.abs(along) * np.sqrt(sizes) >= TILT.certain, along, 0.0)
+    if not TILT.least <= float(np.linalg.norm(slope)) <= TILT.steepest:
         return np.zeros(2)
-    return slope if _unevenness(rows, slope) <= EVENER * _unevenness(rows, np.zeros(2)) else np.zeros(2)
+    return slope if _unevenness(rows, slope) <= TILT.evener * _unevenness(rows, np.zeros(2)) else np.zeros(2)
 
 
 def _unevenness(groups: Sequence[Array], slope: Array) -> float:
-    """Mean distance in cm of footfalls from a floor of some slope, far ones counted as STRAY."""
+    """Mean distance in cm of footfalls from a floor of some slope, far ones counted as TILT.stray."""
     above = [each[:, 1] - each[:, [0, 2]] @ slope for each in groups]
     apart = np.concatenate([np.abs(each - np.median(each)) for each in above])
-    return float(np.minimum(apart, STRAY).mean())
+    return float(np.minimum(apart, TILT.stray).mean())
 
 
 def levelled(motion: Motion, tilt: Array) -> Motion:

@@ -44,13 +44,7 @@ def preprocess(
     options: PreprocessOptions | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> PreprocessReport:
-    """Make a dataset folder from BVH files, atomically.
-
-    Args:
-        folders: folders (or files) to read.
-        output: dataset folder to write; an old dataset there is replaced, other files in it are kept.
-        options: the defaults if None.
-        progress: called with a stage name, the number of files done and of all files.
+    """Make a dataset folder from BVH files, atomically; arguments as for motionkit.preprocess.
 
     Raises:
         DatasetError: no file is usable, a file is inside output, or, with strict, a file is unusable.

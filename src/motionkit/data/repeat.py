@@ -14,10 +14,8 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.data.dataset import Clip, ClipData, Dataset
-from motionkit.data.phases import NO_PHASE, type_stretches
 from motionkit.data.splice import Piece, cut_piece, join_cost, join_pieces
 from motionkit.features.encode import encode_motion
-from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous
 
@@ -39,10 +37,9 @@ def repeat_short_types(dataset: Dataset) -> tuple[str, ...]:
     """
     stretches: dict[int, list[tuple[Clip, int, int]]] = defaultdict(list)
     recorded: dict[int, dict[int, int]] = defaultdict(dict)  # frames by first row: a mirror image adds none
-    for clip in dataset.select("train"):
-        for start, end, kind in type_stretches(dataset.clip_types(clip)):
-            stretches[kind].append((clip, start, end))
-            recorded[kind][clip.start + start] = end - start
+    for clip, start, end, kind in dataset.stretches():
+        stretches[kind].append((clip, start, end))
+        recorded[kind][clip.start + start] = end - start
     made: list[ClipData] = []
     bodies: list[int] = []
     replaced: set[Clip] = set()
@@ -78,15 +75,8 @@ def repeat_stretch(dataset: Dataset, clip: Clip, start: int, end: int) -> ClipDa
             i, j, cycle = other_i, other_j, [mirrored, piece]
     motion = _repeated(piece, cycle, i, j, round(REPEATED_SECONDS * dataset.fps))
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
-    frames = len(motion)
-    return ClipData(
-        encoded.features,
-        encoded.contacts,
-        encoded.ground,
-        np.full(frames, kind, np.int64),
-        np.full(frames, NO_PHASE, np.float32),
-        np.zeros((frames, REFERENCE_COUNT), np.float32),
-    )
+    kinds = np.full(len(motion), kind, np.int64)
+    return ClipData.plain(encoded.features, encoded.contacts, encoded.ground, kinds)
 
 
 def _best_cycle(a: Piece, b: Piece) -> tuple[int, int, float]:

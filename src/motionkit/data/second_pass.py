@@ -5,17 +5,15 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from motionkit import __version__
 from motionkit.arrays import Array
-from motionkit.data.checking import MAX_TYPES
 from motionkit.data.dataset import FORMAT, Clip, ClipData, mirror_clip
-from motionkit.data.first_pass import FPS, Prepared
+from motionkit.data.first_pass import FPS, Prepared, Run
 from motionkit.data.folder import ArrayWriter
 from motionkit.data.labels import mirrored_type
 from motionkit.data.level import floor_tilts, levelled, performer
@@ -26,14 +24,83 @@ from motionkit.data.splits import decide_splits, hashed, hold_out_validation
 from motionkit.data.twins import mirrored_types
 from motionkit.data.workers import Map
 from motionkit.errors import DatasetError
-from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
+from motionkit.features.control import MOST_TYPES, TRAJECTORY_COUNT, future_trajectory
 from motionkit.features.encode import encode_motion, identity_reference_rotations
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.features.normalize import RunningMoments, Scaling, feature_scaling, trajectory_scaling
-from motionkit.features.reference import REFERENCE_COUNT
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import mean_rotation
 from motionkit.motion.skeleton import JOINT_COUNT, MIRROR_JOINTS, canonical_skeleton
+from motionkit.version import __version__
+
+
+@dataclass(frozen=True, eq=False)
+class _Plan:
+    """What the second pass knows of all files before it encodes the first.
+
+    Attributes:
+        references: (23, 4) rotations that exponential maps are relative to.
+        types: all motion types.
+        twin_types: for each type the type of its mirror image.
+        splits: of the runs (file, run) that labels leave open.
+        tilts: (2,) slopes of the floor under each performer; none where floors stay as they are.
+    """
+
+    options: PreprocessOptions
+    references: Array
+    types: tuple[str, ...]
+    twin_types: dict[str, str]
+    splits: dict[tuple[int, int], str]
+    tilts: dict[str, Array]
+
+
+def _plan(files: list[Prepared], options: PreprocessOptions) -> _Plan:
+    """Choose references, types, splits and tilts; raises DatasetError for too many types."""
+    given = options.reference_rotations
+    if options.layout == "expmap-root-1":  # the paper's features have plain exponential maps
+        given = identity_reference_rotations()
+    references = _references(files) if given is None else given.astype(np.float32)
+    types = tuple(sorted({kind for p in files for run in p.runs for _, _, kind in run.spans}))
+    if len(types) > MOST_TYPES:
+        raise DatasetError(f"{len(types)} motion types, expected at most {MOST_TYPES}")
+    twin_types = mirrored_types(types, _all_poses(files))
+    splits = decide_splits(files, options.mirror, twin_types, "test" in options.held_out)
+    if "validation" in options.held_out:
+        hold_out_validation(files, splits)
+    levels = options.level and options.smooth
+    tilts = floor_tilts((_performer(p), p.footfalls) for p in files) if levels else {}
+    return _Plan(options, references, types, twin_types, splits, tilts)
+
+
+class _Clips:
+    """The clips whose rows have been written, their bodies, and the moments of those for training."""
+
+    def __init__(self, plan: _Plan) -> None:
+        self.plan = plan
+        self.clips: list[Clip] = []
+        self.bodies: list[list[list[float]]] = []
+        self.rows = 0
+        self.features, self.trajectories = RunningMoments(FEATURE_COUNT), RunningMoments(TRAJECTORY_COUNT)
+
+    def add(self, run: Run, name: str, split: str, body: list[list[float]], data: ClipData) -> None:
+        """Add a run, and its mirrored twin if it has one."""
+        if body not in self.bodies:
+            self.bodies.append(body)
+        frames = run.end - run.start
+        clip = Clip(name, self.rows, frames, split, run.subject, self.bodies.index(body))
+        self.rows += frames
+        for each in _with_twin(clip, run.spans, self.plan.twin_types, self.plan.options.mirror):
+            self.clips.append(each)
+            if each.split == "train":
+                self._add_moments(data, each.mirrored)
+
+    def _add_moments(self, data: ClipData, mirrored: bool) -> None:
+        if mirrored:
+            count = len(self.plan.types)
+            layout = feature_layout(self.plan.options.layout)
+            data = mirror_clip(data, layout, np.arange(count), np.zeros(count, bool))
+        self.features.add(data.features)
+        self.trajectories.add(future_trajectory(data.ground, np.arange(len(data.types))))
 
 
 def write_arrays(
@@ -44,81 +111,54 @@ def write_arrays(
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], dict[str, dict[str, float]]]:
     """Write the arrays of a dataset to a folder; returns its manifest and the table of its types."""
-    given = options.reference_rotations
-    if options.layout == "expmap-root-1":  # the paper's features have plain exponential maps
-        given = identity_reference_rotations()
-    reference_rotations = _references(prepared) if given is None else given.astype(np.float32)
-    types = tuple(sorted({kind for p in prepared for run in p.runs for _, _, kind in run.spans}))
-    twin_types = mirrored_types(types, _all_poses(prepared))
-    splits = decide_splits(prepared, options.mirror, twin_types, "test" in options.held_out)
-    if "validation" in options.held_out:
-        hold_out_validation(prepared, splits)
-    total = sum(end - start for p in prepared for start, end, *_ in p.runs)
-    if len(types) > MAX_TYPES:
-        raise DatasetError(f"{len(types)} motion types, expected at most {MAX_TYPES}")
-    layout = feature_layout(options.layout)
-    moments, trajectory_moments = RunningMoments(FEATURE_COUNT), RunningMoments(TRAJECTORY_COUNT)
-    clips: list[Clip] = []
-    bodies: list[list[list[float]]] = []
-    row = 0
-    levels = options.level and options.smooth
-    tilts = floor_tilts((_performer(p), p.footfalls) for p in prepared if p.runs) if levels else {}
-    items = [
-        (p, reference_rotations, options.layout, options.smooth, tilts.get(_performer(p), np.zeros(2)))
-        for p in prepared
-        if p.runs
-    ]
-    for item, *_, tilt in items:
+    files = [p for p in prepared if p.runs]
+    plan = _plan(files, options)
+    written = _Clips(plan)
+    common = plan.references, plan.types, options
+    items = [(p, plan.tilts.get(_performer(p), np.zeros(2)), *common) for p in files]
+    for item, tilt, *_ in items:
         item.report.cleaning["tilt"] = [round(float(slope), 4) for slope in tilt]
-    indices = [i for i, p in enumerate(prepared) if p.runs]
-    with _array_writers(staging, total) as writers:
-        for done, (index, encoded) in enumerate(zip(indices, each(_encode_file, items), strict=True), 1):
-            item = prepared[index]
-            if item.body not in bodies:
-                bodies.append(item.body)
-            for r, (run, data) in enumerate(zip(item.runs, encoded, strict=True)):
-                start, end, spans, split, subject = run
-                frames = end - start
-                kinds = np.concatenate([np.full(b - a, types.index(kind), np.int16) for a, b, kind in spans])
-                for name, values in zip(
-                    ("features", "contacts", "ground", "types"), (*data, kinds), strict=True
-                ):
-                    writers[name].append(values)
-                name = f"{item.report.name}:{r}" if len(item.runs) > 1 else item.report.name
-                clip = Clip(
-                    name, row, frames, splits.get((index, r), split), subject, bodies.index(item.body)
-                )
-                twins = _with_twin(clip, spans, twin_types, options.mirror)
-                clips.extend(twins)
-                _add_moments(twins, data, kinds, layout, moments, trajectory_moments)
-                row += frames
+    rows = sum(run.end - run.start for p in files for run in p.runs)
+    with _array_writers(staging, rows) as writers:
+        for done, encoded in enumerate(each(_encode_file, items), 1):
+            item = files[done - 1]
+            for number, (run, data) in enumerate(zip(item.runs, encoded, strict=True)):
+                for name in ("features", "contacts", "ground", "types"):
+                    writers[name].append(getattr(data, name))
+                name = f"{item.report.name}:{number}" if len(item.runs) > 1 else item.report.name
+                split = plan.splits.get((done - 1, number), run.split)
+                written.add(run, name, split, item.body, data)
                 item.report.clips += 1
-                item.report.frames += frames
+                item.report.frames += run.end - run.start
             if progress:
                 progress("encoding", done, len(items))
         features, kinds = writers["features"].close(), writers["types"].close()
-        rules = _write_phases(writers["phases"], features, kinds, clips, options.layout)
+        rules = _write_phases(writers["phases"], features, kinds, written.clips, options.layout)
         for name in ("contacts", "ground", "phases"):
             writers[name].close()
-    manifest = {
+    return _manifest(prepared, written, rules), _type_table(written.clips, kinds, plan.types, plan.twin_types)
+
+
+def _manifest(prepared: list[Prepared], written: _Clips, rules: dict[int, PhaseRule]) -> dict[str, Any]:
+    plan = written.plan
+    return {
         "format": FORMAT,
         "motionkit": __version__,
         "fps": FPS,
-        "layout": options.layout,
-        "types": list(types),
-        "smoothed": options.smooth,
-        "phase_seconds": {types[kind]: round(rule.frames / FPS, 3) for kind, rule in sorted(rules.items())},
-        "phase_events": {types[kind]: rule.event for kind, rule in sorted(rules.items())},
-        **({"mirrored_types": found} if (found := _found_by_motion(twin_types)) else {}),
-        "bodies": bodies,
-        "characters": _characters(prepared, options.own_bodies),
-        "references": reference_rotations.tolist(),
-        "feature_scaling": _plain(feature_scaling(moments, layout)),
-        "trajectory_scaling": _plain(trajectory_scaling(trajectory_moments)),
-        "clips": [asdict(clip) for clip in clips],
+        "layout": plan.options.layout,
+        "types": list(plan.types),
+        "smoothed": plan.options.smooth,
+        "phase_seconds": {plan.types[k]: round(rule.frames / FPS, 3) for k, rule in sorted(rules.items())},
+        "phase_events": {plan.types[k]: rule.event for k, rule in sorted(rules.items())},
+        **({"mirrored_types": found} if (found := _found_by_motion(plan.twin_types)) else {}),
+        "bodies": written.bodies,
+        "characters": _characters(prepared, plan.options.own_bodies),
+        "references": plan.references.tolist(),
+        "feature_scaling": _plain(feature_scaling(written.features, feature_layout(plan.options.layout))),
+        "trajectory_scaling": _plain(trajectory_scaling(written.trajectories)),
+        "clips": [asdict(clip) for clip in written.clips],
         "files": [asdict(p.report) for p in prepared],
     }
-    return manifest, _type_table(clips, kinds, types, twin_types)
 
 
 def _performer(item: Prepared) -> str:
@@ -208,27 +248,25 @@ def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
             writer.abandon()
 
 
-def _encode_file(
-    item: tuple[Prepared, Array, str, bool, Array],
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Features, contacts and ground of each run, encoded from the whole recording so that ends have neighbours."""
-    prepared, reference_rotations, layout, smoothed, tilt = item
+def _encode_file(item: tuple[Prepared, Array, Array, tuple[str, ...], PreprocessOptions]) -> list[ClipData]:
+    """The data of each run, encoded from the whole recording so that ends have neighbours, on a floor of this tilt."""
+    prepared, tilt, references, types, options = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = arrays["rotations"], arrays["root"]
-    for start, end, *_ in prepared.runs if smoothed else ():
+    for start, end, *_ in prepared.runs if options.smooth else ():
         # Run by run, so that frames cut out between runs have no effect.
         rotations[start:end] = smooth_rotations(rotations[start:end])
         root[start:end] = smooth(root[start:end])
     skeleton = canonical_skeleton(np.array(prepared.body, np.float32))
     motion = levelled(Motion(skeleton, rotations, root, FPS), tilt)
-    encoded = encode_motion(motion, reference_rotations, layout)
+    encoded = encode_motion(motion, references, options.layout)
+    kinds = [
+        np.concatenate([np.full(b - a, types.index(kind), np.int64) for a, b, kind in run.spans])
+        for run in prepared.runs
+    ]
     return [
-        (
-            encoded.features[start:end],
-            encoded.contacts[start:end].astype(np.uint8),
-            encoded.ground[start:end],
-        )
-        for start, end, *_ in prepared.runs
+        ClipData.plain(encoded.features[a:b], encoded.contacts[a:b], encoded.ground[a:b], shown)
+        for (a, b, *_), shown in zip(prepared.runs, kinds, strict=True)
     ]
 
 
@@ -250,34 +288,6 @@ def _with_twin(
     return [clip]
 
 
-def _add_moments(
-    clips: list[Clip],
-    data: tuple[np.ndarray, np.ndarray, np.ndarray],
-    kinds: np.ndarray,
-    layout: Any,
-    moments: RunningMoments,
-    trajectory_moments: RunningMoments,
-) -> None:
-    features, contacts, ground = data
-    plain = ClipData(
-        features,
-        contacts.astype(np.float32),
-        ground,
-        kinds.astype(np.int64),
-        np.zeros(len(kinds), np.float32),
-        np.zeros((len(kinds), REFERENCE_COUNT), np.float32),
-    )
-    for clip in clips:
-        if clip.split != "train":
-            continue
-        shown = plain
-        if clip.mirrored:
-            count = int(kinds.max()) + 1
-            shown = mirror_clip(plain, layout, np.arange(count), np.zeros(count, bool))
-        moments.add(shown.features)
-        trajectory_moments.add(future_trajectory(shown.ground, np.arange(clip.frames)))
-
-
 def _plain(scaling: Scaling) -> dict[str, list[float]]:
     return {"mean": scaling.mean.tolist(), "std": scaling.std.tolist()}
 
@@ -286,17 +296,12 @@ def _type_table(
     clips: list[Clip], types_array: np.ndarray, types: Sequence[str], twin_types: Mapping[str, str]
 ) -> dict[str, dict[str, float]]:
     """For each type: number of clips, mirrored, validation and test clips, and seconds of recordings in each split."""
-    table = {
-        k: {
-            "clips": 0,
-            "mirrored": 0,
-            "validation_clips": 0,
-            "test_clips": 0,
-            "train_seconds": 0.0,
-            "validation_seconds": 0.0,
-            "test_seconds": 0.0,
-        }
-        for k in types
+    held_out, splits = ("validation", "test"), ("train", "validation", "test")
+    table: dict[str, dict[str, float]] = {
+        kind: {"clips": 0, "mirrored": 0}
+        | {f"{split}_clips": 0 for split in held_out}
+        | {f"{split}_seconds": 0.0 for split in splits}
+        for kind in types
     }
     trained: set[int] = set()  # first rows of counted clips: a clip and its twin are one recording
     for clip in clips:

@@ -7,12 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from motionkit.arrays import Array
+from motionkit.arrays import Array, distances_between
 from motionkit.data.labels import mirrored_type
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.motion.motion import Motion
-from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import JOINT_COUNT
 
 EVERY = 8  # frames between the poses that are compared
@@ -39,7 +38,7 @@ def type_poses(motion: Motion, spans: Sequence[tuple[int, int, str]]) -> dict[st
         root_positions=motion.root_positions[::EVERY],
         fps=motion.fps / EVERY,
     )
-    poses = encode_motion(few, quat_identity((JOINT_COUNT,)), DEFAULT_LAYOUT).features[:, _POSE]
+    poses = encode_motion(few).features[:, _POSE]
     out: dict[str, list[Array]] = {}
     for start, end, kind in spans:
         out.setdefault(kind, []).append(poses[-(-start // EVERY) : -(-end // EVERY)])
@@ -73,7 +72,7 @@ def mirrored_types(types: Sequence[str], poses: Mapping[str, Array]) -> dict[str
 
 def _spread(poses: Array) -> Array:
     """At most MOST_POSES poses, from all over."""
-    return poses[:: -(-len(poses) // MOST_POSES)].astype(np.float64)
+    return poses[:: -(-len(poses) // MOST_POSES)]
 
 
 def _mirrored(poses: Array) -> Array:
@@ -83,6 +82,5 @@ def _mirrored(poses: Array) -> Array:
 
 def _apart(poses: Array, others: Array) -> float:
     """How far poses (N, D) are from the nearest of others (M, D), in cm per joint."""
-    squares = np.square(poses).sum(1)[:, None] + np.square(others).sum(1) - 2.0 * poses @ others.T
-    distances = np.sqrt(np.maximum(squares.min(axis=1), 0.0) / JOINT_COUNT)
-    return float(np.quantile(distances, QUANTILE))
+    nearest = distances_between(poses, others).min(axis=1) / JOINT_COUNT**0.5
+    return float(np.quantile(nearest, QUANTILE))

@@ -7,7 +7,9 @@ a fraction of a second on both sides.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -28,6 +30,9 @@ from motionkit.motion.rotations import (
     wrap_angle,
 )
 from motionkit.rig.upright import Upright
+
+if TYPE_CHECKING:
+    from motionkit.control.synthesize import SynthesisResult
 
 SHORTEST = 0.4  # s; half a step looks like a cycle to no one
 COARSE = 1200  # frames of the first search; the best are sought again at the full rate
@@ -51,6 +56,9 @@ PACE_SHARE, PACE = 0.1, 10.0
 WISH_SHARE, WISH_SECONDS = 0.05, 0.1
 FADE_SECONDS = 0.25
 STANDING_SPEED = 25.0  # cm/s; a cycle that goes slower than this ends where it began
+FAR_FROM_WISH = 0.1  # share of a wished length by which a cycle may differ without a word
+LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
+LOOP_TRIES = (2, 4, 8)  # so many times as long, where nothing repeats
 
 
 @dataclass(frozen=True)
@@ -68,6 +76,22 @@ class Seam:
     speed: float
     frame_distance: float
     frame_speed: float
+
+    def sentence(self) -> str:
+        """The seam in one line."""
+        return (
+            f"seam {self.distance:.2f} cm and {self.speed:.0f} cm/s; between two following frames up to "
+            f"{self.frame_distance:.1f} cm and {self.frame_speed:.0f} cm/s"
+        )
+
+    def as_dict(self) -> dict[str, float]:
+        """Plain values for JSON."""
+        return {
+            "seam_cm": self.distance,
+            "seam_cm_s": self.speed,
+            "frame_cm": self.frame_distance,
+            "frame_cm_s": self.frame_speed,
+        }
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,6 +111,17 @@ class Loop:
     seam: Seam
     difference: float
 
+    @property
+    def seconds(self) -> float:
+        """The length of the cycle."""
+        return (len(self.motion) - 1) / self.motion.fps
+
+    def note(self, wish: float | None) -> str | None:
+        """What to say of a cycle that lasts much longer or shorter than wished, in seconds."""
+        if wish is None or abs(self.seconds - wish) <= FAR_FROM_WISH * wish:
+            return None
+        return f"the cycle nearest to {wish:g} s lasts {self.seconds:.2f} s"
+
 
 def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = False) -> Loop:
     """The best cycle of a motion of any rig, closed.
@@ -104,6 +139,44 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
     if from_origin:
         closed = at_origin(closed, cyclic=True)
     return Loop(upright.back(closed), start, end, seam(closed), difference)
+
+
+def loop_seconds(wish: float | None) -> float:
+    """How long to synthesize for a loop of a length: long enough for several cycles to choose from."""
+    return LOOP_SECONDS if wish is None else max(LOOP_SECONDS, 2.0 * wish + 2.0)
+
+
+def find_loops(
+    make: Callable[[int], SynthesisResult], seconds: float | None = None
+) -> tuple[SynthesisResult, list[Loop]]:
+    """The best cycle of each motion that is synthesized, closed, from the origin.
+
+    Args:
+        make: synthesizes so many times the usual length: once, and more where nothing repeats.
+        seconds: the length to look for, as in make_loop.
+
+    Returns:
+        The result with the cycles in place of the motions, and the cycles.
+
+    Raises:
+        MotionkitError: the longest motions never repeat either.
+    """
+    from motionkit.control.script import TypePart
+
+    for times in (1, *LOOP_TRIES):
+        result = make(times)
+        try:
+            cycles = [make_loop(one.motion, seconds, from_origin=True) for one in result.motions]
+            break
+        except MotionkitError as error:
+            fault = str(error).replace("the clip", "the motion", 1)
+    else:
+        raise MotionkitError(f"{fault}; try another --seed, or --seconds")
+    motions = tuple(
+        replace(one, motion=cycle.motion, types=(TypePart(one.types[0].type, cycle.seconds),))
+        for one, cycle in zip(result.motions, cycles, strict=True)
+    )
+    return replace(result, motions=motions), cycles
 
 
 def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:

@@ -19,7 +19,7 @@ from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.workers import Map
 from motionkit.evaluation.body import Body, body_of
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 

@@ -6,7 +6,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from motionkit.errors import ControlError
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.model import REFERENCE_CHOICES, unknown_name
 
 # First seed of each split, and the first seed that belongs to it no more. Settings, gains and checkpoints are chosen on

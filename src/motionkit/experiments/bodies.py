@@ -18,7 +18,8 @@ from motionkit.data.phases import type_stretches
 from motionkit.errors import DatasetError, MotionkitError
 from motionkit.experiments.long_rollouts import INITIAL, beginning, check_layout
 from motionkit.experiments.protocol import TestSequence, sequence_controls
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.inference.noise import default_noise
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton, canonical_skeleton, leg_length
 
@@ -116,7 +117,7 @@ def _rolled(
     """Features (T, 276) that follow the first INITIAL frames of a sequence with another body in c^s."""
     asked, data = sequence_controls(dataset, sequence, model), sequence.data
     state = RolloutState(model, 1, default_noise(model), seed)
-    state.set_skeletons([skeleton])
+    state.controls.set_skeletons([skeleton])
     state.start(
         data.features[None, :INITIAL],
         data.contacts[None, :INITIAL],

@@ -20,7 +20,8 @@ from motionkit.errors import ControlError, DatasetError, MotionkitError
 from motionkit.experiments.datasets import is_dance
 from motionkit.experiments.protocol import TestSequence, decoded
 from motionkit.features.control import Controls
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.inference.noise import default_noise
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS
@@ -127,7 +128,7 @@ def long_rollout(
     sequence = beginning(dataset, kind)
     frames = round(seconds * model.fps)
     state = RolloutState(model, 1, default_noise(model), seed)
-    state.set_skeletons([dataset.skeleton(sequence.clip)])
+    state.controls.set_skeletons([dataset.skeleton(sequence.clip)])
     weights = model.type_weights(kind)[None]
     asked, data = Controls.of_types(weights), sequence.data
     state.start(

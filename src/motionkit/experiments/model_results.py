@@ -6,13 +6,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from motionkit import __version__
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import SELECTIONS
 from motionkit.experiments.scenes import SCENES
 from motionkit.experiments.variants import GROUPS, VARIANTS
 from motionkit.files import read_json
+from motionkit.version import __version__
 
 Results = list[dict[str, Any]]
 SHIPPED_GROUP = "shipped"  # of results that are no variant's

@@ -17,7 +17,8 @@ from motionkit.errors import MotionkitError
 from motionkit.experiments.datasets import LEAST_TEST, is_dance
 from motionkit.features.control import Controls, blend_types, future_trajectory, types_ahead
 from motionkit.features.decode import decode_motion, integrate_ground
-from motionkit.inference.rollout import RolloutState, default_noise, run
+from motionkit.inference.noise import default_noise
+from motionkit.inference.rollout import RolloutState, run
 from motionkit.metrics.body_movement import body_movement
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
 from motionkit.metrics.report import evaluate_motion
@@ -101,7 +102,7 @@ def model_continues(model: MotionModel, dataset: Dataset, seed: int) -> Continue
     def continues(sequence: TestSequence, number: int) -> tuple[Array, float]:
         asked, first = sequence_controls(dataset, sequence, model), sequence.initial
         state = RolloutState(model, 1, default_noise(model), seed * 1009 + number)
-        state.set_skeletons([dataset.skeleton(sequence.clip)])
+        state.controls.set_skeletons([dataset.skeleton(sequence.clip)])
         state.start(
             sequence.data.features[None, :first],
             sequence.data.contacts[None, :first],

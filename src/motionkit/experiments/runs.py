@@ -30,7 +30,8 @@ from motionkit.models.model import MotionModel
 from motionkit.models.network import parameter_count
 from motionkit.training.options import TrainOptions
 from motionkit.training.presets import train_options
-from motionkit.training.trainer import TrainEvent, train
+from motionkit.training.report import TrainEvent
+from motionkit.training.trainer import train
 
 CURVE_POINTS = 100  # of a training curve in a result
 

@@ -1,4 +1,4 @@
-"""The pose of a frame as ONNX nodes: ground, rotations, root and joints, as in inference/pose.py.
+"""The pose of a frame as ONNX nodes: ground, rotations, root and joints, as inference/frame_kernel.c has them.
 
 Most values here are a handful of numbers, and a node on them costs the same whatever it does. Products with
 constants therefore replace sums, signs and permutations of columns.
@@ -12,16 +12,64 @@ from numpy.typing import NDArray
 from motionkit.export.onnx_graph import Graph
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.inference import height_correction
-from motionkit.inference.pose import FROM_CONSTANT, FROM_MATRIX, LEFT, TO_MATRIX, BodyKinematics
 from motionkit.inference.slip_correction import foot_columns
 from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, STANDING_HEIGHTS
+from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
 
 QUARTER = 0.5 * np.pi
 PER_PACE = height_correction.PACE * height_correction.DOUBT**2
 # The cross product: multiply columns [1, 2, 0, 2, 0, 1] by [2, 0, 1, 1, 2, 0], then first three minus last three.
 FORWARD, BACKWARD = [1, 2, 0, 2, 0, 1], [2, 0, 1, 1, 2, 0]
 MINUS = np.concatenate([np.eye(3), -np.eye(3)])
+
+# Quaternion products as matrices: (p q) = p @ _PRODUCT[.., q], summed over both factors.
+_PRODUCT = np.zeros((4, 4, 4), np.float32)  # [p component, q component, result component]
+for _p, _q, _result, _sign in (
+    (0, 0, 0, 1), (1, 1, 0, -1), (2, 2, 0, -1), (3, 3, 0, -1),
+    (0, 1, 1, 1), (1, 0, 1, 1), (2, 3, 1, 1), (3, 2, 1, -1),
+    (0, 2, 2, 1), (2, 0, 2, 1), (1, 3, 2, -1), (3, 1, 2, 1),
+    (0, 3, 3, 1), (3, 0, 3, 1), (1, 2, 3, 1), (2, 1, 3, -1),
+):  # fmt: skip
+    _PRODUCT[_p, _q, _result] = _sign
+# From p to the matrix that multiplies a q in a row from the right: (4, 4 x 4).
+LEFT = _PRODUCT.reshape(4, 16)
+
+# The nine entries of a rotation matrix from the sixteen products of quaternion components.
+_to_matrix = np.zeros((4, 4, 3, 3), np.float32)
+for _axis in range(3):
+    _i, _j, _k = _axis, (_axis + 1) % 3, (_axis + 2) % 3
+    for _diagonal, _sign in ((_i, 1), (_j, -1), (_k, -1)):
+        _to_matrix[1 + _diagonal, 1 + _diagonal, _i, _i] = _sign
+    _to_matrix[0, 0, _i, _i] = 1
+    _to_matrix[1 + _j, 1 + _k, _j, _k] = _to_matrix[1 + _j, 1 + _k, _k, _j] = 2
+    _to_matrix[0, 1 + _i, _k, _j], _to_matrix[0, 1 + _i, _j, _k] = 2, -2
+TO_MATRIX = _to_matrix.reshape(16, 9)
+# The other way: 4 q q^T is linear in the matrix, with the identity added.
+FROM_MATRIX = np.zeros((9, 16), np.float32)
+FROM_CONSTANT = np.diag(np.ones(4, np.float32)).reshape(16)
+for _c, _signs in enumerate(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))):
+    for _d, _sign in enumerate(_signs):
+        FROM_MATRIX[4 * _d, 5 * _c] = _sign
+for _axis in range(3):
+    _j, _k = (_axis + 1) % 3, (_axis + 2) % 3
+    for _row, _column in ((0, 1 + _axis), (1 + _axis, 0)):
+        FROM_MATRIX[3 * _k + _j, 4 * _row + _column] = 1
+        FROM_MATRIX[3 * _j + _k, 4 * _row + _column] = -1
+    for _row, _column in ((1 + _j, 1 + _k), (1 + _k, 1 + _j)):
+        FROM_MATRIX[3 * _j + _k, 4 * _row + _column] = FROM_MATRIX[3 * _k + _j, 4 * _row + _column] = 1
+
+
+def _ancestors(steps: int) -> NDArray[np.intp]:
+    """For every joint the ancestor so many steps up, JOINT_COUNT (an identity) where there is none."""
+    out = list(range(JOINT_COUNT))
+    for _ in range(steps):
+        out = [JOINT_COUNT if j in (0, JOINT_COUNT) else PARENTS[j] for j in out]
+    return np.array([*out, JOINT_COUNT])
+
+
+# Chains of up to eight joints are multiplied in three rounds, each of which doubles the length of what has been
+# multiplied, for all joints at once.
+ROUNDS = tuple(_ancestors(steps) for steps in (1, 2, 4))
 
 
 def write_body(g: Graph, model: MotionModel, features: str, character: str) -> None:
@@ -60,7 +108,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
         "Gemm", g.reshape(outer, JOINT_COUNT, 16), to_transform.reshape(16, 16), offsets.reshape(-1, 16)
     )
     whole = g.reshape(g.add("Concat", local, np.eye(4).reshape(1, 16), axis=0), JOINT_COUNT + 1, 4, 4)
-    for ancestors in BodyKinematics.ROUNDS:
+    for ancestors in ROUNDS:
         whole = g.add("MatMul", g.gather(whole, ancestors, axis=0), whole)
     # Gather x, y and z from the last column of each transform: a slice over three axes is slow in runtimes.
     at_last = 16 * np.arange(JOINT_COUNT)[:, None] + [3, 7, 11]

@@ -18,7 +18,6 @@ from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 
-from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.control.opening import Shown, last_poses
 from motionkit.control.plan import plan_types
@@ -33,25 +32,25 @@ from motionkit.features.layout import FEATURE_COUNT, column_names
 from motionkit.features.reference import REFERENCE_COUNT, REFERENCE_OFFSETS
 from motionkit.files import atomic_write, read_json
 from motionkit.inference.character import model_first_type
-from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.pose import BodyKinematics, PoseDecoder
-from motionkit.inference.rollout import Noise, RolloutState
+from motionkit.inference.frame_arrays import BodyArrays
+from motionkit.inference.frame_kernel import PoseKernel
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import Start, on_body, type_start
 from motionkit.inference.step import NetworkStep
+from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
 from motionkit.motion.skeleton import JOINT_COUNT
+from motionkit.version import __version__
 
 if TYPE_CHECKING:
     from onnx import ModelProto
 
 FORMAT_NAME = "motionkit-onnx-"
 FORMAT = f"{FORMAT_NAME}6"
-WEIGHTS = ("float32", "int8")
-# Largest distance in cm between joints of the graph and of motionkit after ten seconds in closed loop. In 8 bits small
-# differences add up to another path over the ground.
-TOLERANCES = {"float32": 0.5, "int8": 200.0}
+TOLERANCE = 0.5  # largest distance in cm between joints of the graph and of motionkit after ten seconds in closed loop
 CHECK_FRAMES = 600  # of the check before a graph is written
 REFERENCE_SECONDS = 12.0  # of reference clips per type in the metadata; the last clip is not cut
 
@@ -94,40 +93,33 @@ OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
 }
 
 
-def build_graph(model: MotionModel, character: str = "default", weights: str = "float32") -> ModelProto:
+def build_graph(model: MotionModel, character: str = "default") -> ModelProto:
     """Return the graph of one step on a character's body, with its metadata.
 
-    Args:
-        weights: "float32" or "int8".
-
     Raises:
-        ModelError: if the model's weights cannot be packed, or if weights is unknown.
+        ModelError: if the model's weights cannot be packed.
         ControlError: if the character is unknown.
     """
-    if weights not in WEIGHTS:
-        raise ModelError(f"weights {weights!r} are unknown, expected one of {', '.join(WEIGHTS)}")
     packed = pack(model.network)
     graph = Graph()
     inputs = {**state_shapes(packed), "type_weights": (1, len(model.types))}
     inputs |= {name: shape for name, (shape, _) in CONTROLS.items()}
     outputs = {present_name(name): shape for name, shape in state_shapes(packed).items()}
     outputs |= {name: shape for name, (shape, _) in OUTPUTS.items()}
-    features = write_network(graph, model, packed, model.moved_skeleton(character), small=weights == "int8")
+    features = write_network(graph, model, packed, model.moved_skeleton(character))
     write_body(graph, model, features, character)
-    described = json.dumps(metadata(model, character, weights, starts=False))
+    described = json.dumps(metadata(model, character, starts=False))
     return graph.model(inputs, outputs, __version__, {"motionkit": described})
 
 
-def metadata(
-    model: MotionModel, character: str = "default", weights: str = "float32", starts: bool = True
-) -> dict[str, Any]:
+def metadata(model: MotionModel, character: str = "default", starts: bool = True) -> dict[str, Any]:
     """Return what an engine needs besides the graph; with starts also start poses and reference clips of each type."""
     skeleton = model.character(character)
     shapes = state_shapes(pack(model.network))
     described = {
         "format": FORMAT,
         "motionkit": __version__,
-        "weights": weights,
+        "weights": "float32",
         "fps": model.fps,
         "units": {"length": "cm", "angle": "radians", "time": "frames of 1 / fps seconds"},
         "axes": "right-handed, Y up; heading 0 faces +Z, positive turns to the left (+X)",
@@ -269,9 +261,7 @@ def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
         raise
 
 
-def export_onnx(
-    model: MotionModel, path: str | Path, character: str = "default", weights: str = "float32"
-) -> ExportCheck | None:
+def export_onnx(model: MotionModel, path: str | Path, character: str = "default") -> ExportCheck | None:
     """Check the graph against motionkit, then write it and its metadata (the same name with .json).
 
     Returns:
@@ -284,25 +274,25 @@ def export_onnx(
     """
     path = Path(path)
     beside = metadata_path(path)
-    proto = build_graph(model, character, weights).SerializeToString()
-    check = _checked(model, proto, character, TOLERANCES[weights])
+    proto = build_graph(model, character).SerializeToString()
+    check = _checked(model, proto, character)
     with _both(path, beside) as (graph, text):
         graph.write(proto)
-        text.write(json.dumps(metadata(model, character, weights)))  # faster than json.dump
+        text.write(json.dumps(metadata(model, character)))  # faster than json.dump
     return check
 
 
-def _checked(model: MotionModel, graph: bytes, character: str, tolerance: float) -> ExportCheck | None:
-    """Run check_export; None without onnxruntime. Raises ModelError if joints differ by more than tolerance (cm)."""
+def _checked(model: MotionModel, graph: bytes, character: str) -> ExportCheck | None:
+    """Run check_export; None without onnxruntime. Raises ModelError if joints differ by more than TOLERANCE."""
     try:
         import onnxruntime
     except ImportError:
         return None
     check = check_export(model, graph, character, CHECK_FRAMES)
-    if not check.positions <= tolerance:  # NaN fails as well
+    if not check.positions <= TOLERANCE:  # NaN fails as well
         raise ModelError(
             f"nothing written: in {check.frames} frames in ONNX Runtime {onnxruntime.__version__} joints of the graph "
-            f"differ from motionkit's by {check.positions:.3g} cm, expected at most {tolerance:g}"
+            f"differ from motionkit's by {check.positions:.3g} cm, expected at most {TOLERANCE:g}"
         )
     return check
 
@@ -421,28 +411,22 @@ def check_export(
     kind = model_first_type(model)
     start = on_body(model, type_start(model, kind), model.moved_skeleton(character))
     script = every_control(model, frames)
-    state = RolloutState(model, 1, Noise(), compiled=False)
-    state.network = NetworkStep(pack(model.network), 1)
-    state.set_skeletons([model.moved_skeleton(character)])
+    state = RolloutState(model, 1, Noise())
+    state.network = NetworkStep(StepKernel(pack(model.network)), 1)  # in 32 bits, as the graph
+    state.controls.set_skeletons([model.moved_skeleton(character)])
     state.start(start.features, start.contacts, script[0].type_weights)
     graph = OnnxStep(graph_file)
     _start_graph(graph, model, start, script[0].type_weights)
-    decoder = PoseDecoder(model.config.layout, model.reference_rotations)
-    skeleton = model.character(character)
-    share = np.array([model.body_scale(character)], np.float32)
-    body = BodyKinematics(skeleton.offsets[None])
-    height_correction = HeightCorrection(model.config.layout, 1)
+    body = BodyArrays.of(1, feet=False)
+    body.put(0, model.character(character).offsets, model.body_scale(character))
+    poser = PoseKernel(model.config.layout, model.reference_rotations, body)
     apart, features = np.zeros(frames), np.zeros(frames)
     for frame, asked in enumerate(script):
-        ours, _, ground = state.step(asked)
-        rotations, root = decoder.decode(ours, ground)
-        root *= share
-        world = body.forward(rotations, root)
-        height_correction.apply(ours, root, world, share)
-        set_controls(graph, asked, state.drawn_noise)
+        _, _, positions = poser.pose(*state.step(asked))
+        set_controls(graph, asked, state.drawing.drawn_noise)
         made = graph.step()
-        apart[frame] = np.linalg.norm(made["positions"] - world[..., :3, 3], axis=-1).max()
-        features[frame] = np.abs(made["present_pose"] - state.normalised).max()
+        apart[frame] = np.linalg.norm(made["positions"] - positions, axis=-1).max()
+        features[frame] = np.abs(made["present_pose"] - state.frame.x).max()
     # Timed separately, because side by side each evicts the other's weights from the cache.
     began = time.perf_counter()
     for _ in range(frames):

@@ -50,11 +50,6 @@ class Graph:
         outs = [f"n{len(self.nodes)}_{i}" for i in range(len(sizes))]
         return self._node("Split", (value, self.constant(sizes, np.int64)), outs, {"axis": axis})
 
-    def quantized(self, value: str) -> list[str]:
-        """Quantise a value to 8 bits. Returns the names of the value, its scale and its zero point."""
-        outs = [f"n{len(self.nodes)}_{i}" for i in range(3)]
-        return self._node("DynamicQuantizeLinear", (value,), outs, {})
-
     def reshape(self, value: str, *shape: int, out: str | None = None) -> str:
         """Change the shape of a value."""
         return self.add("Reshape", value, self.constant(shape, np.int64), out=out)

@@ -18,10 +18,9 @@ import numpy as np
 from motionkit.arrays import Floats
 from motionkit.export.onnx_graph import Graph
 from motionkit.export.onnx_slip_correction import hold_ground
-from motionkit.export.onnx_small import balance_heads, spread_channels, whole_numbers
 from motionkit.features.control import skeleton_signal
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
-from motionkit.inference.rollout import blended_columns
+from motionkit.inference.frame_kernel import blended_columns
 from motionkit.inference.step_weights import NORM_EPS, StepWeights
 from motionkit.models.model import MotionModel
 from motionkit.motion.skeleton import Skeleton
@@ -56,20 +55,18 @@ def present_name(name: str) -> str:
     )
 
 
-def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: Skeleton, small: bool) -> str:
+def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: Skeleton) -> str:
     """Write the nodes from controls and state to the next state, without ground and rise.
 
     Args:
         skeleton: the one that the network is shown.
-        small: whether the products of the layers are in 8 bits.
 
     Returns:
         The name of the unnormalised features (1, 276).
     """
     config, P, D = weights.config, len(weights.columns), weights.config.width
     hidden = config.head.contact_hidden
-    weights = balance_heads(spread_channels(weights)) if small else weights
-    step = _Step(g, weights, small)
+    step = _Step(g, weights)
     blocks = _control_blocks(step, model, skeleton)
     past = state_shapes(weights)["past_frames"][1]
     # The oldest frame is dropped; before is the pose of the last one.
@@ -80,7 +77,8 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
     shallow = step.module(0, step.embed_frames(blocks[0][0]), blocks[0])
     # One product of the shallow features serves the deep module and the contacts.
-    taken = step.product(
+    taken = g.add(
+        "Gemm",
         shallow,
         np.concatenate([_beside(weights.deep.embed), weights.contact_shallow], axis=1),
         np.concatenate([weights.deep.embed_bias.reshape(-1), np.zeros(hidden, np.float32)]),
@@ -88,9 +86,8 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     deep_input, feet = g.split(taken, [P * D, hidden], axis=1)
     deep_input = g.add("Add", g.reshape(deep_input, P, D), blocks[1][0])
     deep = step.module(1, deep_input, blocks[1])
-    # The mean is never in 8 bits, because it goes straight into the pose.
     mean = g.add("Gemm", deep, weights.head[:, :FEATURE_COUNT], weights.head_bias[:FEATURE_COUNT])
-    rest = step.product(deep, weights.head[:, FEATURE_COUNT:], weights.head_bias[FEATURE_COUNT:])
+    rest = g.add("Gemm", deep, weights.head[:, FEATURE_COUNT:], weights.head_bias[FEATURE_COUNT:])
     sigma, feet_too = g.split(rest, [FEATURE_COUNT, hidden], axis=1)
     feet = g.add("Relu", g.add("Add", feet, feet_too))
     g.add("Sigmoid", g.add("Gemm", feet, weights.contact, weights.contact_bias), out="present_contacts")
@@ -185,7 +182,7 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
     ]
     embedded = g.add("Gemm", shown, np.concatenate(rows).astype(np.float32), bias.astype(np.float32))
     maps = np.concatenate([m.layer_controls for m in modules])
-    added = step.product(step.own_columns(embedded, 2 * P, maps.shape[1]), _below(maps))
+    added = g.add("MatMul", step.own_columns(embedded, 2 * P, maps.shape[1]), _below(maps))
     D = weights.config.width
     count = maps.shape[2] // D
     return [
@@ -196,8 +193,8 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
 class _Step:
     """The modules of one frame."""
 
-    def __init__(self, g: Graph, weights: StepWeights, small: bool) -> None:
-        self.g, self.weights, self.config, self.small = g, weights, weights.config, small
+    def __init__(self, g: Graph, weights: StepWeights) -> None:
+        self.g, self.weights, self.config = g, weights, weights.config
         config, P, W = self.config, len(weights.columns), weights.config.window
         # Frames are counted up to 2 W - 2 and then from W - 1 again. The count shows which slots of the rings are
         # still empty and which is the oldest.
@@ -240,9 +237,7 @@ class _Step:
         P, D, H = len(self.weights.columns), config.width, config.heads
         for i in range(config.layers):
             layer = index * config.layers + i
-            qkv = self.product(
-                self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1), even=True
-            )
+            qkv = g.add("Gemm", self._norm(x), _beside(weights.qkv[i]), weights.qkv_bias[i].reshape(-1))
             heads = g.gather(g.reshape(qkv, P * P, 3 * H, 1, D // H), np.arange(P) * (P + 1), axis=0)
             mixed = self._attend(layer, *g.split(heads, [H, H, H], axis=1))
             x = self._add_product(x, self.own_columns(mixed, P, D), _below(weights.out[i]))
@@ -253,11 +248,6 @@ class _Step:
     def _hidden(self, x: str, weight: Floats, bias: Floats) -> str:
         """Write the hidden layer with bias (P, F): rows (P, P F), each zero outside its own columns."""
         P, F = bias.shape
-        if self.small:
-            # The mask also restores the scales of the columns; they are positive, so the ReLU is not affected.
-            hidden, size = self._small_product(x, weight, bias.reshape(-1))
-            assert size is not None  # with a bias it is a node of its own
-            return self.g.add("Mul", self.g.add("Relu", hidden), _own(P, F) * size)
         # A bias far below zero has the effect of the mask.
         biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
         return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
@@ -266,38 +256,11 @@ class _Step:
         """Reshape to rows (count, count width), each zero outside its own columns."""
         return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
 
-    def product(self, x: str, weight: Floats, bias: Floats | None = None, even: bool = False) -> str:
-        """Multiply rows by a matrix (K, N) and add a bias (N,). even: the columns have about the same size."""
-        if self.small:
-            product, size = self._small_product(x, weight, bias, even)
-            return product if size is None else self.g.add("Mul", product, size)
-        return self.g.add("MatMul", x, weight) if bias is None else self.g.add("Gemm", x, weight, bias)
-
     def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
         """Add rows y times a matrix, and more, to x."""
-        if not self.small and not more:
+        if not more:
             return self.g.add("Gemm", y, weight, x)
-        return self.g.add("Sum" if more else "Add", x, self.product(y, weight), *more)
-
-    def _small_product(
-        self, x: str, weight: Floats, bias: Floats | None, even: bool = False
-    ) -> tuple[str, Floats | None]:
-        """Write the product in 8 bits. Returns it and the factors its columns still need; None for no factors.
-
-        A product with a bias and a scale per column takes runtimes half as long again as one whose only scale is
-        that of the rows, in a node of its own.
-        """
-        g = self.g
-        whole, scales = whole_numbers(weight, even)
-        common = scales if bias is None else scales.max()
-        size = None if bias is None or even else scales / common
-        value, step, zero = g.quantized(x)
-        product = g.add("MatMulInteger", value, g.constant(whole, np.int8), zero, g.constant(0, np.int8))
-        product = g.add("Cast", product, to=g.onnx.TensorProto.FLOAT)
-        product = g.add("Mul", product, g.add("Mul", step, common))
-        if bias is not None:
-            product = g.add("Add", product, bias if size is None else bias / size)
-        return product, size
+        return self.g.add("Sum", x, self.g.add("MatMul", y, weight), *more)
 
     def _attend(self, layer: int, query: str, key: str, value: str) -> str:
         """Write key and value into the ring of a layer, and attention (P, H, 1, E) over it."""

@@ -22,7 +22,7 @@ from motionkit.control.recording_choice import Entries, RecordingChoice, few_cli
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.character import model_first_type
 from motionkit.inference.kernel_image import BASE, KernelImage, kernel_image
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.inference.start import type_start
 from motionkit.inference.step_weights import pack
 from motionkit.models.config import ModelConfig

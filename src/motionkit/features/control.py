@@ -22,6 +22,7 @@ TRAJECTORY_OFFSETS: tuple[int, ...] = (10, 20, 30, 40, 50, 60)  # frames ahead, 
 TRAJECTORY_COUNT = 4 * len(TRAJECTORY_OFFSETS)  # 6 positions (x, z), then 6 directions (x, z)
 SKELETON_COUNT = 3 * JOINT_COUNT
 TYPE_BLEND_FRAMES = 40
+MOST_TYPES = 1000  # of a dataset or a model
 # Which signals a control vector holds: "paper": skeleton, types at six frames ahead, trajectory; "extended": types of
 # now, and the three signals added to the paper's.
 CONTROL_KINDS = ("extended", "paper")

@@ -16,7 +16,7 @@ from motionkit.motion.rotations import (
     rotate_ground,
     sixd_to_quat,
 )
-from motionkit.motion.skeleton import Skeleton
+from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
 
 
 def decode_rotations(
@@ -46,6 +46,20 @@ def root_height(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
     return features[..., feature_layout(layout).root_height]
 
 
+def joint_positions(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
+    """Joint positions (T, 23, 3) over the ground below the root, turned to its heading; the root's x and z are zero.
+
+    Args:
+        features: (T, 276) unnormalised.
+    """
+    columns = feature_layout(layout)
+    out = np.zeros((len(features), JOINT_COUNT, 3), features.dtype)
+    for index in range(*columns.blocks["joint_positions"].indices(len(columns.columns))):
+        column = columns.columns[index]
+        out[:, column.joint, column.component] = features[:, index]
+    return out
+
+
 def integrate_ground(features: Array, start: Array, fps: float, layout: str = DEFAULT_LAYOUT) -> Array:
     """Root x, z (cm) and heading (radians) (..., T, 3) over time, integrated from the velocities in the features.
 
@@ -59,19 +73,13 @@ def integrate_ground(features: Array, start: Array, fps: float, layout: str = DE
     """
     blocks = feature_layout(layout).blocks
     yaw_steps = features[..., blocks["root_yaw_velocity"]].astype(np.float64)[..., 1:, 0] / fps
-    yaw = start[..., None, 2].astype(np.float64) + _after_zero(np.cumsum(yaw_steps, -1), -1)
+    zero = [(0, 0)] * (features.ndim - 2)
+    yaw = start[..., None, 2].astype(np.float64) + np.pad(np.cumsum(yaw_steps, -1), [*zero, (1, 0)])
     steps = rotate_ground(
         yaw[..., 1:], features[..., 1:, blocks["root_xz_velocity"]].astype(np.float64) / fps
     )
-    xz = start[..., None, :2].astype(np.float64) + _after_zero(np.cumsum(steps, -2), -2)
+    xz = start[..., None, :2].astype(np.float64) + np.pad(np.cumsum(steps, -2), [*zero, (1, 0), (0, 0)])
     return np.concatenate([xz, yaw[..., None]], axis=-1)
-
-
-def _after_zero(values: Array, axis: int) -> Array:
-    """Prepend one zero along an axis, of which nothing else may be there."""
-    widths = [(0, 0)] * values.ndim
-    widths[axis] = (1, 0)
-    return np.pad(values, widths)
 
 
 def decode_motion(

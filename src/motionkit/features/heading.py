@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from motionkit.arrays import Array, normalized
+from motionkit.motion.rotations import wrap_angle
 from motionkit.motion.skeleton import JOINT_NAMES
 
 # The trunk counts as upright within 60 degrees of vertical; beyond that its left-right axis is no reliable measure of
@@ -47,8 +48,7 @@ def _bridge(yaw: Array, upright: Array) -> Array:
     known = np.flatnonzero(upright)
     if len(known) == 0:
         known = np.arange(len(yaw))
-    steps = np.diff(yaw[known])
-    steps = np.remainder(steps + math.pi, 2 * math.pi) - math.pi
+    steps = wrap_angle(np.diff(yaw[known]))
     unrolled = np.concatenate([yaw[known[:1]], yaw[known[:1]] + np.cumsum(steps, 0)])
     frames = np.arange(len(yaw))
     right = np.minimum(np.searchsorted(known, frames), len(known) - 1)

@@ -6,6 +6,7 @@ columns; both body parts share those of the root.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
 
@@ -58,8 +59,13 @@ class FeatureLayout:
     @property
     def root_height(self) -> int:
         """The column of the root's height above the floor."""
-        block = self.blocks["joint_positions"]
-        return next(i for i in range(block.start, block.stop) if self.columns[i].component == 1)
+        return self._places["joint_positions", 0, 1]
+
+    def indices(
+        self, block: str, joints: Sequence[int], components: Sequence[int] = (0, 1, 2)
+    ) -> list[list[int]]:
+        """For each of some joints the columns of its components in a block."""
+        return [[self._places[block, joint, k] for k in components] for joint in joints]
 
     def joint_columns(self, joint: int) -> list[int]:
         """The 12 columns of a joint, in order."""
@@ -70,9 +76,12 @@ class FeatureLayout:
         return self._mirror_map
 
     @cached_property
+    def _places(self) -> dict[tuple[str, int, int], int]:
+        return {(c.block, c.joint, c.component): index for index, c in enumerate(self.columns)}
+
+    @cached_property
     def _mirror_map(self) -> tuple[Array, Array]:
-        place = {(c.block, c.joint, c.component): index for index, c in enumerate(self.columns)}
-        indices = [place[c.block, MIRROR_JOINTS[c.joint], c.component] for c in self.columns]
+        indices = [self._places[c.block, MIRROR_JOINTS[c.joint], c.component] for c in self.columns]
         return np.array(indices), np.array([c.mirror_sign for c in self.columns], np.float32)
 
 

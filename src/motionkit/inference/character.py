@@ -7,18 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from motionkit.arrays import Array, Floats
+from motionkit.arrays import Array
 from motionkit.errors import ControlError
-from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
-from motionkit.inference.foot_lock import FootLock
-from motionkit.inference.frame_kernel import PoseKernel, frame_library
-from motionkit.inference.height_correction import HeightCorrection
-from motionkit.inference.pose import BodyKinematics, PoseDecoder
-from motionkit.inference.rollout import Noise, RolloutState
+from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, skeleton_signal
+from motionkit.inference.frame_arrays import BodyArrays
+from motionkit.inference.frame_kernel import PoseKernel
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind
-from motionkit.motion.skeleton import JOINT_COUNT
 
 _POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
 
@@ -59,11 +57,8 @@ class CharacterStream:
         seed: int = 0,
         ik: bool = True,
         characters: Sequence[str] = ("default",),
-        compiled: bool = True,
     ) -> None:
         """count characters, taking the named skeletons in turn, at the origin in the model's first type.
-
-        compiled=False poses them in numpy even where there is a compiled kernel.
 
         Raises:
             ControlError: for an unknown character or a count below one.
@@ -71,18 +66,9 @@ class CharacterStream:
         if count < 1:
             raise ControlError(f"expected a count of at least 1, found {count}")
         self.model, self.count = model, count
-        self.state = RolloutState(model, count, noise or Noise(), seed, compiled)
-        self.scale = np.ones(count, np.float32)
-        self.decoder = PoseDecoder(model.config.layout, model.reference_rotations)
-        self.offsets = np.zeros((count, JOINT_COUNT, 3), np.float32)
-        self.body = BodyKinematics(self.offsets)
-        self.height_correction = HeightCorrection(model.config.layout, count)
-        self.feet = FootLock(count) if ik else None
-        library = frame_library() if compiled else None
-        kernel = library and PoseKernel(
-            library, self.decoder, self.offsets, self.scale, self.height_correction, self.feet
-        )
-        self._pose = kernel.pose if kernel else self._pose_in_numpy
+        self.state = RolloutState(model, count, noise or Noise(), seed)
+        self.body = BodyArrays.of(count, ik)
+        self.poser = PoseKernel(model.config.layout, model.reference_rotations, self.body)
         for index in range(count):
             self._take_body(index, characters[index % len(characters)])
         kind = model_first_type(model)
@@ -95,15 +81,8 @@ class CharacterStream:
         self.state.start(features, contacts, weights, None, model.phase_seconds(kind) * model.fps)
 
     def _take_body(self, index: int, character: str) -> None:
-        skeleton = self.model.character(character)
-        self.scale[index] = self.model.body_scale(character)
-        self.state.set_skeleton(index, self.model.moved_skeleton(character))
-        self._scaled = bool((self.scale != 1.0).any())
-        self.offsets[index] = skeleton.offsets
-        self.body.set_offsets(index, self.offsets[index])
-        self.height_correction.rise[index] = 0.0
-        if self.feet is not None:
-            self.feet.reset(index)
+        self.body.put(index, self.model.character(character).offsets, self.model.body_scale(character))
+        self.state.controls.skeletons[index] = skeleton_signal(self.model.moved_skeleton(character))
 
     def reset(
         self,
@@ -122,7 +101,7 @@ class CharacterStream:
         start = on_body(model, type_start(model, kind, 1), model.moved_skeleton(character))
         self._take_body(index, character)
         ground = np.array([place], np.float32)
-        ground[:, :2] /= float(self.scale[index])
+        ground[:, :2] /= float(self.body.scale[index])
         length = model.phase_seconds(kind) * model.fps
         self.state.start_one(index, start.features, start.contacts, weights, ground, length)
 
@@ -130,41 +109,23 @@ class CharacterStream:
     def ground(self) -> Array:
         """Root x, z (cm) and heading (radians) of every character in its world (N, 3)."""
         ground = self.state.ground
-        ground[:, :2] *= self.scale[:, None]
-        if self.feet is not None:
-            ground[:, :2] += self.feet.carry
+        ground[:, :2] *= self.body.scale[:, None]
+        if self.body.feet is not None:
+            ground[:, :2] += self.body.feet.root.carry
         return ground
 
     def step(self, controls: Controls) -> CharacterFrame:
         """Move every character on by one frame (1 / model.fps seconds)."""
-        if self._scaled:
+        scale, feet = self.body.scale, self.body.feet
+        if (scale != 1.0).any():
             trajectory = controls.trajectory.copy()
-            trajectory[:, :_POSITIONS] /= self.scale[:, None]
+            trajectory[:, :_POSITIONS] /= scale[:, None]
             controls = replace(controls, trajectory=trajectory)
-        if self.feet is not None:
-            self.feet.hold[:] = controls.slip_correction * self.model.root_hold(controls.type_weights)
-        features, contacts, ground = self.state.advance(controls)
-        rotations, root, positions = self._pose(features, contacts, ground)
-        return CharacterFrame(
-            positions,
-            rotations,
-            root,
-            contacts.copy(),
-            self.ground,
-        )
-
-    def _pose_in_numpy(
-        self, features: Floats, contacts: Floats, ground: Floats
-    ) -> tuple[Floats, Floats, Floats]:
-        rotations, root = self.decoder.decode(features, ground)
-        root *= self.scale[:, None]
-        world = self.body.forward(rotations, root)
-        self.height_correction.apply(features, root, world, self.scale)
-        if self.feet is not None:
-            positions = self.feet.apply(rotations, root, world, contacts, self.scale)
-        else:
-            positions = np.ascontiguousarray(world[..., :3, 3])
-        return rotations, root, positions
+        if feet is not None:
+            feet.root.hold[:] = controls.slip_correction * self.model.root_hold(controls.type_weights)
+        made = self.state.advance(controls)
+        rotations, root, positions = self.poser.pose(made.features, made.contacts, made.ground)
+        return CharacterFrame(positions, rotations, root, made.contacts.copy(), self.ground)
 
 
 def model_first_type(model: MotionModel) -> str:

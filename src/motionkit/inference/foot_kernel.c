@@ -1,5 +1,5 @@
-/* Feet held still, one character at a time: FootLock of foot_lock.py and move_feet of motion/leg_ik.py, where each step
-   is explained. */
+/* Feet held still, one character at a time; foot_lock.py has the state, motion/leg_ik.py the numbers, and move_feet for
+   whole motions. */
 
 #include "frame_kernel.h"
 

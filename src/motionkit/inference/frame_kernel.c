@@ -1,17 +1,19 @@
-/* A frame around the network's step for all characters: the loops behind rollout.py and pose.py, see there.
+/* A frame around the network's step for all characters: from the network's Gaussians to a frame (draw_frames), and from
+   a frame to a body (pose_frames). frame_arrays.py and frame_kernel.py say what the arrays are.
 
-   numpy spends a microsecond on every small array it touches, and a frame of one character touches two hundred.
-   Operations come in the order in which numpy does them and are not fused; functions whose results go back into
-   the network are taken in double precision, where both give the same digits. So both ways stay together for good. */
+   tests/oracle does the same in numpy. Operations come in the order in which numpy does them and are not fused;
+   functions whose results go back into the network are taken in double precision, where both give the same digits.
+   So both ways stay together for good. */
 
 #include "frame_kernel.h"
 
 /* Raised with every change of a struct or of what a function does; frame_kernel.py refuses other libraries. */
-int64_t frame_kernel_version(void) { return 13; }
+int64_t frame_kernel_version(void) { return 14; }
 
 /* Exponential maps whose angle is below this are no rotation. */
 #define SMALLEST 1e-12
 
+/* Mean plus noise, of which each standard deviation takes its own; then the last movement goes on by a share. */
 static void draw_pose(const Draw *d, int64_t row) {
     const float *mean = d->mean + row * d->gaussian_stride, *sigma = d->log_sigma + row * d->gaussian_stride;
     float *x = d->x + row * d->features, *out = d->denormalised + row * d->features;
@@ -39,7 +41,11 @@ static void take_contacts(const Draw *d, int64_t row) {
         d->seen[row * d->contacts + n] = (float)(1.0 / (exp(-d->logits[row * d->logit_stride + n]) + 1.0));
 }
 
-/* What to add to the turn and the step of the root, so that feet on the ground stay there: standing_move in slip_correction.py. */
+/* What to add to the turn and the step of the root, so that feet on the ground stay there; see
+   slip_correction.py.
+
+   feet, before: the foot joints of a frame and of the one before, each in its heading frame, cm.
+   turn: of the heading since then, radians; step: of the root along x and z of the later heading frame, cm. */
 static void standing_move(const Draw *d, const float (*feet)[3], const float (*before)[3], double turn,
                           const double *step, double *out) {
     const double sine = sin(turn), cosine = cos(turn);
@@ -122,7 +128,8 @@ static void orthonormal(const float *sixd, double *a, double *b) {
     for (int i = 0; i < 3; i++) b[i] /= size;
 }
 
-/* The root's rotation is made a rotation again before the network sees it: RolloutState in rollout.py. */
+/* The root's two matrix columns are made orthonormal before the network sees them, as all that it has learnt from are.
+   Drawn frame by frame they shrink; where one goes through zero, the body turns over in a frame. */
 static void keep_rotation(const Draw *d, int64_t row) {
     if (d->sixd < 0) return;
     float *x = d->x + row * d->features + d->sixd, *features = d->denormalised + row * d->features + d->sixd;
@@ -212,19 +219,36 @@ static void forward_kinematics(const Pose *p, const Quat *rotations, Vec3 root, 
     for (int64_t j = 0; j < JOINTS; j++) positions[j] = plus(positions[j], root);
 }
 
-/* Raises a body whose rotations put its feet lower than the frame says they are: HeightCorrection in height_correction.py. */
-static void raise_body(const HeightCorrection *f, int64_t row, const float *features, float scale, Vec3 *positions) {
+/* Root-height correction: how far to raise a body whose rotations put its feet, at so many heights, lower than the
+   frame says they are; see height_correction.py. */
+static float rise(const HeightCorrection *f, float before, const float *features, const float *heights) {
     float said = INFINITY, shown = INFINITY;
     for (int i = 0; i < 4; i++) {
         said = fminf(said, features[f->columns[i]] - f->standing[i]);
-        shown = fminf(shown, positions[f->joints[i]].y / scale - f->standing[i]);
+        shown = fminf(shown, heights[i] - f->standing[i]);
     }
     said = fmaxf(said, -f->deepest);
     const float missing = said > shown ? said - shown : 0, low = 1 - clip(shown / f->reach, 0, 1);
     const float doubted = missing / f->doubt, pace = f->pace * low / (1 + doubted * doubted);
-    f->rise[row] += pace * (missing - f->rise[row]);
-    f->rise[row] += f->lift * fmaxf(-f->deepest - shown - f->rise[row], 0);
+    const float risen = before + pace * (missing - before);
+    return risen + f->lift * fmaxf(-f->deepest - shown - risen, 0);
+}
+
+static void raise_body(const HeightCorrection *f, int64_t row, const float *features, float scale, Vec3 *positions) {
+    float heights[4];
+    for (int i = 0; i < 4; i++) heights[i] = positions[f->joints[i]].y / scale;
+    f->rise[row] = rise(f, f->rise[row], features, heights);
     for (int64_t j = 0; j < JOINTS; j++) positions[j].y += scale * f->rise[row];
+}
+
+/* The same for all frames of one character, whose joints are at heights (frames, 23). */
+void rises(const HeightCorrection *f, int64_t frames, int64_t columns, const float *features, const float *heights,
+           float *out) {
+    for (int64_t t = 0; t < frames; t++) {
+        float feet[4];
+        for (int i = 0; i < 4; i++) feet[i] = heights[t * JOINTS + f->joints[i]];
+        out[t] = rise(f, t ? out[t - 1] : *f->rise, features + t * columns, feet);
+    }
 }
 
 void pose_frames(const Pose *p, int64_t rows) {

@@ -6,7 +6,7 @@
 
 #define JOINTS 23
 
-/* How a frame is drawn from the network's Gaussians and taken in: RolloutState in rollout.py. */
+/* How a frame is drawn from the network's Gaussians and taken in. */
 typedef struct {
     int64_t features, contacts, yaw, xz; /* counts, and columns of the root's velocities */
     int64_t sixd;                        /* columns of the root's rotation, if it is two matrix columns, else -1 */
@@ -55,7 +55,7 @@ typedef struct {
     float *rise; /* (B,) */
 } HeightCorrection;
 
-/* From a frame to a body: PoseDecoder, BodyKinematics, HeightCorrection and FootLock. */
+/* From a frame to a body: rotations, joints, root-height correction and held feet. */
 typedef struct {
     int64_t features, root, joints, height, sixd; /* columns */
     int64_t parents[JOINTS];

@@ -1,7 +1,6 @@
-"""frame_kernel.c and foot_kernel.c from Python: what is around the network's step, where a C compiler was at hand.
+"""frame_kernel.c and foot_kernel.c from Python: what is around the network's step.
 
-numpy does the same in rollout.py, pose.py and foot_lock.py; the tests hold both together. The kernels read and
-write the arrays of those who bind them, which are to stay where they are.
+The kernels read and write the arrays they are told of, which are to stay where they are.
 """
 
 from __future__ import annotations
@@ -12,22 +11,22 @@ from ctypes import POINTER, Structure, byref, c_double, c_float, c_int64, c_void
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.arrays import Floats
-from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
-from motionkit.inference import foot_lock, height_correction, slip_correction
+from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
+from motionkit.inference import height_correction, slip_correction
+from motionkit.inference.foot_lock import FootLock
+from motionkit.inference.frame_arrays import BodyArrays, FrameArrays, PresetArrays
+from motionkit.inference.noise import Noise, NoiseState
 from motionkit.motion import leg_ik
+from motionkit.motion.rotations import quat_multiply
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT, PARENTS, STANDING_HEIGHTS
 from motionkit.native import load_library
 
-if TYPE_CHECKING:
-    from motionkit.inference.pose import PoseDecoder
-
-VERSION = 13  # of frame_kernel.c
+VERSION = 14  # of frame_kernel.c
 
 
 class _Draw(Structure):
@@ -90,126 +89,120 @@ class _Pose(Structure):
 
 
 @cache
-def frame_library() -> ctypes.CDLL | None:
-    """The shared library, None where the installation has none that fits."""
+def frame_library() -> ctypes.CDLL:
+    """The shared library. Raises MotionkitError where the installation has none that fits."""
     library = load_library(Path(__file__).resolve().parent / "_frame_kernel", "frame_kernel_version", VERSION)
-    if library is not None:
-        library.draw_frames.argtypes = [POINTER(_Draw), c_int64]
-        library.pose_frames.argtypes = [POINTER(_Pose), c_int64]
-        library.draw_frames.restype = library.pose_frames.restype = None
+    library.draw_frames.argtypes = [POINTER(_Draw), c_int64]
+    library.pose_frames.argtypes = [POINTER(_Pose), c_int64]
+    library.rises.argtypes = [POINTER(_HeightCorrection), c_int64, c_int64, c_void_p, c_void_p, c_void_p]
+    library.draw_frames.restype = library.pose_frames.restype = library.rises.restype = None
     return library
 
 
+# ---- drawing a frame ----
+
+
+def blended_columns(layout: str) -> Floats:
+    """Share of a type's velocity_blend per feature (276,): 0 for heights, because the floor stops a fall at once."""
+    columns = feature_layout(layout).columns
+    upright = [c.block in ("joint_positions", "joint_velocities") and c.component == 1 for c in columns]
+    return 1.0 - np.array(upright, np.float32)
+
+
 @dataclass(frozen=True, eq=False)
-class PredictionArrays:
-    """What the network predicts of the next frame: mean and log_sigma (N, 276) normalised, contact logits (N, 4)."""
+class Prediction:
+    """What the network predicts of the next frame: mean and log_sigma (B, 276) normalised, contact logits (B, 4)."""
 
     mean: Floats
     log_sigma: Floats
-    logits: Floats
+    contact_logits: Floats
 
 
 @dataclass(frozen=True, eq=False)
-class NoiseArrays:
-    """White noise (N, 276), None without noise, and the states (N, 276) of the two filters it goes through."""
+class FrameSpace:
+    """What the normalised features of a model mean.
 
-    fresh: Floats | None
-    first: Floats
-    second: Floats
+    Attributes:
+        layout: the version of the columns; fps: frames per second.
+        mean, std: (276,) of the features.
+        blended: (276,) blended_columns.
+    """
 
-
-@dataclass(frozen=True, eq=False)
-class BlendArrays:
-    """Columns (276,) whose velocity is blended, by what shares (N, 1), slip correction (N, 1), last frame (N, 276)."""
-
-    columns: Floats
-    velocity_blend: Floats
-    slip_correction: Floats
-    before: Floats
-
-
-@dataclass(frozen=True, eq=False)
-class FrameArrays:
-    """The frame drawn: x (N, 276) normalised, contacts (N, 4), features (N, 276), ground (N, 3)."""
-
-    x: Floats
-    contacts: Floats
-    features: Floats
-    ground: Floats
+    layout: str
+    fps: float
+    mean: Floats
+    std: Floats
+    blended: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class DrawArrays:
-    """What RolloutState draws frames with: from the network, constants, and state; rows are characters."""
+    """What frames of B characters are drawn from, and what they become."""
 
-    prediction: PredictionArrays
-    scaling: tuple[Floats, Floats]  # mean and standard deviation (276,)
-    noise: NoiseArrays
-    blend: BlendArrays
+    prediction: Prediction
+    space: FrameSpace
+    noise: NoiseState
+    presets: PresetArrays
     frame: FrameArrays
 
 
-def bind_draw(library: ctypes.CDLL, words: Structure, arrays: DrawArrays) -> Callable[[], None]:
-    """What draws the next frame of all characters, by the words of draw_words for the same arrays."""
-    return _call(library.draw_frames, words, len(arrays.frame.x), arrays)
-
-
-def draw_words(
-    arrays: DrawArrays,
-    columns: tuple[int, int, int, NDArray[np.intp]],
-    noise: tuple[float, float, float, float, float],
-    fps: float,
-) -> Structure:
-    """How draw_frames is told of the arrays, which it keeps no hold of.
-
-    Args:
-        columns: of the root's yaw velocity, of the first of its ground velocities, of its rotation if that is two
-            matrix columns, else -1, and of the foot joints (4, 3).
-        noise: Noise.filters and the temperature.
-    """
-    made, filters, frame = arrays.prediction, arrays.noise, tuple(vars(arrays.frame).values())
-    strides = [array.strides[0] // 4 for array in (made.mean, made.logits)]
-    followed = (filters.first, filters.second, *vars(arrays.blend).values())
-    whole = (*arrays.scaling, *followed, *frame)
+def draw_words(arrays: DrawArrays, noise: Noise) -> Structure:
+    """How draw_frames is told of the arrays, which it keeps no hold of, and of how noise is drawn."""
+    made, space, state, presets, frame = vars(arrays).values()
+    strides = [array.strides[0] // 4 for array in (made.mean, made.contact_logits)]
+    followed = (
+        state.first, state.second, space.blended, presets.velocity_blend, presets.slip_correction, frame.before,
+    )  # fmt: skip
+    drawn = (frame.x, frame.contacts, frame.features, frame.ground)
+    whole = (space.mean, space.std, *followed, *drawn)
     assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in whole)
     assert made.log_sigma.strides == made.mean.strides
-    *root, feet = columns
+    layout, feet = feature_layout(space.layout), slip_correction.foot_columns(space.layout)
+    blocks = layout.blocks
+    sixd = blocks["root_rotation"].start if layout.root_is_sixd else -1
+    fresh = None if noise.kind == "mean" else state.fresh
     four = c_double * 4
     return _Draw(
-        FEATURE_COUNT, CONTACT_COUNT, *root, *strides,
-        (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
+        FEATURE_COUNT, CONTACT_COUNT, blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start, sixd,
+        *strides, (c_int64 * 4)(*feet[:, 0].tolist()), slip_correction.FLOOR,
         four(*slip_correction.REACHES), four(*leg_ik.FOOT_SHARES),
         leg_ik.HOLD.ease, slip_correction.STIFFNESS, leg_ik.HOLD.enough, slip_correction.LIMIT,
-        *(_address(v) for v in (*vars(made).values(), *arrays.scaling, filters.fresh, *followed)),
-        *noise, fps,
-        *(_address(v) for v in frame),
+        *(_address(v) for v in (*vars(made).values(), space.mean, space.std, fresh, *followed)),
+        *noise.filters, noise.temperature, space.fps,
+        *(_address(v) for v in drawn),
     )  # fmt: skip
 
 
-class PoseKernel:
-    """PoseDecoder, BodyKinematics, HeightCorrection and FootLock of N characters in one call."""
+def bind_draw(arrays: DrawArrays, noise: Noise) -> Callable[[], None]:
+    """What draws the next frame of all characters."""
+    return _call(frame_library().draw_frames, draw_words(arrays, noise), len(arrays.frame.x), arrays)
 
-    def __init__(
-        self,
-        library: ctypes.CDLL,
-        decoder: PoseDecoder,
-        offsets: Floats,
-        scale: Floats,
-        rises: height_correction.HeightCorrection,
-        feet: foot_lock.FootLock | None,
-    ) -> None:
-        """offsets (N, 23, 3) in cm, scale (N,), rises, and feet, None to leave them alone, are read at each call."""
-        count = len(offsets)
-        self._library, self._decoder, self._rises, self._feet = library, decoder, rises, feet
-        self._bodies = (offsets, scale)
-        self._posed = tuple(
+
+# ---- posing a frame ----
+
+
+def reference_products(reference_rotations: Floats) -> Floats:
+    """Matrices (22, 4, 4) of the joints below the root: a row q times one is the product of its reference and q."""
+    rows = quat_multiply(reference_rotations[1:, None].astype(np.float32), np.eye(4, dtype=np.float32))
+    return np.ascontiguousarray(rows)
+
+
+class PoseKernel:
+    """From frames of N characters to their bodies, raised and with feet held."""
+
+    def __init__(self, layout: str, reference_rotations: Floats, body: BodyArrays) -> None:
+        """reference_rotations: (23, 4); the arrays of body are read and changed at each call."""
+        count = len(body.offsets)
+        self.layout, self.body = layout, body
+        self.references = reference_products(reference_rotations)
+        self.posed = tuple(
             np.zeros((count, *n), np.float32) for n in ((JOINT_COUNT, 4), (3,), (JOINT_COUNT, 3))
         )
         self._frame: tuple[Floats, ...] = ()
         self._run: Callable[[], None] | None = None
 
     def pose(self, features: Floats, contacts: Floats, ground: Floats) -> tuple[Floats, Floats, Floats]:
-        """Rotations (N, 23, 4), root positions (N, 3) and positions (N, 23, 3) of a frame.
+        """Local rotations (N, 23, 4), root positions (N, 3) and positions (N, 23, 3) of a frame.
 
         Args:
             features: (N, 276) unnormalised.
@@ -218,54 +211,55 @@ class PoseKernel:
         """
         frame = (features, contacts, ground)
         if self._run is None or any(a is not b for a, b in zip(frame, self._frame, strict=True)):
-            self._frame, self._run = frame, self._bind(frame)
+            kept = (self.references, self.body, self.posed, frame)
+            words = self.words(*frame)
+            self._frame, self._run = frame, _call(frame_library().pose_frames, words, len(features), kept)
         self._run()
-        rotations, root, positions = self._posed
+        rotations, root, positions = self.posed
         return rotations.copy(), root.copy(), positions.copy()
 
-    def _bind(self, frame: tuple[Floats, ...]) -> Callable[[], None]:
-        arrays = (*self._bodies, *frame, *self._posed)
-        words = pose_words(self._decoder, arrays, self._rises, self._feet)
-        kept = (self._decoder, arrays, self._rises, self._feet)
-        return _call(self._library.pose_frames, words, len(self._posed[0]), kept)
+    def words(self, features: Floats, contacts: Floats, ground: Floats) -> Structure:
+        """How pose_frames is told of a frame and of the bodies, which it keeps no hold of."""
+        body, columns = self.body, feature_layout(self.layout)
+        arrays = (self.references, body.offsets, body.scale, features, contacts, ground, *self.posed)
+        assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in arrays)
+        blocks = columns.blocks
+        return _Pose(
+            FEATURE_COUNT, blocks["root_rotation"].start, blocks["joint_rotations"].start, columns.root_height,
+            columns.root_is_sixd, (c_int64 * JOINT_COUNT)(*PARENTS),
+            _height_correction(self.layout, body.rise), *(_address(array) for array in arrays),
+            None if body.feet is None else pointer(_feet(body.feet)),
+        )  # fmt: skip
 
 
-def pose_words(
-    decoder: PoseDecoder,
-    arrays: tuple[Floats, ...],
-    rises: height_correction.HeightCorrection,
-    feet: foot_lock.FootLock | None,
-) -> Structure:
-    """How pose_frames is told of a decoder, of its arrays and of the state of the feet, which it keeps no hold of.
+def rises(layout: str, features: Floats, heights: Floats) -> Floats:
+    """How far to raise a body (T,) in the frames of a whole motion, in cm of the canonical body.
 
     Args:
-        arrays: offsets, scale; features, contacts, ground; rotations, root positions and positions to write, as in
-            PoseKernel.
+        features: (T, 276) unnormalised.
+        heights: (T, 23) of all joints by forward kinematics, not raised, in cm of the canonical body.
     """
-    arrays = (decoder.reference_rotations, *arrays)
-    assert all(array.flags.c_contiguous and array.dtype == np.float32 for array in arrays)
-    return _Pose(
-        FEATURE_COUNT, decoder.root.start, decoder.joints.start, decoder.height, decoder.continuous,
-        (c_int64 * JOINT_COUNT)(*PARENTS), _height_correction(rises),
-        *(_address(array) for array in arrays),
-        None if feet is None else pointer(_feet(feet)),
-    )  # fmt: skip
+    given = [np.ascontiguousarray(array, np.float32) for array in (features, heights)]
+    out, state = np.zeros(len(features), np.float32), np.zeros(1, np.float32)
+    words = _height_correction(layout, state)
+    frame_library().rises(byref(words), len(out), FEATURE_COUNT, *map(_address, (*given, out)))
+    return out
 
 
-def _height_correction(rises: height_correction.HeightCorrection) -> _HeightCorrection:
+def _height_correction(layout: str, rise: Floats) -> _HeightCorrection:
     four, f = c_int64 * 4, height_correction
-    numbers = (f.REACH, f.PACE, f.DOUBT, f.DEEPEST, f.LIFT, _address(rises.rise))
-    joints, columns = four(*FOOT_JOINTS), four(*rises.columns.tolist())
+    numbers = (f.REACH, f.PACE, f.DOUBT, f.DEEPEST, f.LIFT, _address(rise))
+    joints, columns = four(*FOOT_JOINTS), four(*slip_correction.foot_columns(layout)[:, 1].tolist())
     return _HeightCorrection(joints, columns, (c_float * 4)(*STANDING_HEIGHTS), *numbers)
 
 
-def _feet(feet: foot_lock.FootLock) -> _Feet:
+def _feet(feet: FootLock) -> _Feet:
     numbers = [value for settings in _FEET_SETTINGS for value in vars(settings).values()]
     numbers += [leg_ik.BENT, leg_ik.THIGH_SHARE, leg_ik.ALIKE]
     numbers += [leg_ik.STRAIGHTENING, leg_ik.BACKWARDS, leg_ik.STEEP]
-    state = [getattr(feet, name) for name in _FEET_STATE]
-    joints = leg_ik.LEG_JOINTS.tolist()
-    return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *(_address(array) for array in state))
+    state, joints = feet.arrays, leg_ik.LEG_JOINTS.tolist()
+    places = [_address(state[name]) for name in _FEET_STATE]
+    return _Feet(*((c_int64 * 2)(*pair) for pair in joints), *numbers, *places)
 
 
 def _call(function: Callable, words: Structure, rows: int, kept: object) -> Callable[[], None]:

@@ -14,17 +14,15 @@ from dataclasses import dataclass, field
 from functools import cache
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from motionkit.inference.character import CharacterStream
-from motionkit.inference.frame_kernel import pose_words
-from motionkit.inference.rollout import Noise
+from motionkit.inference.frame_kernel import draw_words
+from motionkit.inference.noise import Noise
 from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import LINE, StepProgram
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
-from motionkit.motion.skeleton import JOINT_COUNT
 
 # Where the shared part begins; below it are the stack and the constants of the compiled module.
 BASE = 1 << 20
@@ -72,30 +70,28 @@ def kernel_image(model: MotionModel, noise: Noise) -> KernelImage:
         ModelError: for a network that the kernels cannot run.
     """
     program = StepProgram(pack(model.network), small=True)
-    stream = CharacterStream(model, 1, noise, compiled=False)
-    network, feet, rises = stream.state.network, stream.feet, stream.height_correction
-    assert isinstance(network, NetworkStep) and feet is not None
-    fresh = np.zeros_like(stream.state.normalised)
-    controls = np.zeros((1, model.controls.size), np.float32)
-    posed = [np.zeros((1, *n), np.float32) for n in ((JOINT_COUNT, 4), (3,), (JOINT_COUNT, 3))]
-    draw, drawn = stream.state.draw_words(network, fresh)
-    made = drawn.frame
-    frame = (made.features, made.contacts, made.ground)
-    pose = pose_words(stream.decoder, (stream.offsets, stream.scale, *frame, *posed), rises, feet)
-    step = program.frame_words(network, controls)
+    stream = CharacterStream(model, 1, noise)
+    network, body, poser = stream.state.network, stream.body, stream.poser
+    assert isinstance(network, NetworkStep) and body.feet is not None
+    drawn = stream.state.drawing.arrays(network)
+    draw, frame = draw_words(drawn, noise), drawn.frame
+    pose = poser.words(frame.features, frame.contacts, frame.ground)
+    arrays, presets = network.arrays, drawn.presets
+    step = program.frame_words(arrays)
     own: dict[str, NDArray[Any]] = {
-        "recent": network.recent, "keys": network.keys, "values": network.values, "filled": network.filled,
-        "controls": controls, "out": network.out, "logits": network.contacts_out, "fresh": fresh,
-        "noise": drawn.noise.first, "smooth": drawn.noise.second, "velocity_blend": drawn.blend.velocity_blend,
-        "slip_correction": drawn.blend.slip_correction, "before": drawn.blend.before,
-        **vars(made), **dict(zip(("rotations", "root", "positions"), posed, strict=True)),
+        "recent": arrays.recent, "keys": arrays.keys, "values": arrays.values, "filled": arrays.filled,
+        "controls": arrays.controls, "out": arrays.out, "logits": arrays.contacts_out,
+        "fresh": drawn.noise.fresh, "noise": drawn.noise.first, "smooth": drawn.noise.second,
+        "velocity_blend": presets.velocity_blend, "slip_correction": presets.slip_correction,
+        "before": frame.before, "x": frame.x, "contacts": frame.contacts, "features": frame.features,
+        "ground": frame.ground, **dict(zip(("rotations", "root", "positions"), poser.posed, strict=True)),
     }  # fmt: skip
     for array in own.values():
         array[:] = 0  # the stream has been started
-    own |= {f"feet_{name}": array for name, array in vars(feet).items()} | {"rise": rises.rise}
+    own |= {f"feet_{name}": array for name, array in body.feet.arrays.items()} | {"rise": body.rise}
     writer = _Writer()
-    writer.share(*program.kept, program.position, *drawn.scaling, drawn.blend.columns)
-    writer.share(stream.decoder.reference_rotations, stream.offsets, stream.scale)
+    writer.share(*program.kept, program.position, drawn.space.mean, drawn.space.std, drawn.space.blended)
+    writer.share(poser.references, body.offsets, body.scale)
     addresses = {name: writer.keep(array) for name, array in own.items()}
     addresses["position"] = writer.address_of(program.position.ctypes.data)[0]
     writer.struct(program.maps, shared=True)

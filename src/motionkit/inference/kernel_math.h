@@ -1,4 +1,4 @@
-/* Vectors, quaternions (w, x, y, z) and 3 x 3 matrices of single characters, as inference/pose.py has them for many. */
+/* Vectors, quaternions (w, x, y, z) and 3 x 3 matrices. */
 
 #include <math.h>
 

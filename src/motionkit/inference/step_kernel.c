@@ -1,4 +1,4 @@
-/* One frame of the network for some characters: the loops behind inference/step.py, see there and step_weights.py.
+/* One frame of the network for some characters, by the weights of step_weights.py; step_arrays.py has the arrays.
 
    Plain C with the vector extensions of GCC and Clang; no Python header, it is called through ctypes.
    Nearly all time goes into bringing the weights from the cache to the core, so they lie in the order
@@ -128,23 +128,27 @@ INLINE void product_of(const int small, const Map *map, int64_t rows, const floa
 }
 
 /* Rows y = x W + bias, or y += x W for a map without bias. */
-FASTEST
-static void product(const Map *map, int64_t rows, const float *x, int64_t ldx, float *y, int64_t ldy) {
+INLINE void product_inline(const Map *map, int64_t rows, const float *x, int64_t ldx, float *y, int64_t ldy) {
     if (map->scale)
         product_of(1, map, rows, x, ldx, y, ldy);
     else
         product_of(0, map, rows, x, ldx, y, ldy);
 }
 
+FASTEST(product,
+        (const Map *map, int64_t rows, const float *x, int64_t ldx, float *y, int64_t ldy),
+        (map, rows, x, ldx, y, ldy))
+
 /* Layer norm of a row without a mean, and without sqrt(D). */
-FASTEST
-static void norm(const float *restrict x, float *restrict y, int64_t width, float eps) {
+INLINE void norm_inline(const float *restrict x, float *restrict y, int64_t width, float eps) {
     float sum = 0;
 #pragma omp simd reduction(+ : sum)
     for (int64_t d = 0; d < width; d++) sum += x[d] * x[d];
     const float scale = 1.0f / sqrtf(sum + width * eps);
     for (int64_t d = 0; d < width; d++) y[d] = scale * x[d];
 }
+
+FASTEST(norm, (const float *restrict x, float *restrict y, int64_t width, float eps), (x, y, width, eps))
 
 /* The numbers of up to HEADS heads side by side. */
 INLINE heads_vec heads_at(const float *from, const int64_t count) {
@@ -185,14 +189,17 @@ INLINE void attend_heads(const int64_t count, int64_t H, int64_t E, int64_t W, c
     }
 }
 
-FASTEST
-static void attend(int64_t H, int64_t E, int64_t W, const float *q, const float *keys, const float *values,
+INLINE void attend_inline(int64_t H, int64_t E, int64_t W, const float *q, const float *keys, const float *values,
                    const float *position, const int64_t *allowed, float *mixed) {
     int64_t h = 0;
     for (; h + HEADS <= H; h += HEADS)
         attend_heads(HEADS, H, E, W, q + h, keys + h, values + h, position + h, allowed, mixed + h);
     if (h < H) attend_heads(H - h, H, E, W, q + h, keys + h, values + h, position + h, allowed, mixed + h);
 }
+
+FASTEST(attend,
+        (int64_t H, int64_t E, int64_t W, const float *q, const float *keys, const float *values, const float *position, const int64_t *allowed, float *mixed),
+        (H, E, W, q, keys, values, position, allowed, mixed))
 
 /* Whether a program is one that step() can run: the stack holds so many places, vectors whole heads. */
 static int fits(const Program *p) {

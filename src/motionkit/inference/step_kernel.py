@@ -7,7 +7,6 @@ from collections.abc import Callable
 from ctypes import POINTER, Structure, byref, c_float, c_int64, c_void_p
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,14 +14,11 @@ from numpy.typing import NDArray
 from motionkit.arrays import Floats
 from motionkit.errors import ModelError
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
+from motionkit.inference.step_arrays import TILE, StepArrays
 from motionkit.inference.step_weights import NORM_EPS, ModuleWeights, StepWeights
 from motionkit.native import cores, load_library, workers
 
-if TYPE_CHECKING:
-    from motionkit.inference.step import NetworkStep
-
 VERSION = 4  # of step_kernel.c
-TILE = 32
 LINE = 64  # bytes of a line of the cache
 # Characters that go through the network together, so that their activations stay near; more of them in large crowds,
 # of which each core takes its share, so that the weights are read less often.
@@ -63,14 +59,13 @@ class _Frame(Structure):
 
 
 @cache
-def kernel_library() -> ctypes.CDLL | None:
-    """The shared library, None where the installation has none that fits."""
+def kernel_library() -> ctypes.CDLL:
+    """The shared library. Raises MotionkitError where the installation has none that fits."""
     library = load_library(Path(__file__).resolve().parent / "_step_kernel", "step_kernel_version", VERSION)
-    if library is not None:
-        library.scratch_size.argtypes = [POINTER(_Program), c_int64]
-        library.scratch_size.restype = c_int64
-        library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
-        library.step.restype = c_int64
+    library.scratch_size.argtypes = [POINTER(_Program), c_int64]
+    library.scratch_size.restype = c_int64
+    library.step.argtypes = [POINTER(_Program), POINTER(_Frame), c_int64, c_int64, c_void_p]
+    library.step.restype = c_int64
     return library
 
 
@@ -120,12 +115,12 @@ class StepProgram:
             self._keep(weights.columns),
         )
 
-    def frame_words(self, state: NetworkStep, controls: Floats) -> _Frame:
-        """What the kernel is told of a state and its controls, for slot 0; it keeps no hold of them."""
-        arrays: list[NDArray] = [state.recent, state.keys, state.values, state.filled, controls]
-        arrays += [self.position, state.out, state.contacts_out]
-        assert all(array.flags.c_contiguous for array in arrays)
-        return _Frame(*(array.ctypes.data for array in arrays), 0)
+    def frame_words(self, arrays: StepArrays) -> _Frame:
+        """What the kernel is told of the arrays, for slot 0; it keeps no hold of them."""
+        told: list[NDArray] = [arrays.recent, arrays.keys, arrays.values, arrays.filled, arrays.controls]
+        told += [self.position, arrays.out, arrays.contacts_out]
+        assert all(array.flags.c_contiguous for array in told)
+        return _Frame(*(array.ctypes.data for array in told), 0)
 
     def _module_maps(self, weights: ModuleWeights, layers: int) -> list[tuple[NDArray, _Map]]:
         """Maps in the order of the kernel: part by part, layer by layer."""
@@ -183,29 +178,27 @@ class StepProgram:
 
 
 class StepKernel(StepProgram):
-    """The same with the library that runs it, to be shared by any number of NetworkSteps."""
+    """The same with the library that runs it, to be shared by any number of NetworkSteps.
+
+    Raises MotionkitError where the library is missing, ModelError for a network that it cannot run.
+    """
 
     def __init__(self, weights: StepWeights, small: bool = False) -> None:
-        library = kernel_library()
-        assert library is not None
-        self._library = library
+        self.weights, self._library = weights, kernel_library()
         super().__init__(weights, small)
-        if library.scratch_size(byref(self.words), 1) < 0:
+        if self._library.scratch_size(byref(self.words), 1) < 0:
             raise ModelError(f"the compiled step cannot run a network of these sizes: {weights.config}")
 
-    def bind(self, state: NetworkStep, controls: Floats) -> Callable[[int], None]:
-        """What does a step of NetworkStep at a slot: rings, mean, log_sigma and contact_logits of all characters.
-
-        The arrays of the state, and controls, are to stay where they are.
-        """
-        frame = self.frame_words(state, controls)
+    def bind(self, arrays: StepArrays) -> Callable[[int], None]:
+        """What does a step at a slot of the rings: keys, values, out and contacts_out of all characters."""
+        frame, batch = self.frame_words(arrays), len(arrays.filled)
         places = [self.position[slot].ctypes.data for slot in range(len(self.position))]
         program, call = byref(self.words), self._library.step
-        together = max(ROWS, min(MOST_ROWS, -(-state.batch // cores())))
-        size = self._library.scratch_size(program, min(together, state.batch))
+        together = max(ROWS, min(MOST_ROWS, -(-batch // cores())))
+        size = self._library.scratch_size(program, min(together, batch))
         shares = [
-            (first, min(together, state.batch - first), np.empty(size, np.float32))
-            for first in range(0, state.batch, together)
+            (first, min(together, batch - first), np.empty(size, np.float32))
+            for first in range(0, batch, together)
         ]
         calls = [(program, byref(frame), first, count, s.ctypes.data) for first, count, s in shares]
 
@@ -218,7 +211,7 @@ class StepKernel(StepProgram):
             if refused:
                 raise ModelError("the compiled step does not fit this network")
 
-        step.keeps = (shares, controls)  # type: ignore[attr-defined]
+        step.keeps = (shares, arrays)  # type: ignore[attr-defined]
         return step
 
 

@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 from motionkit.arrays import Array, Doubles, Floats
 from motionkit.errors import ModelError
 from motionkit.features.layout import FEATURE_COUNT
-from motionkit.models.architectures import PredictorConfig
-from motionkit.models.config import ModelConfig
+from motionkit.models.config import ModelConfig, PredictorConfig
 from motionkit.models.weights import NetworkWeights, embedding_mask, foot_parts, part_columns
 
 NORM_EPS = 1e-5  # of torch's layer_norm

@@ -1,4 +1,4 @@
-"""How a network is run frame by frame here: packed where it can be, else by torch."""
+"""How a network is run frame by frame: packed, by step_kernel.c, where it can be, else by torch."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from motionkit.errors import ModelError
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.inference.step import NetworkStep
-from motionkit.inference.step_kernel import StepKernel, kernel_library
-from motionkit.inference.step_weights import StepWeights, pack, why_not_packable
+from motionkit.inference.step_kernel import StepKernel
+from motionkit.inference.step_weights import pack, why_not_packable
 from motionkit.models.architectures import network_class
 from motionkit.models.weights import NetworkWeights
 
@@ -85,21 +85,13 @@ class TorchStep:
 def stepper(
     network: NetworkWeights, batch: int, random: Sequence[np.random.Generator] = ()
 ) -> NetworkStep | TorchStep:
-    """The fastest way to run a network frame by frame on this machine; random as in TorchStep."""
+    """The way to run a network frame by frame; random as in TorchStep."""
     if why_not_packable(network.config) is not None:
         return TorchStep(network, batch, random)
-    return NetworkStep(*_packed(network, batch))
+    if network not in _PACKED:
+        _PACKED[network] = StepKernel(pack(network), small=True)
+    return NetworkStep(_PACKED[network], batch)
 
 
-# What networks were packed into, for as long as they live.
-_PACKED: WeakKeyDictionary[NetworkWeights, tuple[StepWeights, StepKernel | None]] = WeakKeyDictionary()
-
-
-def _packed(network: NetworkWeights, batch: int) -> tuple[StepWeights, int, StepKernel | None]:
-    """A network's packed weights, made once for all characters."""
-    known = _PACKED.get(network)
-    if known is None:
-        weights = pack(network)
-        known = weights, StepKernel(weights, small=True) if kernel_library() else None
-        _PACKED[network] = known
-    return known[0], batch, known[1]
+# What networks were packed into, once for all characters, for as long as they live.
+_PACKED: WeakKeyDictionary[NetworkWeights, StepKernel] = WeakKeyDictionary()

@@ -1,4 +1,7 @@
-"""Body movement (BM): how far all joints rotate from frame to frame."""
+"""Body movement (BM): how far all joints rotate from frame to frame.
+
+Rotations are local ones (T, J, 4), as quaternions w, x, y, z.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricValue, need
 from motionkit.motion.rotations import quat_angle, quat_to_euler, wrap_angle
 
 EULER_ORDER = "ZYX"  # the order of the CMU files and of motionkit's own files
@@ -19,20 +22,13 @@ def euler_movement(local_rotations: Array) -> Array:
 
     Angles are ZYX with the middle one within +-90. Near the pole their rates grow without bound, and the root's
     value depends on the direction of the world axes; geodesic_movement has neither problem.
-
-    Args:
-        local_rotations: (T, J, 4) quaternions w, x, y, z.
     """
     angles = quat_to_euler(local_rotations.astype(np.float64), EULER_ORDER)
     return np.rad2deg(np.abs(wrap_angle(np.diff(angles, axis=0))).sum(-1))
 
 
 def geodesic_movement(local_rotations: Array) -> Array:
-    """Angle (T - 1, J) in degrees of each joint's rotation from one frame to the next.
-
-    Args:
-        local_rotations: (T, J, 4) quaternions w, x, y, z.
-    """
+    """Angle (T - 1, J) in degrees of each joint's rotation from one frame to the next."""
     quat = local_rotations.astype(np.float64)
     return np.rad2deg(quat_angle(quat[:-1], quat[1:]))
 
@@ -41,7 +37,7 @@ def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
     """BM in degrees per frame: movement summed over joints, averaged over frames.
 
     Args:
-        local_rotations: (T, J, 4) quaternions w, x, y, z, at 60 fps.
+        local_rotations: at 60 fps.
         kind: "euler" (the paper's, id bm-euler) or "geodesic" (id bm-geodesic).
 
     Raises:
@@ -49,8 +45,7 @@ def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
     """
     if kind not in ("euler", "geodesic"):
         raise MotionkitError(f"unknown kind of body movement {kind!r}, expected 'euler' or 'geodesic'")
-    if len(local_rotations) < 2:
-        raise MotionkitError(f"body movement needs at least 2 frames, found {len(local_rotations)}")
+    need(len(local_rotations), 2, "body movement needs")
     movement = (euler_movement if kind == "euler" else geodesic_movement)(local_rotations)
     parameters: dict[str, float | str] = {"fps": FRAME_RATE, "joints": float(movement.shape[1])}
     if kind == "euler":
@@ -59,11 +54,5 @@ def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
 
 
 def angular_speed(local_rotations: Array, joints: Sequence[int], fps: float = FRAME_RATE) -> float:
-    """Mean angular speed of some joints against their parents, in rad/s.
-
-    Args:
-        local_rotations: (T, J, 4) quaternions w, x, y, z.
-        joints: indices of the joints.
-        fps: frames per second.
-    """
+    """Mean angular speed of some joints, by index, against their parents, in rad/s."""
     return float(np.deg2rad(geodesic_movement(local_rotations[:, list(joints)]).mean()) * fps)

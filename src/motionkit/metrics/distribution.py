@@ -12,7 +12,7 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.features.reference import EMBEDDING_COUNT, PoseEmbedding
-from motionkit.metrics.value import MetricValue
+from motionkit.metrics.value import MetricValue, need
 
 WINDOW, STRIDE = 60, 10  # frames
 WINDOW_VALUES = 2 * EMBEDDING_COUNT
@@ -60,8 +60,7 @@ def diversity(windows: Array, seed: int = 0) -> MetricValue:
     Raises:
         MotionkitError: there are fewer than two windows.
     """
-    if len(windows) < 2:
-        raise MotionkitError(f"diversity needs at least 2 windows, found {len(windows)}")
+    need(len(windows), 2, "diversity needs", "window")
     random = np.random.default_rng(seed)
     first = random.integers(len(windows), size=PAIRS)
     second = (first + random.integers(1, len(windows), size=PAIRS)) % len(windows)

@@ -8,8 +8,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array, spans
-from motionkit.errors import MotionkitError
-from motionkit.metrics.value import FRAME_RATE
+from motionkit.metrics.value import FRAME_RATE, need
 from motionkit.motion.skeleton import JOINT_NAMES
 
 FREE_FALL = -9.81  # m/s^2
@@ -75,8 +74,7 @@ def vertical_acceleration(heights: Array) -> Array:
     Raises:
         MotionkitError: there are fewer than FIT_FRAMES frames.
     """
-    if len(heights) < FIT_FRAMES:
-        raise MotionkitError(f"acceleration needs at least {FIT_FRAMES} frames, found {len(heights)}")
+    need(len(heights), FIT_FRAMES, "acceleration needs")
     half = FIT_FRAMES // 2
     fitted = _parabola(FIT_FRAMES) @ sliding_window_view(heights.astype(np.float64), FIT_FRAMES).T
     return np.pad(fitted, half, mode="edge")

@@ -1,4 +1,7 @@
-"""Average foot sliding (AFS): horizontal movement of feet near the ground."""
+"""Average foot sliding (AFS): horizontal movement of feet near the ground.
+
+Feet are as in metrics.ground; settings.foot_height and settings.toe_height are the heights H of the paper.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +10,18 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.errors import MotionkitError
 from motionkit.metrics.ground import ground_speed
-from motionkit.metrics.value import MetricSettings, MetricValue
+from motionkit.metrics.value import MetricSettings, MetricValue, need
 
 
 def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
     """AFS in cm per frame (paper, equation AFS): ground speed, weighted from 1 on the floor to 0 at height H.
 
-    Args:
-        feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
-        floor: height of the floor in cm.
-        settings: foot_height and toe_height are the heights H.
-
     Raises:
         MotionkitError: there are fewer than two frames.
     """
     settings = settings or MetricSettings()
-    if len(feet) < 2:
-        raise MotionkitError(f"average foot sliding needs at least 2 frames, found {len(feet)}")
+    need(len(feet), 2, "average foot sliding needs")
     limits = np.array([settings.foot_height, settings.toe_height] * 2, np.float64)
     exponent = np.clip((feet[1:, :, 1].astype(np.float64) - floor) / limits, 0.0, 1.0)
     sliding = ground_speed(feet) * (2.0 - np.exp2(exponent))
@@ -39,10 +35,6 @@ def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | N
 
 def sliding_over_ground(feet: Array, settings: MetricSettings | None = None) -> MetricValue:
     """AFS in cm per frame exactly as the paper has it: heights are those above y = 0, whatever the clip's floor is.
-
-    Args:
-        feet: (T, 4, 3) left foot, left toe, right foot, right toe in cm, at 60 fps.
-        settings: foot_height and toe_height are the heights H.
 
     Raises:
         MotionkitError: there are fewer than two frames.

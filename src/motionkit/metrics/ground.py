@@ -1,6 +1,7 @@
 """Measures of feet against the floor: foot skate and penetration.
 
-Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up.
+Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up, at 60 fps; the floor is the
+height in cm of standing toe joints.
 """
 
 from __future__ import annotations
@@ -9,7 +10,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, need
 
 TOES = (1, 3)  # indices in the four foot joints
 STANDING_TOE = (
@@ -28,17 +29,11 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
     Each toe in each frame is a sample. It stands if its height above the floor is below skate_height in this
     frame and the previous one. The paper has no such metric; unlike AFS, feet in the air do not dilute it.
 
-    Args:
-        feet: (T, 4, 3) foot joints in cm, at 60 fps.
-        floor: height of the floor in cm.
-        settings: thresholds skate_height and skate_speed.
-
     Raises:
         MotionkitError: there are fewer than two frames, or no toe ever stands.
     """
     settings = settings or MetricSettings()
-    if len(feet) < 2:
-        raise MotionkitError(f"foot skate needs at least 2 frames, found {len(feet)}")
+    need(len(feet), 2, "foot skate needs")
     toes = feet.astype(np.float64)[:, list(TOES)]
     low = toes[..., 1] - floor < settings.skate_height
     standing = low[1:] & low[:-1]
@@ -58,15 +53,10 @@ def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None 
 def penetration(feet: Array, floor: float) -> tuple[MetricValue, MetricValue]:
     """Depth of the lowest foot joint below the floor in cm: mean over all frames, and maximum.
 
-    Args:
-        feet: (T, 4, 3) foot joints in cm.
-        floor: height of the floor in cm.
-
     Raises:
         MotionkitError: there are no frames.
     """
-    if len(feet) == 0:
-        raise MotionkitError("penetration needs at least 1 frame, found 0")
+    need(len(feet), 1, "penetration needs")
     depth = np.maximum((floor - feet.astype(np.float64)[..., 1]).max(axis=1), 0.0)
     parameters: dict[str, float | str] = {"floor_cm": floor}
     return (

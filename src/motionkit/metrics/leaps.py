@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from motionkit.arrays import Array, length
-from motionkit.errors import MotionkitError
 from motionkit.metrics.body_movement import geodesic_movement
-from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricValue, need
 from motionkit.motion.skeleton import JOINT_NAMES
 
 KNEES = tuple(JOINT_NAMES.index(name) for name in ("LeftLeg", "RightLeg"))
@@ -40,8 +39,7 @@ def leaps(positions: Array) -> MetricValue:
     Raises:
         MotionkitError: there are fewer than four frames.
     """
-    if len(positions) < 4:
-        raise MotionkitError(f"leaps need at least 4 frames, found {len(positions)}")
+    need(len(positions), 4, "leaps need")
     count = sum(len(leap_frames(positions[:, joint])) for joint in (*KNEES, *ELBOWS))
     return MetricValue("leaps", count * 60.0 * FRAME_RATE / len(positions), "1/min", {"leap_cm": LEAP})
 
@@ -56,8 +54,7 @@ def fastest_turn(local_rotations: Array, fps: float = FRAME_RATE) -> MetricValue
     Raises:
         MotionkitError: there are fewer than two frames.
     """
-    if len(local_rotations) < 2:
-        raise MotionkitError(f"angular speed needs at least 2 frames, found {len(local_rotations)}")
+    need(len(local_rotations), 2, "angular speed needs")
     speeds = geodesic_movement(local_rotations) * fps
     frame, joint = np.unravel_index(int(speeds.argmax()), speeds.shape)
     parameters: dict[str, float | str] = {"joint": JOINT_NAMES[int(joint)], "frame": float(frame + 1)}

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import csv
+import io
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from motionkit.errors import MotionkitError
 from motionkit.files import files_below
-from motionkit.metrics.report import MetricReport
+from motionkit.metrics.report import MetricReport, MetricRow
+from motionkit.names import visible
 
 Pair = tuple[Path, Path | None]  # ground truth, generated
+CSV_COLUMNS = (
+    "ground_truth", "generated", "frames", "metric", "unit", "value", "ground_truth_value", "ratio", "reason",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -109,6 +115,34 @@ def mean_rows(results: Sequence[PairResult]) -> list[MeanRow]:
             )
         )
     return rows
+
+
+def pairs_as_dict(results: Sequence[PairResult], sets: Sequence[MetricRow] = ()) -> dict[str, Any]:
+    """Plain values for JSON: all pairs, their means by metric, and the metrics of all files together."""
+    means = {row.id: {k: v for k, v in asdict(row).items() if k != "id"} for row in mean_rows(results)}
+    pairs = [result.as_dict() for result in results]
+    return {"pairs": pairs, "mean": means, "sets": [row.as_dict() for row in sets]}
+
+
+def csv_text(results: Sequence[PairResult], sets: Sequence[MetricRow] = ()) -> str:
+    """One row per metric and pair, for spreadsheets and data frames; those of sets name no files."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(CSV_COLUMNS)
+    for result in results:
+        if result.report is None:
+            continue
+        names = visible(result.ground_truth), "" if result.generated is None else visible(result.generated)
+        for row in result.report.rows:
+            writer.writerow([*names, result.report.frames, *_csv_values(row)])
+    for row in sets:
+        writer.writerow(["", "", "", *_csv_values(row)])
+    return text.getvalue()
+
+
+def _csv_values(row: MetricRow) -> tuple[object, ...]:
+    truth = None if row.ground_truth is None else row.ground_truth.value
+    return row.id, row.motion.unit, row.motion.value, truth, row.ratio, row.motion.reason
 
 
 def _mean(values: list[float]) -> float | None:

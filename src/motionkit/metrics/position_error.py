@@ -6,7 +6,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
-from motionkit.metrics.value import MetricValue
+from motionkit.metrics.value import MetricValue, need
 
 
 def mean_position_error(generated: Array, reference: Array) -> MetricValue:
@@ -22,8 +22,7 @@ def mean_position_error(generated: Array, reference: Array) -> MetricValue:
         raise MotionkitError(
             f"MPJPE needs equal shapes, found {tuple(generated.shape)} and {tuple(reference.shape)}"
         )
-    if len(generated) == 0:
-        raise MotionkitError("MPJPE needs at least 1 frame, found 0")
+    need(len(generated), 1, "MPJPE needs")
     generated, reference = generated.astype(np.float64), reference.astype(np.float64)
     error = (generated - generated[:, :1]) - (reference - reference[:, :1])
     return MetricValue(

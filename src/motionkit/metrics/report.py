@@ -32,7 +32,7 @@ from motionkit.metrics.touch import (
     planted_share,
 )
 from motionkit.metrics.trajectory import ground_track, trajectory_distance
-from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, measured
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion, resample
@@ -128,6 +128,25 @@ class MetricReport:
             "notes": list(self.notes),
         }
 
+    def remarks(self) -> list[str]:
+        """The notes, and why metrics could not be measured."""
+        values = [value for row in self.rows for value in (row.motion, row.ground_truth) if value is not None]
+        reasons = [f"{value.id}: {value.reason}" for value in values if value.reason]
+        return list(dict.fromkeys([*self.notes, *reasons]))
+
+    def thresholds(self) -> list[str]:
+        """One line per metric with thresholds; the floor of each clip has its own row instead."""
+        lines = []
+        for row in self.rows:
+            words = [
+                f"{key} {value:g}" if isinstance(value, float) else f"{key} {value}"
+                for key, value in row.motion.parameters.items()
+                if key != "floor_cm"
+            ]
+            if words:
+                lines.append(f"{row.id}: {', '.join(words)}")
+        return lines
+
 
 def evaluate_motion(
     motion: Motion,
@@ -160,32 +179,21 @@ def evaluate_motion(
         _check(each, name)
     notes = _rate_notes(motions)
     whole = [resample(each, FRAME_RATE) for each in motions]
-    # Frames to leave out at the start of each.
-    starts = [skip, skip + given][: len(whole)]
-    frames = min(len(each) - start for each, start in zip(whole, starts, strict=True))
-    if frames < 2:
-        lengths = " and ".join(str(len(each)) for each in reversed(whole))
-        left_out = f"the {skip} skipped" + (f" and the {given} given" if given else "")
-        raise MotionkitError(
-            f"nothing to compare: {lengths} frames at 60 fps, less {left_out}, leave fewer than 2"
-        )
+    starts = [skip, skip + given][: len(whole)]  # frames to leave out of each
+    frames = _common_frames(whole, starts, skip, given)
     notes += _length_notes(whole, frames, skip, given)
     cut = [each.cut(start, start + frames) for each, start in zip(whole, starts, strict=True)]
     if reference is not None and align_start:
         cut[0] = placed_like(cut[0], cut[1])
         notes.append("generated motion turned and moved along the ground to start like the ground truth")
     rate = min([FRAME_RATE, *(each.fps for each in motions)])
-    if rate < FRAME_RATE:
-        notes.append(
-            f"jerk is measured at {rate:g} fps, the lowest rate of the files; body movement of such a file is "
-            "interpolated between frames and reads low"
-        )
+    notes += _jerk_notes(rate)
     spans = [_same_time(each, start, start + frames) for each, start in zip(motions, starts, strict=True)]
     floors = [_floor(each, settings) for each in cut]
     # One floor for both: a motion that lies lower would else count other frames as high above it.
-    columns = [_own_metrics(c, s, rate, floors[-1], settings) for c, s in zip(cut, spans, strict=True)]
     columns = [
-        [*column, _floor_value(floor, settings)] for column, floor in zip(columns, floors, strict=True)
+        [*_own_metrics(each, span, rate, floors[-1], settings), _floor_value(floor, settings)]
+        for each, span, floor in zip(cut, spans, floors, strict=True)
     ]
     if reference is None:
         rows = [MetricRow(value) for value in columns[0]]
@@ -301,7 +309,7 @@ def _own_metrics(
         (lambda: lowest_points(positions, ground), {f"lowest-{group}": "cm" for group in GROUPS}),
         (lambda: flight_acceleration(positions, ground), {"flight-acceleration": "m/s^2"}),
     ]
-    return [value for measure, units in measures for value in _measured(measure, units)]
+    return [value for measure, units in measures for value in measured(measure, units)]
 
 
 def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -> list[MetricRow]:
@@ -309,16 +317,16 @@ def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -
     places, true_places = motion_kinematics(motion)[1], motion_kinematics(reference)[1]
     track, path = ground_track(motion.root_positions), ground_track(reference.root_positions)
     values = [
-        *_measured(lambda: structural_similarity(mine, theirs, "channel", settings), _units("ssim-channel")),
-        *_measured(lambda: structural_similarity(mine, theirs, "window", settings), _units("ssim-window")),
-        *_measured(lambda: mean_position_error(places, true_places), _units("mpjpe")),
-        *_measured(
+        *measured(lambda: structural_similarity(mine, theirs, "channel", settings), _units("ssim-channel")),
+        *measured(lambda: structural_similarity(mine, theirs, "window", settings), _units("ssim-window")),
+        *measured(lambda: mean_position_error(places, true_places), _units("mpjpe")),
+        *measured(
             lambda: trajectory_distance(track, path, settings.path_tolerance).values(),
             _units("path-mean", "path-max", "path-coverage"),
         ),
-        *_measured(lambda: position_distance(motion, reference), _units("l2p")),
-        *_measured(lambda: rotation_distance(motion, reference), _units("l2q")),
-        *_measured(lambda: power_spectrum_similarity(motion, reference), _units("npss")),
+        *measured(lambda: position_distance(motion, reference), _units("l2p")),
+        *measured(lambda: rotation_distance(motion, reference), _units("l2q")),
+        *measured(lambda: power_spectrum_similarity(motion, reference), _units("npss")),
     ]
     return [
         MetricRow(value, replace(value, value=PAIR_METRICS[value.id][1], reason=None)) for value in values
@@ -327,17 +335,6 @@ def _pair_metrics(motion: Motion, reference: Motion, settings: MetricSettings) -
 
 def _units(*ids: str) -> dict[str, str]:
     return {metric_id: PAIR_METRICS[metric_id][0] for metric_id in ids}
-
-
-def _measured(
-    measure: Callable[[], MetricValue | tuple[MetricValue, ...]], units: dict[str, str]
-) -> tuple[MetricValue, ...]:
-    """The values of a metric, or if it fails, None for each id with the reason."""
-    try:
-        result = measure()
-    except MotionkitError as error:
-        return tuple(MetricValue(name, None, unit, reason=str(error)) for name, unit in units.items())
-    return result if isinstance(result, tuple) else (result,)
 
 
 def _same_time(motion: Motion, start: int, end: int) -> Motion:
@@ -356,6 +353,27 @@ def _rate_notes(motions: list[Motion]) -> list[str]:
         for name, motion in zip(_names(motions), motions, strict=True)
         if abs(motion.fps - FRAME_RATE) > 1e-6 * FRAME_RATE
     ]
+
+
+def _jerk_notes(rate: float) -> list[str]:
+    if rate >= FRAME_RATE:
+        return []
+    return [
+        f"jerk is measured at {rate:g} fps, the lowest rate of the files; body movement of such a file is "
+        "interpolated between frames and reads low"
+    ]
+
+
+def _common_frames(motions: list[Motion], starts: list[int], skip: int, given: int) -> int:
+    """How many frames are compared; raises MotionkitError for fewer than two."""
+    frames = min(len(each) - start for each, start in zip(motions, starts, strict=True))
+    if frames < 2:
+        lengths = " and ".join(str(len(each)) for each in reversed(motions))
+        left_out = f"the {skip} skipped" + (f" and the {given} given" if given else "")
+        raise MotionkitError(
+            f"nothing to compare: {lengths} frames at 60 fps, less {left_out}, leave fewer than 2"
+        )
+    return frames
 
 
 def _length_notes(motions: list[Motion], frames: int, skip: int, given: int) -> list[str]:

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.errors import MotionkitError
 from motionkit.features.encode import encode_motion
 from motionkit.features.layout import DEFAULT_LAYOUT, feature_layout
 from motionkit.features.reference import fit_pose_embedding
 from motionkit.metrics.distribution import diversity, frechet_distance, window_features
 from motionkit.metrics.report import MetricRow
-from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricValue, measured
 from motionkit.motion.motion import Motion, resample
 from motionkit.rig.canonical import load_canonical
 
@@ -70,8 +70,5 @@ def _features(motions: Sequence[Motion]) -> list[Array]:
 
 
 def _value(name: str, measure: Callable[[], MetricValue]) -> MetricValue:
-    try:
-        value = measure()
-    except MotionkitError as error:
-        return MetricValue(name, None, "", reason=str(error))
-    return MetricValue(name, value.value, "", value.parameters | EMBEDDED_IN)
+    (value,) = measured(measure, {name: ""})
+    return value if value.value is None else replace(value, parameters=value.parameters | EMBEDDED_IN)

@@ -8,7 +8,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.features.heading import heading_angles
-from motionkit.metrics.value import MetricSettings, MetricValue
+from motionkit.metrics.value import MetricSettings, MetricValue, need
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multiply, quat_to_expmap
@@ -52,8 +52,7 @@ def structural_similarity(
         raise MotionkitError(
             f"SSIM needs two equal shapes (T, C), found {tuple(generated.shape)} and {tuple(reference.shape)}"
         )
-    if len(reference) <= settings.ssim_window:
-        raise MotionkitError(f"SSIM needs at least {settings.ssim_window + 1} frames, found {len(reference)}")
+    need(len(reference), settings.ssim_window + 1, "SSIM needs")
     generated, reference = generated.astype(np.float64), reference.astype(np.float64)
     lowest = reference.min()
     spread = float(reference.max() - lowest)

@@ -1,6 +1,7 @@
 """What touches the ground: planted toes, hovering, and the lowest points of the body.
 
-The ground is under the soles. It is not the floor of metrics.ground, which is the level of standing toe joints.
+Positions are (T, 23, 3) global positions in cm, at 60 fps. The ground is under the soles, at this height in cm. It is
+not the floor of metrics.ground, which is the level of standing toe joints.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.flight import centre_of_mass, flights, vertical_acceleration
 from motionkit.metrics.ground import TOES
-from motionkit.metrics.value import FRAME_RATE, MetricValue
+from motionkit.metrics.value import FRAME_RATE, MetricValue, need
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.skeleton import JOINT_NAMES
 
@@ -36,23 +37,13 @@ FALLING = -4.9
 
 
 def touching(positions: Array, ground: float = 0.0) -> Array:
-    """Flags (T,): whether any joint is low enough to touch the ground.
-
-    Args:
-        positions: (T, 23, 3) global positions in cm.
-        ground: height of the ground in cm.
-    """
+    """Flags (T,): whether any joint is low enough to touch the ground."""
     low: Array = positions[..., 1] - ground < TOUCH_HEIGHTS
     return np.asarray(low.any(axis=-1))
 
 
 def planted_share(positions: Array, ground: float = 0.0) -> MetricValue:
-    """Share of the frames in which a toe is planted: low and slow, by the rule of contact labels.
-
-    Args:
-        positions: (T, 23, 3) global positions in cm, at 60 fps.
-        ground: height of the ground in cm.
-    """
+    """Share of the frames in which a toe is planted: low and slow, by the rule of contact labels."""
     above = positions - np.array([0.0, ground, 0.0])
     planted = foot_contacts(above, FRAME_RATE)[:, list(TOES)].any(axis=-1)
     return MetricValue("planted-share", float(planted.mean()), "", {"ground_cm": ground})
@@ -60,10 +51,6 @@ def planted_share(positions: Array, ground: float = 0.0) -> MetricValue:
 
 def hover_share(positions: Array, ground: float = 0.0) -> MetricValue:
     """Share of the frames in which nothing touches the ground and the body does not fall freely either.
-
-    Args:
-        positions: (T, 23, 3) global positions in cm, at 60 fps.
-        ground: height of the ground in cm.
 
     Raises:
         MotionkitError: there are too few frames to measure an acceleration.
@@ -76,15 +63,10 @@ def hover_share(positions: Array, ground: float = 0.0) -> MetricValue:
 def lowest_points(positions: Array, ground: float = 0.0) -> tuple[MetricValue, ...]:
     """Lowest joint of feet, hands, head and the whole body above the ground in cm; negative below it.
 
-    Args:
-        positions: (T, 23, 3) global positions in cm.
-        ground: height of the ground in cm.
-
     Raises:
         MotionkitError: there are no frames.
     """
-    if len(positions) == 0:
-        raise MotionkitError("lowest points need at least 1 frame, found 0")
+    need(len(positions), 1, "lowest points need")
     out = []
     for group, names in GROUPS.items():
         joints = [JOINT_NAMES.index(name) for name in names]
@@ -97,10 +79,6 @@ def flight_acceleration(positions: Array, ground: float = 0.0) -> MetricValue:
     """Vertical acceleration in m/s^2 of the centre of mass in the flight that is furthest from a free fall.
 
     A flight is a stretch of at least flight.LEAST_SECONDS in which nothing touches the ground.
-
-    Args:
-        positions: (T, 23, 3) global positions in cm, at 60 fps.
-        ground: height of the ground in cm.
 
     Raises:
         MotionkitError: there is no flight.

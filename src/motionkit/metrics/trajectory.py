@@ -121,10 +121,7 @@ def _sampled(path: Array) -> Array:
         return path[:1]
     count = min(max(2, round(total / _COVERAGE_STEP) + 1), _MOST_SAMPLES)
     wanted = np.linspace(0.0, total, count)
-    right = np.clip(np.searchsorted(arc, wanted), 1, len(arc) - 1)
-    span = np.maximum(arc[right] - arc[right - 1], 1e-12)
-    weight = ((wanted - arc[right - 1]) / span)[:, None]
-    return path[right - 1] * (1 - weight) + path[right] * weight
+    return np.stack([np.interp(wanted, arc, column) for column in path.T], axis=-1)
 
 
 def _checked(points: Array, what: str) -> Array:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+
+from motionkit.errors import MotionkitError
+from motionkit.names import counted
 
 FRAME_RATE = 60.0  # per-frame metrics are per frame at this rate
 
@@ -24,6 +28,23 @@ class MetricValue:
     unit: str
     parameters: dict[str, float | str] = field(default_factory=dict)
     reason: str | None = None
+
+
+def need(count: int, least: int, who: str, things: str = "frame") -> None:
+    """Raise MotionkitError if a metric has less than it needs, such as "foot skate needs" 2 frames."""
+    if count < least:
+        raise MotionkitError(f"{who} at least {counted(least, things)}, found {count}")
+
+
+def measured(
+    measure: Callable[[], MetricValue | tuple[MetricValue, ...]], units: Mapping[str, str]
+) -> tuple[MetricValue, ...]:
+    """The values of a metric, or if it fails, None for each id of units with the reason."""
+    try:
+        result = measure()
+    except MotionkitError as error:
+        return tuple(MetricValue(name, None, unit, reason=str(error)) for name, unit in units.items())
+    return result if isinstance(result, tuple) else (result,)
 
 
 @dataclass(frozen=True)

@@ -7,10 +7,10 @@ transformer has no "architecture" in its config, because it was the only one.
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from motionkit.errors import ModelError
-from motionkit.models.config import ModelConfig
+from motionkit.models.config import ModelConfig, PredictorConfig
 
 if TYPE_CHECKING:
     from motionkit.models.predictor import Predictor
@@ -25,29 +25,6 @@ ARCHITECTURES: dict[str, tuple[str, str]] = {
     "neural-layering": ("motionkit.models.neural_layering", "NeuralLayering"),
     "learned-motion-matching": ("motionkit.models.learned_motion_matching", "LearnedMotionMatching"),
 }
-
-
-class PredictorConfig(Protocol):
-    """Sizes and choices of a network, as plain values in a model file."""
-
-    @property
-    def architecture(self) -> str:
-        """A name in ARCHITECTURES."""
-        ...
-
-    @property
-    def layout(self) -> str:
-        """The version of the 276 columns."""
-        ...
-
-    @property
-    def controls(self) -> str:
-        """Which control signals the network takes, one of CONTROL_KINDS."""
-        ...
-
-    def to_dict(self) -> dict[str, Any]:
-        """Plain values; "architecture" is among them, but for the part transformer."""
-        ...
 
 
 def network_class(architecture: str) -> type[Predictor]:

@@ -144,8 +144,7 @@ INLINE void backward_of(const int bfloat16, const int64_t E, const Attention *a,
         }
 }
 
-FASTEST
-static void forward_one(const Attention *a, int64_t sequence, heads_vec *rows) {
+INLINE void forward_one_inline(const Attention *a, int64_t sequence, heads_vec *rows) {
     if (a->bfloat16 && a->channels == USUAL)
         forward_of(1, USUAL, a, sequence, rows);
     else if (a->bfloat16)
@@ -154,8 +153,9 @@ static void forward_one(const Attention *a, int64_t sequence, heads_vec *rows) {
         forward_of(0, a->channels, a, sequence, rows);
 }
 
-FASTEST
-static void backward_one(const Attention *a, int64_t sequence, heads_vec *rows) {
+FASTEST(forward_one, (const Attention *a, int64_t sequence, heads_vec *rows), (a, sequence, rows))
+
+INLINE void backward_one_inline(const Attention *a, int64_t sequence, heads_vec *rows) {
     if (a->bfloat16 && a->channels == USUAL)
         backward_of(1, USUAL, a, sequence, rows);
     else if (a->bfloat16)
@@ -163,6 +163,8 @@ static void backward_one(const Attention *a, int64_t sequence, heads_vec *rows) 
     else
         backward_of(0, a->channels, a, sequence, rows);
 }
+
+FASTEST(backward_one, (const Attention *a, int64_t sequence, heads_vec *rows), (a, sequence, rows))
 
 static int64_t run(const Attention *a, int64_t first, int64_t last, int back) {
     if (a->window < 1 || a->window > MOST_PLACES || first < 0 || last > a->parts * a->batch) return 1;

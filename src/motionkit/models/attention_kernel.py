@@ -31,21 +31,19 @@ class _Attention(Structure):
 
 
 @cache
-def attention_library() -> ctypes.CDLL | None:
-    """The shared library, None where the installation has none that fits."""
+def attention_library() -> ctypes.CDLL:
+    """The shared library. Raises MotionkitError where the installation has none that fits."""
     path = Path(__file__).resolve().parent / "_attention_kernel"
     library = load_library(path, "attention_kernel_version", VERSION)
-    if library is not None:
-        for call in (library.attention_forward, library.attention_backward):
-            call.argtypes = [ctypes.POINTER(_Attention), c_int64, c_int64]
-            call.restype = c_int64
+    for call in (library.attention_forward, library.attention_backward):
+        call.argtypes = [ctypes.POINTER(_Attention), c_int64, c_int64]
+        call.restype = c_int64
     return library
 
 
 def can_attend(x: Tensor, heads: int, window: int) -> bool:
     """Whether the library can attend to frames x: on a CPU, in its formats, with eight heads."""
-    fits = x.device.type == "cpu" and x.dtype in FORMATS and heads == HEADS and window <= MOST_PLACES
-    return fits and attention_library() is not None
+    return x.device.type == "cpu" and x.dtype in FORMATS and heads == HEADS and window <= MOST_PLACES
 
 
 def attend(qkv: Tensor, bias: Tensor, position: Tensor) -> Tensor:
@@ -88,7 +86,7 @@ def _call(
     """Call the library for all sequences, in as many threads as torch uses."""
     library = attention_library()
     qkv, _, position = inputs
-    assert library is not None and qkv.dtype in FORMATS
+    assert qkv.dtype in FORMATS
     P, B, T, _, E, _ = qkv.shape
     sizes = (P, B, T, E, position.shape[1], qkv.dtype == torch.bfloat16, 1.0 / math.sqrt(E))
     places = [tensor.data_ptr() for tensor in (*inputs, shares, out, *made)]

@@ -23,10 +23,14 @@ def load_bundled_model() -> MotionModel:
     return load_model(BUNDLED_MODEL)
 
 
-def open_model(path: str | Path | None, reference: str = "auto") -> MotionModel:
-    """Return the model of a file, or the bundled model for None and for the word "bundled".
+def open_model(path: str | Path | None = None, reference: str = "auto") -> MotionModel:
+    """The model in a file; the bundled model for None and for the word "bundled".
 
-    reference is "auto", or "none" to leave out its reference recordings.
+    Args:
+        reference: "auto", or "none" to leave out its reference recordings.
+
+    Raises:
+        ModelError: the file is no model.
     """
     model = load_bundled_model() if path is None or str(path) == BUNDLED else load_model(path)
     return model.with_reference(reference)

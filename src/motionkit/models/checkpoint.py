@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from safetensors.numpy import save
 
-from motionkit import __version__
 from motionkit.arrays import Array
 from motionkit.errors import ModelError
 from motionkit.features.control import ControlLayout
@@ -40,6 +39,7 @@ from motionkit.models.motion_type import (
 from motionkit.models.tensor_file import TensorFile, open_tensors
 from motionkit.models.weights import NetworkWeights
 from motionkit.names import nfc
+from motionkit.version import __version__
 
 FORMAT = "motionkit-model-4"
 MOST_BYTES = 256 * 2**20  # of a model file; the bundled one has 13 MB

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass, fields
 from functools import cache
-from typing import Any
+from typing import Any, Protocol
 
 from motionkit.errors import ModelError
 from motionkit.features.control import CONTROL_KINDS
@@ -46,6 +46,29 @@ RANGES: dict[str, tuple[float, float]] = {
 # Of the non-local backbone: frames of the causal convolution in a residual block, and after how many blocks a
 # non-local operation follows.
 RESIDUAL_KERNEL, NON_LOCAL_EVERY = 3, 2
+
+
+class PredictorConfig(Protocol):
+    """Sizes and choices of a network, as plain values in a model file."""
+
+    @property
+    def architecture(self) -> str:
+        """A name in ARCHITECTURES (architectures.py)."""
+        ...
+
+    @property
+    def layout(self) -> str:
+        """The version of the 276 columns."""
+        ...
+
+    @property
+    def controls(self) -> str:
+        """Which control signals the network takes, one of CONTROL_KINDS."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values; "architecture" is among them, but for the part transformer."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -14,17 +14,18 @@ from typing import Any
 import numpy as np
 
 from motionkit.errors import ModelError
-from motionkit.features.control import TRAJECTORY_COUNT, ControlLayout
+from motionkit.features.control import MOST_TYPES, TRAJECTORY_COUNT, ControlLayout
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
-from motionkit.models.architectures import PredictorConfig, built_shapes
-from motionkit.models.config import ModelConfig
+from motionkit.files import is_number
+from motionkit.models.architectures import built_shapes
+from motionkit.models.config import ModelConfig, PredictorConfig
 from motionkit.models.parts import partition
 from motionkit.models.weights import part_columns
 from motionkit.motion.skeleton import JOINT_COUNT
 from motionkit.names import nfc
 
-MOST_TYPES, MOST_CHARACTERS, LONGEST_NAME = 1000, 10_000, 200
+MOST_CHARACTERS, LONGEST_NAME = 10_000, 200
 MOST_RECORDINGS = 10_000  # start poses or reference clips per type
 MOST_FRAMES = 1_000_000  # per recording
 FASTEST, LONGEST_PHASE = 1e4, 3600.0  # cm/s and seconds of a gait
@@ -51,7 +52,7 @@ def check_header(header: dict[str, Any]) -> None:
     """Raise ModelError for a value that is missing, of the wrong type or out of range. Does not check config."""
     types: Any = header.get("types")
     check_names(types, header.get("characters"))
-    _number("fps", header.get("fps"), *RATES)
+    check_number("fps", header.get("fps"), *RATES)
     switches = {
         "uses_references": header.get("uses_references"),
         "own_bodies": header.get("own_bodies", False),
@@ -63,8 +64,7 @@ def check_header(header: dict[str, Any]) -> None:
         raise ModelError(f"card is {_shown(header['card'])}, expected an object")
     for key in ("start_poses", "reference_clips"):
         for kind, count in _by_type(header, key, types):
-            whole = isinstance(count, int) and not isinstance(count, bool)
-            if not whole or not 0 <= count <= MOST_RECORDINGS:
+            if not is_number(count, 0, MOST_RECORDINGS, whole=True):
                 raise ModelError(
                     f"{key} of {kind!r} are {_shown(count)}, expected a number up to {MOST_RECORDINGS}"
                 )
@@ -76,13 +76,13 @@ def check_header(header: dict[str, Any]) -> None:
         ("slip_correction", 0.0, 1.0),
     ):
         for kind, value in _by_type(header, key, types, needed=key in ("reference_gain", "noise_scale")):
-            _number(f"{key} of {kind!r}", value, low, high)
+            check_number(f"{key} of {kind!r}", value, low, high)
     for kind, values in _by_type(header, "gaits", types, needed=False):
         if not isinstance(values, list) or len(values) not in (2, 3):
             raise ModelError(f"the gait of {kind!r} is {_shown(values)}, expected speed, angle and seconds")
         limits = ((0.0, FASTEST), (-2.0 * math.pi, 2.0 * math.pi), (0.0, LONGEST_PHASE))
         for value, (low, high) in zip(values, limits, strict=False):
-            _number(f"the gait of {kind!r}", value, low, high)
+            check_number(f"the gait of {kind!r}", value, low, high)
     steered = header.get("steered", [])
     if not isinstance(steered, list) or any(kind not in types for kind in steered):
         raise ModelError(f"steered is {_shown(steered)}, expected a list of types")
@@ -117,8 +117,9 @@ def _by_type(
     return entries.items()
 
 
-def _number(what: str, value: Any, low: float, high: float) -> None:
-    if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
+def check_number(what: str, value: Any, low: float, high: float, whole: bool = False) -> None:
+    """Raise ModelError unless a value is a number in a range."""
+    if not is_number(value, low, high, whole):
         raise ModelError(f"{what} is {_shown(value)}, expected a number from {low:g} to {high:g}")
 
 

@@ -14,7 +14,7 @@ from motionkit.errors import ControlError
 from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
-from motionkit.models.architectures import PredictorConfig
+from motionkit.models.config import PredictorConfig
 from motionkit.models.motion_type import (
     MotionKind,
     MotionType,

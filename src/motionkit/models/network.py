@@ -5,9 +5,7 @@ Paper section 4.1. Shape legend: P parts, B batch, T frames, F features (276), C
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 import torch.nn.functional as F
@@ -16,15 +14,13 @@ from torch import Tensor, nn
 from motionkit.features.control import TRAJECTORY_COUNT
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT
 from motionkit.models.attention import LocalAttention
-from motionkit.models.backbones import backbone_layers
+from motionkit.models.backbones import LstmLayers, LstmState
 from motionkit.models.config import ModelConfig
-from motionkit.models.layers import FeedForward, PartLinear, PartNorm, sinusoidal_positions, spatial_dropout
+from motionkit.models.layers import FeedForward, PartLinear
+from motionkit.models.modules import AttentionLayer, AutoRegressiveModule
 from motionkit.models.parts import Partition, partition
-from motionkit.models.predictor import Predictor
+from motionkit.models.predictor import NextFrame, Predictor
 from motionkit.models.weights import embedding_mask, foot_parts, part_columns
-
-if TYPE_CHECKING:
-    from motionkit.models.stream import NetworkStream
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,106 +41,6 @@ class Prediction:
     contact_logits: Tensor
     shallow: Tensor
     deep: Tensor
-
-
-class AttentionLayer(nn.Module):
-    """Attention and a feed-forward network, each with its residual."""
-
-    def __init__(self, parts: int, config: ModelConfig) -> None:
-        super().__init__()
-        self.pre = config.variant.norm == "pre"
-        D = config.width
-        self.attention_norm = PartNorm(parts, D, affine=not self.pre)
-        self.attention = LocalAttention(
-            parts, D, config.heads, config.window, bias=config.variant.position == "bias"
-        )
-        self.ffn_norm = PartNorm(parts, D, affine=not self.pre)
-        self.ffn = FeedForward(parts, D, config.ffn, D, bias=False)
-        self.control = (
-            PartLinear(parts, config.embedding.control_embedding, D, bias=False)
-            if config.embedding.layer_controls
-            else None
-        )
-
-    def forward(self, x_PBTD: Tensor, controls: Tensor) -> Tensor:
-        return self._residuals(x_PBTD, controls, self.attention)
-
-    def step(
-        self, x_PBD: Tensor, controls: Tensor, keys: Tensor, values: Tensor, slot: int, bias: Tensor
-    ) -> Tensor:
-        """Process one frame; see LocalAttention.step."""
-
-        def attention(x: Tensor, residual: Tensor) -> Tensor:
-            return self.attention.step(x, residual, keys, values, slot, bias)
-
-        return self._residuals(x_PBD, controls, attention)
-
-    def _residuals(
-        self, x: Tensor, controls: Tensor, attention: Callable[[Tensor, Tensor], Tensor]
-    ) -> Tensor:
-        if self.control is not None:
-            x = self.control(controls, x)
-        if self.pre:
-            x = attention(self.attention_norm(x), x)
-            return self.ffn(self.ffn_norm(x), x)
-        x = self.attention_norm(attention(x, x))
-        return self.ffn_norm(self.ffn(x, x))
-
-
-class AutoRegressiveModule(nn.Module):
-    """The shallow or the deep module of all parts: embedding, controls, attention layers."""
-
-    def __init__(self, parts: int, inputs: int, control_size: int, config: ModelConfig, kernel: int) -> None:
-        super().__init__()
-        self.config, self.kernel = config, kernel
-        motion_width = config.width - config.embedding.control_width
-        self.embed = PartLinear(parts, kernel * inputs, motion_width)
-        self.embed_controls = PartLinear(parts, control_size, config.embedding.control_embedding)
-        attends = config.variant.backbone == "attention"
-        self.layers = nn.ModuleList(
-            [AttentionLayer(parts, config) for _ in range(config.layers)]
-            if attends
-            else backbone_layers(parts, config)
-        )
-        self.final_norm = (
-            PartNorm(parts, config.width, affine=False) if config.variant.norm == "pre" else None
-        )
-        self.embed_mask: Tensor
-        self.register_buffer("embed_mask", torch.ones(1), persistent=False)
-
-    def embed_motion(self, x: Tensor) -> Tensor:
-        """Embed kernel frames side by side (P, ..., kernel x inputs), oldest first."""
-        flat = x.reshape(x.shape[0], -1, x.shape[-1])
-        assert self.embed.bias is not None
-        out = torch.baddbmm(self.embed.bias, flat, self.embed.weight * self.embed_mask)
-        return out.reshape(*x.shape[:-1], -1)
-
-    def forward(
-        self, x_PBTD: Tensor, controls_BTC: Tensor, first: int = 0, kept: int | None = None
-    ) -> Tensor:
-        """Process frames (P, B, T, ...) with their controls (B, T, C).
-
-        Args:
-            first: position of the first frame, for sinusoidal positions.
-            kept: how many of the last frames are wanted; attention then drops frames that none of them sees.
-        """
-        if self.kernel > 1:
-            padded = F.pad(x_PBTD, (0, 0, self.kernel - 1, 0))
-            T = x_PBTD.shape[2]
-            x_PBTD = torch.cat([padded[:, :, i : i + T] for i in range(self.kernel)], dim=-1)
-        motion = self.embed_motion(x_PBTD)
-        controls = self.embed_controls.shared(controls_BTC)
-        if self.config.variant.position == "sinusoidal" and self.config.variant.backbone != "lstm":
-            positions = sinusoidal_positions(first + motion.shape[2], motion.shape[3], motion.device)
-            motion = motion + positions[first:]
-        motion = spatial_dropout(motion, self.config.dropout.spatial_dropout, self.training)
-        x = torch.cat([motion, controls[..., : self.config.embedding.control_width]], dim=-1)
-        for number, layer in enumerate(self.layers, 1):
-            x = layer(x, controls)
-            if kept is not None and self.config.variant.backbone == "attention":
-                seen = kept + (len(self.layers) - number) * (self.config.window - 1)
-                x, controls = x[:, :, -seen:], controls[:, :, -seen:]
-        return x if self.final_norm is None else self.final_norm(x)
 
 
 class PartTransformer(Predictor):
@@ -190,8 +86,6 @@ class PartTransformer(Predictor):
 
     def stream(self, batch: int) -> NetworkStream:
         """Return the network's state for a batch of characters, before their first frame."""
-        from motionkit.models.stream import NetworkStream
-
         return NetworkStream(self, batch)
 
     def split_parts(self, x: Tensor, contacts: Tensor) -> Tensor:
@@ -263,6 +157,106 @@ class PartTransformer(Predictor):
             shallow,
             deep,
         )
+
+
+class _ModuleRings:
+    """Keys and values (L, P, B, H, W, E) of one auto-regressive module."""
+
+    def __init__(self, module: AutoRegressiveModule, parts: int, batch: int) -> None:
+        config = module.config
+        shape = (config.layers, parts, batch, config.heads, config.window, config.width // config.heads)
+        device = module.embed.weight.device
+        self.keys = torch.zeros(shape, device=device)
+        self.values = torch.zeros(shape, device=device)
+
+
+class NetworkStream:
+    """The network one frame at a time for a batch of independent characters: constant work per frame, with the results
+    of the batched forward pass.
+
+    Each attention layer keeps a ring of the last W keys and values, and the shallow convolution keeps its last inputs.
+    Absolute (sinusoidal) positions change with every frame. That option recomputes the whole receptive field instead,
+    as the paper does.
+    """
+
+    def __init__(self, network: PartTransformer, batch: int) -> None:
+        self.network, self.batch = network, batch
+        # An LSTM carries its state instead, and has no positions.
+        config = network.config
+        windowed = (
+            config.variant.position == "sinusoidal"
+            or config.variant.backbone == "non-local"
+            or network.cross is not None
+        )
+        self.recomputes = windowed and config.variant.backbone != "lstm"
+        self.reset()
+
+    def reset(self, given: int = 0) -> None:
+        """Forget all frames; of the next `given` recorded ones only the last's prediction may be used."""
+        network, config = self.network, self.network.config
+        self.unused = given - 1
+        P, B, device = len(network.body.parts), self.batch, network.aggregate.weight.device
+        self.frame = 0
+        if self.recomputes:
+            size = FEATURE_COUNT + CONTACT_COUNT + network.control_size
+            self.past = torch.zeros(B, 0, size, device=device)
+            return
+        inputs = network.part_columns.shape[1]
+        self.recent = torch.zeros(P, B, config.kernel, inputs, device=device)
+        self.before = torch.zeros(B, FEATURE_COUNT, device=device)
+        self.lstm_states: list[LstmState | None] = [None, None]
+        if config.variant.backbone == "lstm":
+            return
+        self.rings = [_ModuleRings(m, P, B) for m in (network.shallow, network.deep)]
+
+    @torch.inference_mode()
+    def step(
+        self, x_BF: Tensor, contacts_B4: Tensor, controls_BC: Tensor, latent_BZ: Tensor | None = None
+    ) -> Prediction | NextFrame:
+        """Predict the next frame from one new frame; shapes as in PartTransformer.forward, without T."""
+        if self.recomputes:
+            return self._recompute(x_BF, contacts_B4, controls_BC)
+        network = self.network
+        inputs = network.split_parts(x_BF, contacts_B4)
+        self.recent = torch.cat([self.recent[:, :, 1:], inputs[:, :, None]], dim=2)
+        shallow = self._module(0, self.recent.flatten(2), controls_BC)
+        deep = self._module(1, network.fuse(shallow), controls_BC)
+        before = x_BF if self.frame == 0 else self.before
+        self.frame, self.before = self.frame + 1, x_BF
+        return network.predict(x_BF, before, shallow, deep)
+
+    def _module(self, index: int, x: Tensor, controls: Tensor) -> Tensor:
+        """Features (P, B, D) of the shallow (0) or the deep module (1) for one frame."""
+        module: AutoRegressiveModule = (self.network.shallow, self.network.deep)[index]
+        motion = module.embed_motion(x)
+        controls = module.embed_controls(controls.expand(motion.shape[0], *controls.shape))
+        x = torch.cat([motion, controls[..., : module.config.embedding.control_width]], dim=-1)
+        if module.config.variant.backbone == "lstm":
+            lstm = module.layers[0]
+            assert isinstance(lstm, LstmLayers)
+            made, self.lstm_states[index] = lstm.run(x[:, :, None], self.lstm_states[index])
+            return made[:, :, 0]
+        rings = self.rings[index]
+        slot = self.frame % module.config.window
+        for i, layer in enumerate(module.layers):
+            assert isinstance(layer, AttentionLayer)
+            bias = layer.attention.ring_bias(self.frame, x.device)
+            x = layer.step(x, controls, rings.keys[i], rings.values[i], slot, bias)
+        return x if module.final_norm is None else module.final_norm(x)
+
+    def _recompute(self, x: Tensor, contacts: Tensor, controls: Tensor) -> Prediction | NextFrame:
+        row = torch.cat([x, contacts, controls], dim=-1)[:, None]
+        self.past = torch.cat([self.past, row], dim=1)[:, -self.network.config.receptive_field :]
+        self.frame += 1
+        if self.frame <= self.unused:  # a whole window for what nobody reads
+            return NextFrame(torch.zeros_like(x), torch.zeros_like(x), torch.zeros_like(contacts))
+        sizes = [FEATURE_COUNT, CONTACT_COUNT, self.network.control_size]
+        return self.network.predict_last(*self.past.split(sizes, dim=-1))
+
+    def prime(self, x_BTF: Tensor, contacts_BT4: Tensor, controls_BTC: Tensor) -> None:
+        """Process frames whose predictions are not needed."""
+        for t in range(x_BTF.shape[1]):
+            self.step(x_BTF[:, t], contacts_BT4[:, t], controls_BTC[:, t])
 
 
 def parameter_count(network: Predictor) -> int:

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Protocol
 import torch
 from torch import Tensor, nn
 
-from motionkit.models.architectures import PredictorConfig
 from motionkit.models.batch import Batch, FeatureSpace
+from motionkit.models.config import PredictorConfig
 from motionkit.models.weights import NetworkWeights
 
 

@@ -11,8 +11,7 @@ import numpy as np
 
 from motionkit.arrays import Array, Floats
 from motionkit.features.layout import CONTACT_COUNT, FEATURE_COUNT, feature_layout
-from motionkit.models.architectures import PredictorConfig
-from motionkit.models.config import ModelConfig
+from motionkit.models.config import ModelConfig, PredictorConfig
 from motionkit.models.parts import partition
 
 

@@ -25,10 +25,17 @@ def foot_contacts(global_positions: Array, fps: float) -> Array:
     feet = global_positions[:, list(FOOT_JOINTS)]
     if len(feet) < 2:
         return (feet[..., 1] < np.array(CONTACT_HEIGHTS)).astype(feet.dtype)
-    steps = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
-    speed = np.concatenate([steps[:1], steps]) * 0.5 + np.concatenate([steps, steps[-1:]]) * 0.5
-    touching = (speed < CONTACT_SPEED) & (feet[..., 1] < np.array(CONTACT_HEIGHTS))
+    touching = (joint_speeds(feet, fps) < CONTACT_SPEED) & (feet[..., 1] < np.array(CONTACT_HEIGHTS))
     return _majority(touching.astype(feet.dtype), max(1, round(_FILTER * fps / 60.0)))
+
+
+def joint_speeds(places: Array, fps: float) -> Array:
+    """Speeds (T, ...) in cm/s of places (T >= 2, ..., 3): the mean of those from the frame before and to the next.
+
+    A place that trembles is fast, unlike by central differences (floor.speeds).
+    """
+    steps = np.linalg.norm(np.diff(places, axis=0), axis=-1) * fps
+    return 0.5 * (np.concatenate([steps[:1], steps]) + np.concatenate([steps, steps[-1:]]))
 
 
 def _majority(labels: Array, half: int) -> Array:

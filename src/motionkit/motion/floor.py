@@ -6,6 +6,7 @@ import numpy as np
 
 from motionkit.arrays import Array, lower_median
 from motionkit.errors import MotionkitError
+from motionkit.motion.contacts import joint_speeds
 from motionkit.motion.kinematics import forward_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_NAMES, STANDING_HEIGHTS
@@ -53,9 +54,7 @@ def floor_height(feet: Array, fps: float = 60.0) -> float:
     lowest = feet[np.arange(len(feet)), foot, 1]
     if len(feet) < 2:
         return float(lowest[0])
-    moves = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * fps
-    speed = 0.5 * (np.concatenate([moves[:1], moves]) + np.concatenate([moves, moves[-1:]]))
-    still = speed[np.arange(len(feet)), foot] < STILL_SPEED
+    still = joint_speeds(feet, fps)[np.arange(len(feet)), foot] < STILL_SPEED
     stands = int(still.sum()) >= STANCE_FRAMES
     heights, quantile = (lowest[still], STANCE_QUANTILE) if stands else (lowest, LOWEST_QUANTILE)
     return float(np.sort(heights)[int(quantile * (len(heights) - 1))])

@@ -11,7 +11,7 @@ from typing import Any
 from motionkit.control.path import MAX_STOP
 from motionkit.errors import MotionkitError
 from motionkit.files import parse_json
-from motionkit.inference.rollout import NOISE_KINDS
+from motionkit.inference.noise import NOISE_KINDS
 from motionkit.names import nfc
 from motionkit.play.limits import Limits
 from motionkit.play.recording import FORMATS

@@ -13,13 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from motionkit import __version__
 from motionkit.control.drive import Driver, Wish
 from motionkit.control.path import PathPart, make_path
 from motionkit.control.steering import steered_type
 from motionkit.errors import ControlError
 from motionkit.inference.character import CharacterStream, model_first_type
-from motionkit.inference.rollout import Noise
+from motionkit.inference.noise import Noise
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_NAMES, PARENTS, Skeleton
@@ -27,6 +26,7 @@ from motionkit.play.frames import Shown, WorldFrame
 from motionkit.play.limits import Limits
 from motionkit.play.recording import Recorder
 from motionkit.play.requests import Request
+from motionkit.version import __version__
 
 PROTOCOL = 1
 CONTACT_NAMES = ("left foot", "left toe", "right foot", "right toe")

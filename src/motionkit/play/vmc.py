@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.inference.pose import BodyKinematics, matrix_to_quat, quat_to_matrix
-from motionkit.motion.rotations import quat_between, quat_inverse
+from motionkit.motion.kinematics import forward_kinematics
+from motionkit.motion.rotations import matrix_to_quat, quat_between, quat_inverse, quat_to_matrix
 from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.play.frames import Floats, Shown
 
@@ -94,7 +94,7 @@ class VmcBody:
     """Turns frames of one skeleton into VMC messages."""
 
     def __init__(self, skeleton: Skeleton) -> None:
-        self._kinematics = BodyKinematics(skeleton.offsets[None])
+        self._skeleton = skeleton
         self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)))[_JOINTS]
 
     def bones(self, shown: Shown) -> tuple[Floats, Floats]:
@@ -102,12 +102,15 @@ class VmcBody:
 
         Right-handed and in cm; rotations are relative to the T-pose.
         """
-        world = self._kinematics.forward(shown.rotations[None], shown.root[None])[0, _JOINTS]
+        skeleton = self._skeleton
+        rotations, positions = forward_kinematics(
+            shown.rotations, shown.root, skeleton.offsets, skeleton.parents
+        )
         half = 0.5 * shown.heading
         root_turn = quat_to_matrix(np.array([[math.cos(half), 0.0, math.sin(half), 0.0]], np.float32))
         root_place = shown.root * np.array([1.0, 0.0, 1.0], np.float32)
-        turns = np.concatenate([root_turn, np.matmul(world[:, :3, :3], self._from_rest)])
-        places = np.concatenate([root_place[None], world[:, :3, 3]])
+        turns = np.concatenate([root_turn, np.matmul(quat_to_matrix(rotations[_JOINTS]), self._from_rest)])
+        places = np.concatenate([root_place[None], positions[_JOINTS]])
         above = np.swapaxes(turns[_PARENTS], -1, -2)  # parents of the bones; the root stays in world space
         inside = np.matmul(above, turns[1:])
         ways = np.matmul(above, (places[1:] - places[_PARENTS])[..., None])[..., 0]

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from motionkit.data.dataset import Clip, Dataset
-from motionkit.data.phases import type_stretches
 from motionkit.features.reference import REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import (
@@ -174,24 +173,21 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
     performed = dataset.phase_events.get(kind) == ""
     found: list[tuple[str, ReferenceClip]] = []
     recordings: dict[str, int] = {}  # where the recording of a clip begins: a mirror image has the same
-    for clip in dataset.select("train"):
-        for start, end, type_id in type_stretches(dataset.clip_types(clip)):
-            if type_id != wanted:
-                continue
-            whole = dataset.read(clip, start, end + REFERENCE_OFFSETS[-1])
-            poses = dataset.pose_embedding.of(whole.features)
-            beyond = end - start + REFERENCE_OFFSETS[-1] - len(poses)
-            poses = np.pad(poses, ((0, beyond), (0, 0)), mode="edge")
-            step = end - start if performed else longest
-            for first in range(0, end - start, step):
-                last = min(first + step, end - start)
-                reference_clip = ReferenceClip(
-                    poses[first : last + REFERENCE_OFFSETS[-1]],
-                    whole.ground[first:last],
-                    whole.phases[first:last],
-                )
-                found.append((clip.name, reference_clip))
-                recordings[clip.name] = clip.start
+    for clip, start, end, type_id in dataset.stretches():
+        if type_id != wanted:
+            continue
+        whole = dataset.read(clip, start, end + REFERENCE_OFFSETS[-1])
+        poses = dataset.pose_embedding.of(whole.features)
+        beyond = end - start + REFERENCE_OFFSETS[-1] - len(poses)
+        poses = np.pad(poses, ((0, beyond), (0, 0)), mode="edge")
+        step = end - start if performed else longest
+        for first in range(0, end - start, step):
+            last = min(first + step, end - start)
+            ahead = poses[first : last + REFERENCE_OFFSETS[-1]]
+            found.append(
+                (clip.name, ReferenceClip(ahead, whole.ground[first:last], whole.phases[first:last]))
+            )
+            recordings[clip.name] = clip.start
     if not found:
         return []
     found = _not_too_short(found, fps)
@@ -228,12 +224,12 @@ def _with_room(ordered: Sequence[ReferenceClip], room: int) -> list[ReferenceCli
 
 
 def _not_too_short(found: list[tuple[str, ReferenceClip]], fps: float) -> list[tuple[str, ReferenceClip]]:
-    """The reference_clips of at least SHORTEST_REFERENCE seconds, or all if none has them."""
+    """The reference clips of at least SHORTEST_REFERENCE seconds, or all if none has them."""
     return [entry for entry in found if len(entry[1]) >= SHORTEST_REFERENCE * fps] or found
 
 
 def before_rest(reference_clip: ReferenceClip, least: float) -> ReferenceClip:
-    """An reference_clip up to where less than so much movement follows to its end; whole, if it never moves more."""
+    """A reference clip up to where less than so much movement follows to its end; whole, if it never moves more."""
     moving = np.flatnonzero(reference_clip.movement >= least)
     end = int(moving[-1]) + 1 if len(moving) else len(reference_clip)
     return ReferenceClip(
@@ -244,7 +240,7 @@ def before_rest(reference_clip: ReferenceClip, least: float) -> ReferenceClip:
 
 
 def typical_first(found: list[tuple[str, ReferenceClip]]) -> list[ReferenceClip]:
-    """Outlines by names of recordings, reordered: the most typical part of each recording, then the second of each."""
+    """Reference clips by recording, reordered: the most typical part of each recording, then the second of each."""
     movements = [float(reference_clip.movement.mean()) for _, reference_clip in found]
     frames = [len(reference_clip) for _, reference_clip in found]
     mean = sum(m * n for m, n in zip(movements, frames, strict=True)) / max(1, sum(frames))

@@ -97,7 +97,7 @@ def calibrated_gains(
         return {}
     moved = [kind for kind, known in model.types.items() if kind in dataset.types and known.reference_clips]
     real = recorded_manners(dataset, moved)
-    tried = [with_gains(model, dict.fromkeys(real, gain)) for gain in gains]
+    tried = [with_presets(model, "reference_gain", dict.fromkeys(real, gain)) for gain in gains]
     costs = _costs(tried, real, frames, repeats, JERK_WEIGHT)
     return {kind: _cheapest(gains, found) for kind, found in costs.items()}
 
@@ -111,17 +111,14 @@ def calibrated_noise(
 ) -> dict[str, float]:
     """Return the noise of each type that moves by it alone without references, by the manner of such roll-outs.
 
-    Args:
-        dataset: has the recordings; types without any are left out.
-        frames: length of each roll-out.
-        repeats: roll-outs of each type, with successive seeds.
+    Arguments as for calibrated_gains.
     """
     if not model.uses_references:
         return {}
     alone = model.with_reference("none")
     moved = [kind for kind, known in alone.types.items() if kind in dataset.types and known.moves_by_noise]
     real = recorded_manners(dataset, moved)
-    tried = [_with_presets(alone, {kind: {"noise_scale": noise} for kind in real}) for noise in noises]
+    tried = [with_presets(alone, "noise_scale", dict.fromkeys(real, noise)) for noise in noises]
     costs = _costs(tried, real, frames, repeats, JERK_OF_NOISE)
     return {kind: noises[int(np.argmin(found))] for kind, found in costs.items()}
 
@@ -134,18 +131,9 @@ def _costs(
     return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
 
 
-def with_gains(model: MotionModel, gains: Mapping[str, float]) -> MotionModel:
-    """Return the model with other reference gains of some types."""
-    return _with_presets(model, {kind: {"reference_gain": gain} for kind, gain in gains.items()})
-
-
-def with_noise(model: MotionModel, noises: Mapping[str, float]) -> MotionModel:
-    """Return the model with another noise of some types without references."""
-    return _with_presets(model, {kind: {"noise_alone": noise} for kind, noise in noises.items()})
-
-
-def _with_presets(model: MotionModel, changes: Mapping[str, Mapping[str, float]]) -> MotionModel:
-    presets = {kind: replace(model.types[kind].preset, **values) for kind, values in changes.items()}
+def with_presets(model: MotionModel, field: str, values: Mapping[str, float]) -> MotionModel:
+    """Return the model with another value of a field of the sampling presets of some types."""
+    presets = {kind: replace(model.types[kind].preset, **{field: value}) for kind, value in values.items()}
     return model.with_types({kind: {"preset": preset} for kind, preset in presets.items()})
 
 

@@ -181,8 +181,7 @@ def paper_foot_slip(
         features: (B, T, 276) unnormalised means.
     """
     columns = feature_layout(space.layout)
-    place = {(c.joint, c.component): i for i, c in enumerate(columns.columns) if c.block == "joint_positions"}
-    rows = torch.tensor([[place[joint, k] for k in range(3)] for joint in FOOT_JOINTS], device=feet.device)
+    rows = torch.tensor(columns.indices("joint_positions", FOOT_JOINTS), device=feet.device)
     height = torch.zeros_like(feet[..., :1, :])
     height[..., 0, 1] = space.root_height(features)
     moved = (feet + height)[:, :-1] - features[:, 1:][..., rows]

@@ -24,48 +24,47 @@ class OwnLosses(nn.Module):
         self.network = network
         self.space = FeatureSpace.of(dataset)
 
-    def to_device(self, device: torch.device) -> OwnLosses:
+    def to_device(self, device: torch.device) -> None:
         """Move the weights and the feature space to a device."""
         self.to(device)
         self.space = self.space.to(device)
-        return self
 
     def use(self, options: LossOptions) -> None:
-        """The network has options of its own."""
+        """Compute the losses by these options from now on; here the network has its own."""
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The weights of the losses in their sum; 1 for those that are not named."""
+        return {}
 
     def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
         with torch.autocast(batch.inputs.device.type, torch.bfloat16) if autocast else nullcontext():
             return self.network.losses(batch, self.space, progress)
 
 
-class TrainingModule(nn.Module):
-    """Network, consistency modules and losses as one module, for DistributedDataParallel."""
+class TrainingModule(OwnLosses):
+    """A part transformer with its consistency modules and the losses of training/losses.py."""
 
-    def __init__(
-        self,
-        network: PartTransformer,
-        dataset: Dataset,
-        options: LossOptions,
-    ) -> None:
-        super().__init__()
-        self.network = network
+    network: PartTransformer
+
+    def __init__(self, network: PartTransformer, dataset: Dataset, options: LossOptions) -> None:
+        super().__init__(network, dataset)
         self.consistency = ConsistencyModules(network) if network.config.head.consistency else None
         self.types = dataset.types
-        self.space = FeatureSpace.of(dataset)
         self.use(options)
 
-    def to_device(self, device: torch.device) -> TrainingModule:
-        """Move the weights and the feature space to a device."""
-        self.to(device)
-        self.space = self.space.to(device)
+    def to_device(self, device: torch.device) -> None:
+        super().to_device(device)
         self.use(self.options)
-        return self
 
     def use(self, options: LossOptions) -> None:
-        """Compute the losses by these options from now on."""
         share = _step_share(self.types, options)
         self.options = options
         self.step_share = None if share is None else share.to(self.space.mean.device)
+
+    @property
+    def weights(self) -> dict[str, float]:
+        return self.options.weights
 
     def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
         kind = batch.inputs.device.type

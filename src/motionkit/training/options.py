@@ -9,8 +9,8 @@ from typing import Any
 from motionkit.errors import MotionkitError
 from motionkit.seeds import check_seed
 from motionkit.training.losses import WEIGHTS, LossOptions
-from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
+from motionkit.training.windows import ControlSampling, SamplerOptions
 
 # The paper's weights, but for smoothness: the paper's weight of 10 damps every movement (docs/learning.md).
 SHIPPED_WEIGHTS = WEIGHTS | {"smooth": 1.0}

@@ -11,8 +11,8 @@ from motionkit.models.presets import preset
 from motionkit.training.budgets import BUDGETS
 from motionkit.training.losses import LossOptions
 from motionkit.training.options import OptimizerOptions, Stage, TrainOptions, with_changes
-from motionkit.training.sampler import ControlSampling, SamplerOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
+from motionkit.training.windows import ControlSampling, SamplerOptions
 
 # A run from random weights. At first no prediction is near enough to be an input. To follow reference poses is soon
 # learnt, to move without them is not: for most of the run few windows have them. Feet are to stand where they stood
@@ -51,6 +51,10 @@ PAPER: dict[str, Any] = {
     ),
     "scheduled_sampling": ScheduledSamplingOptions(share=0.0),
 }
+
+# Where a run is given neither steps nor minutes: from random weights, and from a model.
+TRAIN_MINUTES, FINE_TUNE_MINUTES = 30.0, 5.0
+KEPT_SHARE = 0.5  # of the windows of a run that keeps the types that its model knew
 
 # From a trained model: a small step, short averages, and few splices, since minutes are all there is.
 FINE_TUNE: dict[str, Any] = {"method": "adamw", "rate": 5e-4, "warmup": 50, "ema": 0.99, "splices": 400}

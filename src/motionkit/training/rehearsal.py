@@ -6,6 +6,8 @@ A model file does not hold the clips it was trained on. What the model makes of 
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from motionkit.arrays import Array
@@ -15,8 +17,8 @@ from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.features.control import Controls
-from motionkit.features.reference import REFERENCE_COUNT
-from motionkit.inference.rollout import Noise, RolloutState, run, start_batch
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import RolloutState, run, start_batch
 from motionkit.models.model import MotionModel
 
 ROLLOUTS, SECONDS = 4, 15.0  # of each type; a performance begins again when it is over
@@ -62,16 +64,10 @@ def roll_out(model: MotionModel, names: tuple[str, ...], seconds: float, seed: i
         return asked
 
     made = run(state, frames, controls)
-    phase = np.stack(phases, 1)
-    nothing = np.zeros((frames, REFERENCE_COUNT), np.float32)
-    return [
-        ClipData(
-            made.features[i],
-            (made.contacts[i] > IN_CONTACT).astype(np.float32),
-            made.ground[i],
-            np.zeros(frames, np.int64),
-            phase[i].astype(np.float32),
-            nothing,
-        )
-        for i in range(len(names))
+    phase = np.stack(phases, 1).astype(np.float32)
+    touching = (made.contacts > IN_CONTACT).astype(np.float32)
+    types = np.zeros(frames, np.int64)
+    plain = [
+        ClipData.plain(*each, types.copy()) for each in zip(made.features, touching, made.ground, strict=True)
     ]
+    return [replace(clip, phases=phase[i]) for i, clip in enumerate(plain)]

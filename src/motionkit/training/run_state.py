@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,15 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from motionkit.errors import ModelError
+from motionkit.data.dataset import Dataset
+from motionkit.errors import DatasetError, ModelError
 from motionkit.files import atomic_write
-from motionkit.models.file_check import TensorFacts, check_shapes, check_values
+from motionkit.models.file_check import TensorFacts, check_number, check_shapes, check_values
 from motionkit.models.tensor_file import TensorFile, open_tensors
+from motionkit.training.learner import Learner
 from motionkit.training.optimizer import Muon
-from motionkit.training.options import flat_options
+from motionkit.training.options import TrainOptions, flat_options
+from motionkit.training.progress import Progress
 from motionkit.training.window_blocks import BlockStart
 
 FORMAT = "motionkit-run-1"
@@ -25,90 +29,128 @@ MUON = ("momentum",)
 MOST_BYTES = 4 * 2**30
 MOST_STEPS = 10**12  # also the limit of seconds
 MOST_BLOCK = 1000  # steps of a block
+# Options that a resumed run may change: its length and its outputs.
+FREE_ON_RESUME = ("steps", "minutes", "output.")
 
 
-def save_run(
-    path: Path,
-    module: nn.Module,
-    average: dict[str, Tensor],
-    optimizers: Sequence[torch.optim.Optimizer],
-    facts: dict[str, Any],
-    block: BlockStart | None,
-) -> None:
-    """Write weights, their running average, optimizer moments, the random state and facts such as the step.
+class Checkpoint:
+    """The checkpoint of a run, which resumes with the same options and clips only.
 
     Args:
-        block: the start of the block that the run is within, if it is.
+        folder: the folder of the run.
     """
-    tensors = {f"weights.{n}": t for n, t in module.state_dict().items()}
-    tensors.update({f"average.{n}": t for n, t in average.items()})
-    owners = _owners(optimizers)
-    for name, p in module.named_parameters():
-        for key, value in owners[p].state.get(p, {}).items():
-            tensors[f"optimizer.{key}.{name}"] = value.reshape(1) if value.dim() == 0 else value
-    if block is not None:
-        tensors.update({f"block.{n}": t for n, t in block.weights.items()})
-        facts = facts | {"block": {"step": block.step, "progress": block.progress}}
-    tensors["random.cpu"] = torch.get_rng_state()
-    if torch.cuda.is_available():
-        tensors["random.cuda"] = torch.cuda.get_rng_state()
-    tensors = {n: t.detach().cpu().contiguous().clone() for n, t in tensors.items()}
-    with atomic_write(path, "wb") as file:
-        file.write(save(tensors, metadata={"run": json.dumps({"format": FORMAT, **facts})}))
+
+    def __init__(self, folder: Path, dataset: Dataset, options: TrainOptions) -> None:
+        self.path, self.options = folder / "checkpoint.safetensors", options
+        self.data, self.digest = dataset.folder, dataset.digest()
+
+    def save(self, learner: Learner, at: Progress, block: BlockStart | None) -> None:
+        """Write weights, their running average, optimizer moments, the random state, options and progress.
+
+        Args:
+            block: the start of the block that the run is within, if it is.
+        """
+        facts = {
+            "format": FORMAT,
+            "step": at.step,
+            "seconds": at.seconds,
+            "options": self.options.to_dict(),
+            "data": self.digest,
+        }
+        tensors = {f"weights.{n}": t for n, t in learner.module.state_dict().items()}
+        tensors.update({f"average.{n}": t for n, t in learner.average.items()})
+        owners = _owners(learner)
+        for name, p in learner.module.named_parameters():
+            for key, value in owners[p].state.get(p, {}).items():
+                tensors[f"optimizer.{key}.{name}"] = value.reshape(1) if value.dim() == 0 else value
+        if block is not None:
+            tensors.update({f"block.{n}": t for n, t in block.weights.items()})
+            facts["block"] = {"step": block.step, "progress": block.progress}
+        tensors["random.cpu"] = torch.get_rng_state()
+        if torch.cuda.is_available():
+            tensors["random.cuda"] = torch.cuda.get_rng_state()
+        tensors = {n: t.detach().cpu().contiguous().clone() for n, t in tensors.items()}
+        with atomic_write(self.path, "wb") as file:
+            file.write(save(tensors, metadata={"run": json.dumps(facts)}))
+
+    def load(self, learner: Learner, at: Progress) -> BlockStart | None:
+        """Restore what save wrote; return the start of the block that the run was within.
+
+        Raises:
+            DatasetError: if there is no checkpoint, or it is of a run with other clips.
+            ModelError: if it is damaged, or of a run with other options, except FREE_ON_RESUME.
+        """
+        path = self.path
+        if not path.is_file():
+            raise DatasetError(f"{path}: no checkpoint to resume from")
+        with _open_run(path) as (file, facts):
+            self._check_options(flat_options(facts["options"]))
+            try:
+                _check_fit(file.found, learner, "block" in facts)
+                tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
+                _check_numbers(tensors)
+            except ModelError as error:
+                raise ModelError(
+                    f"{path}: the checkpoint does not fit this preset or is damaged ({error})"
+                ) from None
+        if facts.get("data", self.digest) != self.digest:  # earlier releases have not written it
+            raise DatasetError(
+                f"{path}: the run was started with other training clips than those of "
+                f"{self.data}; resume it with the same, or delete {path.parent} and start anew"
+            )
+        _restore(path, tensors, learner)
+        at.step, at.seconds = int(facts["step"]), float(facts["seconds"])
+        block = facts.get("block")
+        if block is None:
+            return None
+        return BlockStart(block["step"], float(block["progress"]), _under(tensors, "block."))
+
+    def _check_options(self, before: dict[str, Any]) -> None:
+        """Raise ModelError if the run was started with other options."""
+        # Earlier releases had AdamW alone and did not write it.
+        before = {"optimizer.method": "adamw"} | before
+        now = flat_options(json.loads(json.dumps(self.options.to_dict())))
+        changed = [k for k in before if k in now and before[k] != now[k] and not k.startswith(FREE_ON_RESUME)]
+        if changed:
+            words = ", ".join(f"{name} {before[name]!r:.60} (now {now[name]!r:.60})" for name in changed)
+            raise ModelError(
+                f"{self.path}: the run was started with {words}; resume it with the same options"
+            )
 
 
 def run_options(path: Path) -> dict[str, Any]:
-    """The options of the run of a checkpoint, by the names of flat_options; raises ModelError as load_run does."""
+    """The options of the run of a checkpoint, by the names of flat_options; raises ModelError if it is damaged."""
+    with _open_run(path) as (_, facts):
+        return flat_options(facts["options"])
+
+
+@contextmanager
+def _open_run(path: Path) -> Iterator[tuple[TensorFile, dict[str, Any]]]:
+    """A checkpoint and its facts, checked; raises ModelError if it is none of this release."""
     with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
-        facts = _facts_of(path, file)
-    try:
-        _check_facts(facts)
-    except ModelError as error:
-        raise ModelError(f"{path}: the checkpoint is damaged ({error})") from None
-    return flat_options(facts["options"])
-
-
-def _facts_of(path: Path, file: TensorFile) -> dict[str, Any]:
-    """The facts of an open checkpoint, not checked further; raises ModelError if it is none of this release."""
-    facts = file.metadata
-    if not isinstance(facts, dict) or facts.get("format") != FORMAT:
-        raise ModelError(f"{path}: not a training checkpoint of this release")
-    return facts
-
-
-def load_run(
-    path: Path,
-    module: nn.Module,
-    average: dict[str, Tensor],
-    optimizers: Sequence[torch.optim.Optimizer],
-) -> tuple[dict[str, Any], BlockStart | None]:
-    """Restore what save_run wrote and return its facts, and the start of the block that the run was within.
-
-    Raises:
-        ModelError: if the file is damaged or does not fit.
-    """
-    with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
-        facts = _facts_of(path, file)
+        facts = file.metadata
+        if not isinstance(facts, dict) or facts.get("format") != FORMAT:
+            raise ModelError(f"{path}: not a training checkpoint of this release")
         try:
             _check_facts(facts)
-            _check_fit(file.found, module, average, optimizers, "block" in facts)
-            tensors = {name: torch.from_numpy(array) for name, array in file.read_all().items()}
-            _check_numbers(tensors)
         except ModelError as error:
-            raise ModelError(
-                f"{path}: the checkpoint does not fit this preset or is damaged ({error})"
-            ) from None
+            raise ModelError(f"{path}: the checkpoint is damaged ({error})") from None
+        yield file, facts
+
+
+def _restore(path: Path, tensors: dict[str, Tensor], learner: Learner) -> None:
+    """Set the random state, weights, their average and the optimizers to those of a checkpoint."""
     try:
         torch.set_rng_state(tensors["random.cpu"])
         if torch.cuda.is_available() and "random.cuda" in tensors:
             torch.cuda.set_rng_state(tensors["random.cuda"])
     except (RuntimeError, TypeError) as error:
         raise ModelError(f"{path}: the checkpoint is damaged ({str(error).splitlines()[0]})") from None
-    module.load_state_dict(_under(tensors, "weights."))
+    learner.module.load_state_dict(_under(tensors, "weights."))
     for name, value in _under(tensors, "average.").items():
-        average[name].copy_(value)
-    owners = _owners(optimizers)
-    for name, p in module.named_parameters():
+        learner.average[name].copy_(value)
+    owners = _owners(learner)
+    for name, p in learner.module.named_parameters():
         optimizer = owners[p]
         kept = {key: tensors.get(f"optimizer.{key}.{name}") for key in _kept(optimizer)}
         # A fused optimizer has its steps where its parameters are, any other on the CPU.
@@ -118,15 +160,11 @@ def load_run(
             for key, value in kept.items()
             if value is not None  # before the first step
         }
-    block = facts.get("block")
-    if block is None:
-        return facts, None
-    return facts, BlockStart(block["step"], float(block["progress"]), _under(tensors, "block."))
 
 
-def _owners(optimizers: Sequence[torch.optim.Optimizer]) -> dict[nn.Parameter, torch.optim.Optimizer]:
+def _owners(learner: Learner) -> dict[nn.Parameter, torch.optim.Optimizer]:
     """Return which of the optimizers moves each parameter."""
-    return {p: each for each in optimizers for group in each.param_groups for p in group["params"]}
+    return {p: each for each in learner.optimizers for group in each.param_groups for p in group["params"]}
 
 
 def _kept(optimizer: torch.optim.Optimizer) -> tuple[str, ...]:
@@ -136,41 +174,27 @@ def _kept(optimizer: torch.optim.Optimizer) -> tuple[str, ...]:
 
 def _check_facts(facts: dict[str, Any]) -> None:
     """Raise ModelError for a step, a time or options that no run can have."""
-    step, seconds = facts.get("step"), facts.get("seconds")
-    if isinstance(step, bool) or not isinstance(step, int) or not 0 <= step <= MOST_STEPS:
-        raise ModelError(f"step is {step!r:.60}, expected a number from 0 to {MOST_STEPS}")
-    if isinstance(seconds, bool) or not isinstance(seconds, (int, float)) or not 0 <= seconds <= MOST_STEPS:
-        raise ModelError(f"seconds is {seconds!r:.60}, expected a number from 0 to {MOST_STEPS}")
+    step: Any = facts.get("step")
+    check_number("step", step, 0, MOST_STEPS, whole=True)
+    check_number("seconds", facts.get("seconds"), 0, MOST_STEPS)
     block = facts.get("block")
     if block is not None:
-        begins, progress = (
-            (block.get(n) for n in ("step", "progress")) if isinstance(block, dict) else (None, 0)
-        )
-        if (
-            isinstance(begins, bool)
-            or not isinstance(begins, int)
-            or not 0 <= begins < step <= begins + MOST_BLOCK
-        ):
-            raise ModelError(f"the block begins at step {begins!r:.60}, expected one shortly before {step}")
-        if isinstance(progress, bool) or not isinstance(progress, (int, float)) or not 0 <= progress <= 1:
-            raise ModelError(f"progress is {progress!r:.60}, expected a number from 0 to 1")
+        block = block if isinstance(block, dict) else {}
+        least = max(0, step - MOST_BLOCK)
+        check_number("the first step of the block", block.get("step"), least, step - 1, whole=True)
+        check_number("progress", block.get("progress"), 0, 1)
     if not isinstance(facts.get("options"), dict):
         raise ModelError(f"options is {facts.get('options')!r:.60}, expected an object")
 
 
-def _check_fit(
-    found: Mapping[str, TensorFacts],
-    module: nn.Module,
-    average: dict[str, Tensor],
-    optimizers: Sequence[torch.optim.Optimizer],
-    within_block: bool,
-) -> None:
-    """Raise ModelError unless a file has exactly the tensors of this module's run, with their shapes and types."""
+def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, within_block: bool) -> None:
+    """Raise ModelError unless a file has exactly the tensors of this run, with their shapes and types."""
+    module, average = learner.module, learner.average
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
     if within_block:
         expected |= {f"block.{name}": tuple(value.shape) for name, value in average.items()}
-    owners = _owners(optimizers)
+    owners = _owners(learner)
     for name, p in module.named_parameters():
         keys = {key: f"optimizer.{key}.{name}" for key in _kept(owners[p])}
         if any(key in found for key in keys.values()):  # none before the first step

@@ -17,9 +17,9 @@ from torch import Tensor
 
 from motionkit.features.layout import feature_layout
 from motionkit.features.reference import REFERENCE_COUNT
-from motionkit.inference.step_kernel import kernel_library
+from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_weights import why_not_packable
-from motionkit.inference.stepping import NetworkStep, stepper
+from motionkit.inference.stepping import stepper
 from motionkit.models.batch import Batch, FeatureSpace
 from motionkit.models.predictor import Drawn, NextFrame, Predictor
 from motionkit.models.torch_rotations import orthonormal
@@ -125,9 +125,8 @@ class PredictedInputs:
 def _frame_step(
     network: Predictor, batch: int, device: torch.device
 ) -> Callable[[Tensor, Tensor, Tensor], Drawn]:
-    """Return what predicts the next frame from a frame: the step of synthesis in C where it can, else in torch."""
-    packable = why_not_packable(network.config) is None and kernel_library() is not None
-    if device.type != "cpu" or not packable:
+    """Return what predicts the next frame from a frame: on a CPU the step of synthesis, else the network's stream."""
+    if device.type != "cpu" or why_not_packable(network.config) is not None:
         return network.stream(batch).step
     state = stepper(network.weights(), batch)
     assert isinstance(state, NetworkStep)

@@ -22,7 +22,8 @@ from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
 from motionkit.features.layout import FEATURE_COUNT, FeatureLayout
 from motionkit.files import safe_name
-from motionkit.inference.rollout import Noise, Rollout, RolloutState, rollout_motion, run, start_batch
+from motionkit.inference.noise import Noise
+from motionkit.inference.rollout import Rollout, RolloutState, rollout_motion, run, start_batch
 from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import StartPose
@@ -136,11 +137,9 @@ def _joint_speed(features: Array, layout: FeatureLayout) -> Array:
 
 def _slide(features: Array, layout: FeatureLayout) -> Array:
     """Return the mean horizontal speed of toes near the floor in cm/s."""
-    place = {(c.block, c.joint, c.component): index for index, c in enumerate(layout.columns)}
-    toes = (FOOT_JOINTS[1], FOOT_JOINTS[3])
-    heights = features[:, [place["joint_positions", toe, 1] for toe in toes]]
-    sideways = [features[:, [place["joint_velocities", toe, k] for k in (0, 2)]] for toe in toes]
-    speeds = np.stack([np.linalg.norm(velocity, axis=-1) for velocity in sideways], axis=-1)
+    toes = FOOT_JOINTS[1::2]
+    heights = features[:, np.concatenate(layout.indices("joint_positions", toes, (1,)))]
+    speeds = np.linalg.norm(features[:, layout.indices("joint_velocities", toes, (0, 2))], axis=-1)
     low = (heights < LOW_TOE).astype(np.float32)
     return (speeds * low).sum() / np.maximum(low.sum(), 1.0)
 

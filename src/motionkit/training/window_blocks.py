@@ -38,7 +38,7 @@ class WindowBlocks:
     """The batches of a run, or of one process's share of the windows.
 
     Attributes:
-        start: where the present block began; None before the first.
+        start: where the present block began; None before the first. A resumed run sets it.
         options: the settings of the present block.
     """
 
@@ -51,7 +51,7 @@ class WindowBlocks:
         device = next(network.parameters()).device
         self.predicted = PredictedInputs(
             network,
-            torch.from_numpy(sampler.reference_map.matrix).to(device),
+            torch.from_numpy(sampler.windows.references.matrix).to(device),
             FeatureSpace.of(sampler.dataset).to(device),
         )
         self._coming: list[Batch] = []
@@ -74,8 +74,11 @@ class WindowBlocks:
         """The start of a block whose batches are not all used; None between blocks."""
         return self.start if self._coming else None
 
-    def resume(self, step: int, start: BlockStart) -> None:
-        """Continue a block at a step within it, as if it had never stopped."""
+    def resume(self, step: int) -> None:
+        """Continue the block that has begun at start, if it has, at a step within it, as if it had never stopped."""
+        start = self.start
+        if start is None:
+            return
         now = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
         self.network.load_state_dict(start.weights)
         self._begin(start)

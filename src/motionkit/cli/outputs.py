@@ -1,0 +1,189 @@
+"""What commands write and say: the place of -o, a page for --view, and the result in words or as JSON."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from motionkit.cli.common import PLACE, print_json, stderr_console, stdout_console
+from motionkit.cli.showing import open_in_browser
+from motionkit.errors import MotionkitError, SkeletonError
+from motionkit.files import check_outputs, safe_name
+
+if TYPE_CHECKING:
+    from motionkit.cli.console import PlainConsole
+    from motionkit.export.clip import Clip
+    from motionkit.view.figure_data import Shown
+
+FORMATS = ("bvh", "glb", "vrma", "usda", "npz", "csv")  # those of export.formats, which takes long to import
+ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
+STDOUT = Path("-")
+
+view_option = click.option(
+    "--view", is_flag=True, help="Also write a web page that plays the motion, and open it."
+)
+
+
+def checked_ending(context: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
+    """Refuse an output whose ending no writer knows, before any work; "-" is standard output."""
+    if value is None or value == STDOUT:
+        return value
+    from motionkit.export.formats import check_ending
+
+    try:
+        check_ending(value)
+    except MotionkitError as error:
+        raise click.BadParameter(str(error)) from None
+    return value
+
+
+def output_option(text: str) -> Callable:
+    """The -o option of commands that write a motion to a file or as BVH to standard output."""
+    text = f"{text}. The ending chooses the format: {ENDINGS}; - writes BVH to standard output."
+    return click.option("-o", "--output", type=PLACE, callback=checked_ending, help=text)
+
+
+def clip_output_option(word: str) -> Callable:
+    """The -o of a command that writes a changed clip, as CLIP-word.bvh in the current folder by default."""
+    text = f"File to write: {ENDINGS}; CLIP-{word}.bvh by default."
+    return click.option("-o", "--output", type=PLACE, callback=checked_ending, help=text)
+
+
+def default_output(
+    name: str, ending: str = ".bvh", files: Callable[[Path], Sequence[Path]] = lambda path: [path]
+) -> Path:
+    """A name in the current folder that no file has yet.
+
+    Args:
+        files: what will be written under a name; by default, one file of that name.
+    """
+    name = safe_name(name, 120)
+    path = Path(f"{name}{ending}")
+    number = 2
+    while any(file.exists() for file in files(path)):
+        path, number = Path(f"{name}-{number}{ending}"), number + 1
+    return path
+
+
+@contextmanager
+def naming(clip: Path, kind: type[MotionkitError] = SkeletonError) -> Iterator[None]:
+    """Name the file in a fault of its rig: the library knows only the motion, writers only the file to write."""
+    try:
+        yield
+    except kind as error:
+        raise kind(f"{clip}: {error}") from None
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The options -o, --view and --json, as they are given."""
+
+    output: Path | None
+    view: bool
+    as_json: bool
+
+    def check(self, count: int = 1) -> None:
+        """Raise UsageError for what cannot be combined with BVH on standard output."""
+        others = {"--view": self.view, "--json": self.as_json, f"--count {count}": count > 1}
+        for name in (name for name, given in others.items() if given and self.output == STDOUT):
+            raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
+
+    def files(
+        self, name: str, inputs: Iterable[str | Path | None], count: int = 1, also: Sequence[Path] = ()
+    ) -> Outputs:
+        """The files to write; several are numbered. Checks that they can be written and overwrite no input.
+
+        Args:
+            name: of a file that -o does not name.
+            inputs: files to read; None entries are ignored.
+            count: number of motions.
+            also: other files to write.
+        """
+
+        def motions(base: Path) -> list[Path]:
+            width = len(str(count))
+            numbers = [""] if count == 1 else [f"-{number:0{width}}" for number in range(1, count + 1)]
+            return [base.with_name(f"{base.stem}{number}{base.suffix}") for number in numbers]
+
+        def everything(base: Path) -> list[Path]:
+            return motions(base) + ([base.with_suffix(".html")] if self.view else [])
+
+        if self.output == STDOUT:
+            check_outputs(also, inputs)
+            return Outputs((STDOUT,), None, self.as_json)
+        base = self.output or default_output(name, files=everything)
+        check_outputs([*everything(base), *also], inputs)
+        page = base.with_suffix(".html") if self.view else None
+        return Outputs(tuple(motions(base)), page, self.as_json)
+
+
+@dataclass(frozen=True)
+class Outputs:
+    """Files that a command writes.
+
+    Attributes:
+        files: of motions; "-" is standard output.
+        page: that plays them, with --view.
+        as_json: print the result as JSON, and open no browser.
+    """
+
+    files: tuple[Path, ...]
+    page: Path | None
+    as_json: bool
+
+    @property
+    def file(self) -> Path:
+        """The first file."""
+        return self.files[0]
+
+    @property
+    def console(self) -> PlainConsole:
+        """Where the result is told: stdout, or stderr if the motion goes to stdout."""
+        return stderr_console() if STDOUT in self.files else stdout_console()
+
+    def write(self, clip: Clip, number: int = 0) -> None:
+        """Write a motion to one of the files; nothing is written if it is invalid."""
+        from motionkit.export.formats import write_motion
+
+        if self.files[number] != STDOUT:
+            write_motion(self.files[number], clip)
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            made = Path(folder) / "motion.bvh"
+            write_motion(made, clip)
+            with made.open("rb") as file:
+                shutil.copyfileobj(file, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
+
+    def show(self, shown: Callable[[], Sequence[Shown]]) -> None:
+        """With --view, write the page of what is shown, and open it."""
+        if self.page is None:
+            return
+        from motionkit.view.viewer import write_viewer
+
+        write_viewer(self.page, shown())
+        if not self.as_json:
+            open_in_browser(self.page.resolve().as_uri())
+
+    def report(self, facts: dict[str, Any], lines: Iterable[Any]) -> None:
+        """Print the result: the facts with --json, else the lines and tables; and the page."""
+        if self.as_json:
+            print_json(facts | ({"view": self.page} if self.page else {}))
+            return
+        for line in lines:
+            self.console.print(line)
+        if self.page:
+            self.console.print(f"wrote {self.page}")
+
+
+def shown_name(path: Path) -> str:
+    """The name of an output in messages."""
+    return "standard output" if path == STDOUT else str(path)

@@ -1,0 +1,78 @@
+"""Controls as they are asked for -> control vectors for the network, and the sampling presets of the types."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from motionkit.arrays import Array, Floats, row_products
+from motionkit.features.control import (
+    TRAJECTORY_COUNT,
+    Controls,
+    control_vector,
+    future_trajectory,
+    skeleton_signal,
+)
+from motionkit.features.decode import integrate_ground
+from motionkit.inference.frame_arrays import PresetArrays
+from motionkit.models.model import MotionModel
+from motionkit.motion.skeleton import Skeleton
+
+PRESETS = ("noise_scale", "velocity_blend", "slip_correction")
+
+
+class ControlInput:
+    """The controls of B characters.
+
+    Attributes:
+        vectors: (B, C) for the network.
+        presets: of the types asked for.
+        type_presets: (N, 3) PRESETS of every type.
+        skeletons: (B, S) skeleton control signals.
+        trajectory: (B, 24) in cm as a plain model predicted it, for frames that ask for none (paper section 5.2).
+    """
+
+    def __init__(self, model: MotionModel, batch: int) -> None:
+        self.model = model
+        self.vectors = np.zeros((batch, model.controls.size), np.float32)
+        self.presets = PresetArrays.of(batch)
+        self.type_presets = np.stack([model.presets(name) for name in PRESETS], axis=1)
+        self.skeletons = np.zeros((batch, 0), np.float32)
+        self.trajectory = np.zeros((batch, TRAJECTORY_COUNT), np.float32)
+
+    def set_skeletons(self, skeletons: Sequence[Skeleton]) -> None:
+        """The skeleton control signal of each character."""
+        self.skeletons = np.stack([skeleton_signal(s) for s in skeletons])
+
+    def take(self, asked: Controls, x: Floats) -> Floats:
+        """The vectors (B, C) of controls asked for at normalised frames x (B, 276); presets follow the types."""
+        model, presets = self.model, self.presets
+        if model.plain:
+            asked = self._with_own_trajectory(asked)
+        shares = row_products(asked.type_weights, self.type_presets)
+        presets.log_noise_scale[:] = np.log(np.maximum(shares[:, :1], 1e-6))
+        presets.velocity_blend[:], presets.slip_correction[:] = shares[:, 1:2], shares[:, 2:]
+        presets.slip_correction[:, 0] *= asked.slip_correction
+        self.vectors[:] = control_vector(
+            model.controls, self.skeletons, asked, x, model.trajectory_scaling, model.reference_map
+        )
+        return self.vectors
+
+    def keep_trajectory(self, predicted: Floats) -> None:
+        """Keep the trajectory (B, 24), normalised, that a plain model predicted for the frame that comes."""
+        if self.model.plain:
+            self.trajectory[:] = self.model.trajectory_scaling.denormalize(predicted)
+
+    def recorded_trajectories(self, features: Array) -> Array:
+        """The trajectories (B, T, 24) of recorded frames (B, T, 276), which go straight on after the last of them."""
+        origin = np.zeros((len(features), 3), np.float32)
+        ground = integrate_ground(features, origin, self.model.fps, self.model.config.layout)
+        frames = np.arange(features.shape[1])
+        return np.stack([future_trajectory(each.astype(np.float32), frames) for each in ground])
+
+    def _with_own_trajectory(self, asked: Controls) -> Controls:
+        """Controls in which the predicted trajectory stands where none is asked for."""
+        given = asked.trajectory_mask[:, None] > 0.0
+        return replace(asked, trajectory=np.where(given, asked.trajectory, self.trajectory)).with_mask(1.0)

@@ -1,0 +1,187 @@
+"""What mk.synthesize, mk.follow_path and their commands are asked for, checked and made ready before any frame is made.
+
+The keywords that both pass on to SynthesisOptions have their defaults there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypedDict
+
+from motionkit.control import follow, synthesize
+from motionkit.control.keys import Key, check_keys, check_length, read_keys
+from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
+from motionkit.control.plan import plan_path, plan_types
+from motionkit.control.script import TypePart, parse_types
+from motionkit.control.speeds import check_speeds
+from motionkit.control.steering import walking_type
+from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
+from motionkit.errors import ControlError, MotionkitError
+from motionkit.models.bundled import open_model
+from motionkit.models.model import MotionModel
+from motionkit.names import nfc
+
+if TYPE_CHECKING:
+    from motionkit.control.follow import FollowResult
+    from motionkit.editing.loop import Loop
+    from motionkit.inference.rollout import Noise
+    from motionkit.motion.motion import Motion
+
+PATH_ENDINGS = (".json", ".csv")
+
+
+class MotionWords(TypedDict, total=False):
+    """Keywords that mk.synthesize and mk.follow_path share."""
+
+    model: MotionModel | None
+    seed: int
+    noise: Noise | None
+    reference: str
+    character: str
+    init: str | Path | Motion | None
+    ik: bool
+    fps: float | None
+
+
+class SynthesisWords(MotionWords, total=False):
+    """Keywords of mk.synthesize."""
+
+    seconds: float | None
+    count: int
+    keys: str | Path | Sequence[Key]
+
+
+class PathWords(MotionWords, total=False):
+    """Keywords of mk.follow_path."""
+
+    types: str | None
+    size: float | None
+    speed: float | None
+    strict: bool
+
+
+@dataclass(frozen=True, eq=False)
+class SynthesisRequest:
+    """Motions to synthesize.
+
+    Attributes:
+        model: with or without its reference recordings, as asked for.
+        plans: a list of types for each character, taken in turn.
+        options: how to synthesize.
+    """
+
+    model: MotionModel
+    plans: Sequence[list[TypePart]]
+    options: SynthesisOptions
+
+    @property
+    def name(self) -> str:
+        """A name for the file: the types."""
+        return "-".join(part.type for plan in self.plans for part in plan)[:80]
+
+    @property
+    def frames(self) -> int:
+        """Frames of the longest motion at the model's rate. Raises MotionkitError if one has fewer than 2."""
+        lengths = [len(plan_types(self.model, plan).track) for plan in self.plans]
+        if min(lengths) < 2:
+            raise MotionkitError(f"expected at least 2 frames, {2.0 / self.model.fps:.2g} s, found 1")
+        return max(lengths)
+
+    def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:
+        """Synthesize; progress is called with the number of frames done."""
+        return synthesize.synthesize(self.model, self.plans, self.options, progress)
+
+    def longer(self, times: int) -> SynthesisRequest:
+        """The same, with so many times the seconds of each type."""
+        plans = [[replace(part, seconds=times * part.seconds) for part in plan] for plan in self.plans]
+        return replace(self, plans=plans)
+
+    def loops(
+        self, seconds: float | None, progress: Callable[[int], None] | None = None
+    ) -> tuple[SynthesisResult, list[Loop]]:
+        """Closed cycles of about so many seconds in place of the motions; raises as editing.loop.find_loops does."""
+        from motionkit.editing.loop import find_loops
+
+        return find_loops(lambda times: self.longer(times).run(progress), seconds)
+
+
+def synthesis_request(
+    types: str | Sequence[str],
+    *,
+    seconds: float | None = None,
+    keys: str | Path | Sequence[Key] = (),
+    model: MotionModel | None = None,
+    reference: str = "auto",
+    **options: Any,
+) -> SynthesisRequest:
+    """The request behind mk.synthesize, whose arguments these are; options are fields of SynthesisOptions.
+
+    Raises:
+        ControlError: for an unknown type, keys that cannot be met, or a file that holds none.
+    """
+    model = (model or open_model()).with_reference(reference)
+    texts = [types] if isinstance(types, str) else list(types)
+    plans = [parse_types(text, seconds, model.phase_seconds) for text in texts]
+    for plan in plans:
+        for part in plan:
+            model.type_id(part.type)
+    met = read_keys(keys, model) if isinstance(keys, (str, Path)) else check_keys(keys)
+    check_length(met, min(sum(part.seconds for part in plan) for plan in plans))
+    wanted = SynthesisOptions(**options, keys=met)
+    return SynthesisRequest(model, plans, replace(wanted, count=max(wanted.count, len(plans))))
+
+
+@dataclass(frozen=True, eq=False)
+class PathRequest:
+    """A path for a character to follow, and how."""
+
+    model: MotionModel
+    path: Path2D
+    options: SynthesisOptions
+
+    @property
+    def seconds(self) -> float:
+        """How long the path takes at the asked speeds."""
+        return plan_path(self.model, self.path).seconds
+
+    def run(self, progress: Callable[[float], None] | None = None) -> FollowResult:
+        """Follow the path; progress is called with the share done."""
+        return follow.follow_path(self.model, self.path, self.options, progress)
+
+
+def is_path_file(path: str | Path) -> bool:
+    """Whether a path is a file, rather than a named shape."""
+    return Path(path).suffix.lower() in PATH_ENDINGS or Path(path).is_file()
+
+
+def path_request(
+    path: Path2D | str | Path,
+    *,
+    types: str | None = None,
+    size: float | None = None,
+    speed: float | None = None,
+    strict: bool = False,
+    model: MotionModel | None = None,
+    reference: str = "auto",
+    **options: Any,
+) -> PathRequest:
+    """The request behind mk.follow_path, whose arguments these are; options are fields of SynthesisOptions.
+
+    Raises:
+        ControlError: for a path that cannot be read, an unknown type or shape, a shape's options beside another path,
+            or, if strict, a speed at which a gait does not look right.
+    """
+    model = (model or open_model()).with_reference(reference)
+    if isinstance(path, Path2D) or is_path_file(path):
+        check_shape_options(types, size, speed)
+        target = path if isinstance(path, Path2D) else read_path(path)
+    else:
+        kinds = [nfc(word.strip()) for word in (types or walking_type(model)).split(",") if word.strip()]
+        if not kinds:
+            raise ControlError("types is empty; give motion types such as running,cartwheel")
+        target = shape_path(str(path), size, kinds, speed)
+    if strict:
+        check_speeds(model, target)
+    return PathRequest(model, target, SynthesisOptions(**options))

@@ -1,0 +1,120 @@
+"""The weights of a run: what a step makes of them, and their running average."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from motionkit.data.dataset import Dataset
+from motionkit.features.layout import FEATURE_COUNT
+from motionkit.models.network import PartTransformer
+from motionkit.models.predictor import Predictor
+from motionkit.training.losses import Batch, LossOptions, total_loss
+from motionkit.training.objective import OwnLosses, TrainingModule
+from motionkit.training.optimizer import make_optimizers
+from motionkit.training.options import TrainOptions
+from motionkit.training.processes import Processes
+from motionkit.training.progress import Progress
+from motionkit.training.replay import Replayed
+
+# The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
+LOSS_SCALE = 1.0 / FEATURE_COUNT
+
+
+class Learner:
+    """A network with its losses and optimizers.
+
+    Attributes:
+        module: the network and what training minimises.
+        average: the running average of the network's weights by name, which becomes the model.
+        optimizers: each moves some of the weights.
+    """
+
+    def __init__(
+        self, network: Predictor, dataset: Dataset, options: TrainOptions, processes: Processes
+    ) -> None:
+        # The losses of part transformers have options, and so are not the network's own.
+        self.module = (
+            TrainingModule(network, dataset, options.losses)
+            if isinstance(network, PartTransformer)
+            else OwnLosses(network, dataset)
+        )
+        self.module.to_device(processes.device)
+        self.trainable = processes.shared(self.module)
+        # Dropout must differ between processes, weights must not.
+        torch.manual_seed(options.seed + 1 + processes.rank)
+        self.autocast = _use_bfloat16(options.optimizer.precision, processes.device)
+        if processes.device.type == "cuda":  # tensor cores round factors to 10 bits; sums are in float32
+            torch.set_float32_matmul_precision("high")
+        self.optimizers = make_optimizers(self.module, network, options.optimizer, self.autocast)
+        self.average = {n: p.detach().clone() for n, p in network.state_dict().items()}
+        # A graph would keep the progress of its capture, which networks with losses of their own are given.
+        self._replays = isinstance(self.module, TrainingModule) and processes.world == 1
+        # On a GPU a step is a graph, made anew for other losses.
+        self._replayed = Replayed(lambda *_: ())
+        self._loss_options: LossOptions | None = None
+        self._terms: list[str] = []
+
+    @property
+    def network(self) -> Predictor:
+        """The network that is trained."""
+        return self.module.network
+
+    def step(self, batch: Batch, options: TrainOptions, at: Progress) -> dict[str, Tensor]:
+        """Move the weights by a batch; return the terms of the loss by name, their "total", and the "gradient" norm.
+
+        Args:
+            options: those of the present stage of the run.
+        """
+        for group in (group for each in self.optimizers for group in each.param_groups):
+            group["lr"] = at.rate
+        terms = self.gradients(batch, options.losses, at.share)
+        norm = nn.utils.clip_grad_norm_(self.module.parameters(), options.optimizer.clip_norm)
+        if math.isfinite(float(norm)):
+            for each in self.optimizers:
+                each.step()
+            self.update_average(at)
+        return terms | {"gradient": norm.detach()}
+
+    def gradients(self, batch: Batch, options: LossOptions, progress: float) -> dict[str, Tensor]:
+        """Compute the gradients of a batch; return the terms of the loss by name, and their "total"."""
+        if options != self._loss_options:  # a new stage: a graph of its own
+            self._loss_options = options
+            self.module.use(options)
+            self._replayed = Replayed(lambda *given: tuple(self._gradients(Batch(*given), progress).values()))
+        if not self._replays:
+            return self._gradients(batch, progress)
+        values = self._replayed(*vars(batch).values())
+        return dict(zip(self._terms, values, strict=True))
+
+    def _gradients(self, batch: Batch, progress: float) -> dict[str, Tensor]:
+        for each in self.optimizers:
+            each.zero_grad(set_to_none=True)
+        terms = self.trainable(batch, self.autocast, progress)
+        loss = total_loss(terms, self.module.weights) * LOSS_SCALE
+        loss.backward()
+        found = {name: value.detach() for name, value in terms.items()}
+        found["total"] = loss.detach() / LOSS_SCALE
+        self._terms = list(found)
+        return found
+
+    @torch.no_grad()
+    def update_average(self, at: Progress) -> None:
+        """Let the running average follow the weights."""
+        # At first the average follows quickly, so that it forgets the random initial weights.
+        decay = min(at.options.optimizer.ema, (1.0 + at.step) / (10.0 + at.step))
+        state = self.network.state_dict()
+        averages = list(self.average.values())
+        torch._foreach_lerp_(averages, [state[n] for n in self.average], 1.0 - decay)
+
+
+def _use_bfloat16(precision: str, device: torch.device) -> bool:
+    """Whether to use bfloat16; "auto" uses it where the processor has instructions for it, since emulation is slow."""
+    if precision == "auto":
+        if device.type == "cuda":
+            return torch.cuda.is_bf16_supported()
+        supported = getattr(torch.cpu, "_is_avx512_bf16_supported", lambda: False)
+        return bool(supported())
+    return precision == "bfloat16"

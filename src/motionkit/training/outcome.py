@@ -1,0 +1,89 @@
+"""The model that a run has come to: averaged weights, sampling presets, and scores of roll-outs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import torch
+
+from motionkit.data.dataset import Dataset
+from motionkit.models.architectures import build
+from motionkit.models.checkpoint import save_model
+from motionkit.models.model import MotionModel
+from motionkit.training.beginning import Beginning
+from motionkit.training.bundle import bundle_model
+from motionkit.training.calibration import calibrated_gains, calibrated_noise, with_presets
+from motionkit.training.learner import Learner
+from motionkit.training.report import RunReport
+from motionkit.training.scores import TypeScore, score_rollouts
+
+
+class Outcome:
+    """Makes, scores and writes the model of a run.
+
+    Args:
+        path: the model file.
+    """
+
+    def __init__(
+        self, path: Path, dataset: Dataset, beginning: Beginning, learner: Learner, report: RunReport
+    ) -> None:
+        self.path, self.dataset, self.beginning = path, dataset, beginning
+        self.learner, self.report = learner, report
+        self.options = report.progress.options
+        self.frames = int(self.options.output.score_seconds * dataset.fps)  # of a roll-out; 0 for no scores
+        self.scores: tuple[TypeScore, ...] = ()
+        # Reference gains, and noise without references, found at the end.
+        self.gains: dict[str, float] = {}
+        self.noises: dict[str, float] = {}
+
+    def save(self) -> None:
+        """Write the model file."""
+        save_model(self.path, self.model(), self.options.output.half)
+
+    def model(self) -> MotionModel:
+        """Return the current model: averaged weights, on the CPU."""
+        trained, at = self.learner.network, self.report.progress
+        with torch.random.fork_rng(devices=[]):  # leaves the random state of the run alone
+            network = build(trained.config, trained.control_size)
+        average = {n: t.cpu() for n, t in self.learner.average.items()}
+        network.load_state_dict(self.beginning.part_way_back(average))
+        card = {
+            "dataset": {"clips": len(self.dataset.clips), "types": list(self.dataset.types)},
+            "options": self.options.to_dict(),
+            "steps": at.step,
+            "seconds": round(at.seconds, 1),
+            "losses": {n: round(v, 5) for n, v in at.losses.items()},
+            "scores": {s.type: s.to_dict() for s in self.scores},
+        }
+        shown = self.options.sampler.controls.reference_dropout < 1.0
+        references = shown and network.config.controls == "extended"
+        model = bundle_model(network.weights(), self.dataset, card, references, self.beginning.kept)
+        model = with_presets(model, "reference_gain", self.gains)
+        return with_presets(model, "noise_alone", self.noises)
+
+    def calibrate_and_score(self) -> bool:
+        """Find the sampling presets and score roll-outs, if the options ask for scores; say whether either worked."""
+        calibrated = self.frames > 0 and self.report.attempt("the sampling presets", self._calibrate)
+        return self.score() or calibrated
+
+    def _calibrate(self) -> None:
+        # There are many of these roll-outs: half the length of those that are scored will do.
+        kept, frames = self.beginning.kept, self.frames // 2
+        gains = calibrated_gains(self.model(), self.dataset, frames)
+        self.gains = {kind: gain for kind, gain in gains.items() if kind not in kept}
+        noises = calibrated_noise(self.model(), self.dataset, frames)
+        self.noises = {kind: noise for kind, noise in noises.items() if kind not in kept}
+
+    def score(self) -> bool:
+        """Score roll-outs and write samples, if the options ask for it, and return whether that worked."""
+        threads, random_state = torch.get_num_threads(), torch.get_rng_state()
+        scored = self.frames > 0 and self.report.attempt("the score", self._score)
+        torch.set_num_threads(threads)
+        torch.set_rng_state(random_state)
+        return scored
+
+    def _score(self) -> None:
+        samples = self.report.folder / "samples"
+        self.scores = score_rollouts(self.model(), self.dataset, self.frames, samples, self.report.note)
+        self.report.emit("score", scores=self.scores)

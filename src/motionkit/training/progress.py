@@ -1,0 +1,57 @@
+"""How far a run is, and what follows from it: when it ends, and its learning rate."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+from motionkit.training.options import TrainOptions
+
+PAPER_FRAMES = 2000 * 60_962 * 300  # of the paper's training: epochs, windows, frames
+
+
+@dataclass
+class Progress:
+    """The steps and seconds of a run so far, and the losses of its last step by name."""
+
+    options: TrainOptions
+    step: int = 0
+    seconds: float = 0.0
+    losses: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """The share of the run that is done, 0 to 1."""
+        shares = [0.0]
+        if self.options.steps:
+            shares.append(self.step / self.options.steps)
+        if self.options.minutes:
+            shares.append(self.seconds / (60.0 * self.options.minutes))
+        return min(1.0, max(shares))
+
+    @property
+    def rate(self) -> float:
+        """The learning rate of this step: linear warm-up, then a cosine down to a small share of the peak.
+
+        The paper halves the rate every 500 of 2000 epochs, so at every quarter of the run.
+        """
+        options = self.options.optimizer
+        warm = min(1.0, (self.step + 1) / max(1, options.warmup))
+        if options.schedule == "halving":
+            return options.rate * warm * 0.5 ** min(3, math.floor(4.0 * self.share))
+        cosine = 0.5 * (1.0 + math.cos(math.pi * self.share))
+        return options.rate * warm * (options.final_rate + (1.0 - options.final_rate) * cosine)
+
+
+def beside_the_paper(options: TrainOptions, cuts: int) -> list[str]:
+    """Say how a run compares with the paper's schedule (section 4.3), if its windows are cut as the paper's."""
+    if not cuts or not options.steps:
+        return []
+    batch, window = options.optimizer.batch, options.sampler.window
+    share = 100.0 * options.steps * batch * window / PAPER_FRAMES
+    return [
+        f"{cuts} windows; {options.steps} steps of {batch} x {window} frames are "
+        f"{options.steps * batch / cuts:.2f} epochs and {share:.3g} % of the "
+        f"paper's frames; rate {options.optimizer.rate:g}, halved every {-(-options.steps // 4)} steps "
+        "(paper: 0.0001, every 500 of 2000 epochs)"
+    ]

@@ -1,0 +1,99 @@
+"""What a run tells while it goes on: events for its caller, and log.jsonl in its folder."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from motionkit.training.progress import Progress
+from motionkit.training.scores import TypeScore
+
+
+@dataclass(frozen=True)
+class TrainEvent:
+    """A report of a run.
+
+    kind is "prepare" while spliced transitions are made, "step" after every step, "log" after some, "score",
+    "checkpoint", "note", or "stop" when Ctrl-C or SIGTERM is heard. share is what is done of the run, or of the
+    preparation, 0 to 1.
+    """
+
+    kind: str
+    step: int
+    seconds: float
+    losses: dict[str, float]
+    scores: tuple[TypeScore, ...] = ()
+    text: str = ""
+    share: float = 0.0
+
+
+class RunReport:
+    """Tells how a run goes on.
+
+    Args:
+        folder: where log.jsonl is.
+        on_event: called with each event; None if nobody listens.
+        writes: whether to tell anything at all, as the first process of a run does.
+    """
+
+    def __init__(
+        self, folder: Path, progress: Progress, on_event: Callable[[TrainEvent], None] | None, writes: bool
+    ) -> None:
+        self.folder, self.progress = folder, progress
+        self.on_event, self.writes = on_event, writes
+        self._logs = True  # false once writing log.jsonl has failed
+
+    def clear(self) -> None:
+        """Remove what an earlier run has left in the folder: it would be taken for this one's."""
+        stale = [self.folder / "checkpoint.safetensors"]
+        stale += [file for name in ("samples", "preview") for file in self.folder.glob(f"{name}/*.bvh")]
+        with suppress(OSError):  # writing says what is wrong
+            if (self.folder / "log.jsonl").exists():
+                (self.folder / "log.jsonl").open("w").close()
+            for file in stale:
+                file.unlink(missing_ok=True)
+
+    def note(self, text: str) -> None:
+        """Tell a line of text."""
+        self.emit("note", text)
+
+    def attempt(self, what: str, work: Callable[[], None]) -> bool:
+        """Do optional work: an error becomes a note instead of ending hours of training."""
+        try:
+            work()
+        except Exception as fault:
+            why = " ".join(str(fault).split()) or type(fault).__name__
+            self.note(f"{what} failed, the run continues: {why}")
+            return False
+        return True
+
+    def emit(
+        self, kind: str, text: str = "", share: float | None = None, scores: tuple[TypeScore, ...] = ()
+    ) -> None:
+        """Tell an event of a kind (TrainEvent), and log it if it has numbers."""
+        if not self.writes:
+            return
+        at = self.progress
+        line: dict[str, Any] = {"kind": kind, "step": at.step, "seconds": round(at.seconds, 2)}
+        if kind == "log":
+            self._log(line | {"rate": at.rate} | at.losses)
+        if kind == "score":
+            self._log(line | {"scores": {s.type: s.to_dict() for s in scores}})
+        if self.on_event:
+            share = at.share if share is None else share
+            self.on_event(TrainEvent(kind, at.step, at.seconds, at.losses, scores, text, share))
+
+    def _log(self, line: dict[str, Any]) -> None:
+        """Add a line to log.jsonl. After an error, such as a full disk, the run continues without the log."""
+        if not self._logs:
+            return
+        try:
+            with (self.folder / "log.jsonl").open("a", encoding="utf-8", newline="\n") as file:
+                file.write(json.dumps(line) + "\n")
+        except OSError as fault:
+            self._logs = False
+            self.note(f"cannot write log.jsonl ({fault.strerror or fault}); the run continues without it")

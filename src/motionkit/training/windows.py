@@ -1,0 +1,168 @@
+"""A window of a clip as training sees it: normalised features, and controls of which some are left out or wrong."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import torch
+
+from motionkit.arrays import Array
+from motionkit.data.dataset import ClipData, Dataset
+from motionkit.features.control import (
+    TRAJECTORY_COUNT,
+    TRAJECTORY_OFFSETS,
+    ControlLayout,
+    Controls,
+    blend_types,
+    control_vector,
+    future_trajectory,
+    skeleton_signal,
+    types_ahead,
+)
+from motionkit.features.layout import FEATURE_COUNT
+from motionkit.features.reference import reference_map
+from motionkit.motion.skeleton import canonical_skeleton
+
+GAP_FRAMES = 30  # of the shortest gap in reference poses; the longest is twice as long
+STRAIGHT = 0.95  # of its way, that a window gets on by: it goes straight
+
+
+@dataclass(frozen=True)
+class ControlSampling:
+    """How often windows go without some of their controls, or with wrong ones, so that the network learns to cope."""
+
+    trajectory_dropout: float = 0.5  # share of windows without a trajectory
+    # Standard deviation of a factor on the length of a window's trajectory. A network that is fed its own trajectory,
+    # and has only seen true ones, hands on whatever speed it is given, a little higher every time. Only windows that go
+    # straight have it: a gait keeps its speed, but the way of a dance is where its next step shows.
+    trajectory_drift: float = 0.0
+    # Share of windows without reference poses; before and after a change of type it is sampled separately.
+    reference_dropout: float = 0.5
+    reference_gaps: float = 0.25  # share of windows that lack reference poses for half a second to a second
+    lead_share: float = 0.5  # share of windows whose type changes before the motion does
+    lead_frames: int = 30  # by at most this many frames
+
+
+@dataclass(frozen=True)
+class SamplerOptions:
+    """How windows are sampled."""
+
+    window: int = 96  # frames per window (paper: 300)
+    balance: float = 0.75  # 0: types as often as recorded; 1: all equally often (paper)
+    # Factor for types with a phase, such as flips; the paper favours hard types too.
+    phase_weight: float = 3.0
+    type_weights: dict[str, float] = field(default_factory=dict)  # factors for single types
+    splices: int = 2000  # spliced transitions made before training
+    splice_share: float = 0.4  # share of windows from spliced transitions
+    controls: ControlSampling = field(default_factory=ControlSampling)
+    # Frames between the windows that are cut from every clip, and drawn alike (paper: 4); longer where a type has many
+    # frames and shorter where it has few, by balance. 0 draws windows type by type instead.
+    interval: float = 0.0
+    noise: float = 0.01  # standard deviation of the noise on normalised inputs (paper: 0.05)
+    # Share of windows of the types that the model a run begins from has, and the dataset has not; 0 drops those types.
+    kept_share: float = 0.0
+
+
+class WindowMaker:
+    """Makes windows of the clips of a dataset.
+
+    Args:
+        controls: the columns of the control vectors.
+    """
+
+    def __init__(self, dataset: Dataset, controls: ControlLayout) -> None:
+        self.dataset, self.controls = dataset, controls
+        self.references = reference_map(dataset.pose_embedding, dataset.scaling)
+        self.skeletons = [skeleton_signal(canonical_skeleton(body)) for body in dataset.bodies]
+
+    def make(
+        self, data: ClipData, body: int, options: SamplerOptions, shown: float, generator: torch.Generator
+    ) -> dict[str, Array]:
+        """The fields of a Batch without its first dimension, of one window.
+
+        Args:
+            data: as many frames as the window and those that its controls look ahead; fewer where the clip ends.
+            body: an index into the dataset's bodies.
+            shown: a random number below 1, which says whether the window has a trajectory.
+            generator: of all else that is random in the window.
+        """
+        T, settings = options.window, options.controls
+        frames = min(T, len(data.types) - 1)
+        x = self.dataset.scaling.normalize(data.features[: frames + 1])
+        trajectory = future_trajectory(data.ground, np.arange(frames + 1))
+        all_weights = blend_types(_asked_early(data.types, settings, generator), len(self.dataset.types))
+        reference_gain = _with_reference(data.types[:frames], settings, generator)
+        noise = torch.randn(frames, FEATURE_COUNT, generator=generator).numpy()
+        inputs = x[:frames] + noise * options.noise
+        asked = Controls(
+            all_weights[:frames],
+            drifted(trajectory[:frames], data.ground[: frames + 1], settings.trajectory_drift, generator),
+            np.full(frames, float(shown >= settings.trajectory_dropout), np.float32),
+            data.phases[:frames],
+            data.reference[:frames],
+            reference_gain,
+            np.ones(frames, np.float32),
+            types_ahead(all_weights)[:frames] if self.controls.kind == "paper" else None,
+        )
+        scaling, body_signal = self.dataset.trajectory_scaling, self.skeletons[body]
+        controls = control_vector(
+            self.controls, body_signal, asked, inputs, scaling, self.references, alone=False
+        )
+        window = {
+            "inputs": inputs,
+            "targets": x[1:],
+            "contacts": data.contacts[:frames],
+            "next_contacts": data.contacts[1 : frames + 1],
+            "controls": controls,
+            "trajectory": scaling.normalize(trajectory[1:]),
+            # A short window has the same weight as a full one.
+            "mask": np.full(frames, T / frames, np.float32),
+        }
+        padded = {name: _pad(value, T) for name, value in window.items()}
+        padded["offsets"] = self.dataset.bodies[body]
+        return padded
+
+
+def _asked_early(types: Array, options: ControlSampling, generator: torch.Generator) -> Array:
+    """Types (T,) of a window, in some windows those of some frames later: the type changes before the motion does."""
+    if torch.rand((), generator=generator) >= options.lead_share:
+        return types
+    lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
+    return np.pad(types[lead:], (0, lead), mode="edge") if lead < len(types) else types
+
+
+def drifted(trajectory: Array, ground: Array, drift: float, generator: torch.Generator) -> Array:
+    """Trajectories (T, 24) of a window, longer or shorter by one factor of this deviation if it goes straight.
+
+    Args:
+        ground: (T + 1, 3) root x, z (cm) and heading (radians).
+    """
+    if drift == 0.0:
+        return trajectory
+    change = drift * float(torch.randn((), generator=generator))
+    steps = np.diff(ground[:, :2], axis=0)
+    if not np.linalg.norm(steps.sum(axis=0)) >= STRAIGHT * np.linalg.norm(steps, axis=1).sum():
+        return trajectory
+    factor = np.ones(TRAJECTORY_COUNT, np.float32)
+    factor[: 2 * len(TRAJECTORY_OFFSETS)] += change
+    return trajectory * factor
+
+
+def _with_reference(types: Array, options: ControlSampling, generator: torch.Generator) -> Array:
+    """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it, and gaps."""
+    before, after = (torch.rand(2, generator=generator) >= options.reference_dropout).float().tolist()
+    unchanged = np.logical_and.accumulate(types == types[0])
+    gain = np.where(unchanged, np.float32(before), np.float32(after))
+    if torch.rand((), generator=generator) < options.reference_gaps:
+        begins, frames = torch.rand(2, generator=generator).tolist()
+        first = int(begins * len(types))
+        gain[first : first + GAP_FRAMES + int(frames * GAP_FRAMES)] = 0.0
+    return gain
+
+
+def _pad(values: Array, frames: int) -> Array:
+    """Return values (T, ...) padded with zeros to the given number of frames."""
+    if len(values) == frames:
+        return values
+    return np.pad(values, [(0, frames - len(values)), *[(0, 0)] * (values.ndim - 1)])
