@@ -3,16 +3,17 @@
     pip install -e ".[docs]"
     python -m sphinx -W --keep-going docs docs/_build/html
 
-The pages are Markdown as a code host shows it; what differs in the site is changed while it is built: pages of the
-repository's root are taken in, links to what is no page lose their target, the API and the gallery are generated.
+The pages are Markdown as a code host shows it. What differs in the site is changed while it is built. Links to what
+is no page lead to the repository, if MOTIONKIT_URL is its address, or lose their target. The tables of the first page
+become the menu. The API and the gallery are generated.
 """
 
 from __future__ import annotations
 
 import inspect
+import os
 import re
 import sys
-from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,9 @@ version = release = motionkit.__version__
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["dollarmath"]
 html_math_renderer = "mathml"  # browsers draw MathML: no script, and nothing from elsewhere
-exclude_patterns = ["README.md", "_build", "_generated/static", "sheets"]
+# Pages for people who change the code, and what scripts wrote: they are read in the repository.
+REPOSITORY_PAGES = ("architecture.md", "results-log.md", "scoreboard.md", "experiments-tables.md")
+exclude_patterns = [*REPOSITORY_PAGES, "_build", "_generated/static", "sheets"]
 myst_heading_anchors = 4
 html_theme = "furo"
 html_title = "motionkit"
@@ -47,17 +50,11 @@ templates_path: list[str] = []
 
 GENERATED = DOCS / "_generated"
 (GENERATED / "static").mkdir(parents=True, exist_ok=True)
-# Pages of the root that are taken in, and their names in the site.
-ROOT_PAGES = {
-    "CONTRIBUTING.md": "contributing.md",
-    "CHANGELOG.md": "changelog.md",
-    "SECURITY.md": "security.md",
-}
+REPOSITORY = os.environ.get("MOTIONKIT_URL", "").rstrip("/")
 # Pages that code makes: elsewhere than in the site links lead to the code.
 MADE_BY = {"make_gallery.py": "gallery.md", "conf.py": "api.md"}
 LINK = re.compile(r"(!?\[[^\]]*\])\(([^)\s]+)\)")
-# Pages that no section lists by hand: those of these names are tutorials, all others are how-to.
-TUTORIALS = ("my-*", "experiments*")
+ROW = re.compile(r"^\| \[[^\]]*\]\(([\w/-]+)\.md\)", re.M)  # of a table of pages
 UNKNOWN_LANGUAGES = {"csv": "text"}
 # The picture of the demo, in whose place the site has the demo itself.
 DEMO_PICTURE = "![The page, light and dark](demo.png)"
@@ -69,62 +66,53 @@ def title(page: Path) -> str:
     return next(line[2:] for line in page.read_text("utf-8").splitlines() if line.startswith("# "))
 
 
-def site_links(text: str, folder: Path, base: str) -> str:
-    """The links of a page as the site has them.
-
-    Args:
-        text: Markdown.
-        folder: where the page lies in the repository.
-        base: from the page's place in the site to docs/: "" or "../".
-    """
+def site_links(text: str) -> str:
+    """The links of a page as the site has them."""
 
     def changed(found: re.Match[str]) -> str:
         label, target = found[1], found[2]
         if re.match(r"[a-z]+:|#", target):
             return found[0]
         name, hash_, fragment = target.partition("#")
-        place = (folder / name).resolve()
-        if place.parent == ROOT and place.name in ROOT_PAGES:
-            return f"{label}({base}_generated/{ROOT_PAGES[place.name]}{hash_}{fragment})"
-        if place.suffix == ".md" and label == f"[{place.name}]" and place.is_file():
-            label = f"[{title(place)}]"  # a site has no files
+        place = (DOCS / name).resolve()
         if place.parent == DOCS and place.name in MADE_BY:
-            return f"{label}({base}_generated/{MADE_BY[place.name]})"
-        if place in (ROOT / "README.md", DOCS / "README.md", DOCS):
-            return f"{label}({base}index.md)"
-        if DOCS in place.parents and place.suffix == ".md":
-            return f"{label}({base}{place.relative_to(DOCS).as_posix()}{hash_}{fragment})"
-        if DOCS in place.parents and place.is_file():
-            return f"{label}({base}{place.relative_to(DOCS).as_posix()})"
-        return label.removeprefix("!")[1:-1]  # code and folders are not part of the site
+            return f"{label}(_generated/{MADE_BY[place.name]})"
+        if place.name in REPOSITORY_PAGES or DOCS not in place.parents or not place.is_file():
+            return repository_link(label.removeprefix("!")[1:-1], place)
+        if place.suffix == ".md" and label == f"[{place.name}]":
+            label = f"[{title(place)}]"  # a site has no files
+        return f"{label}({place.relative_to(DOCS).as_posix()}{hash_}{fragment})"
 
     return LINK.sub(changed, text)
 
 
-def unlisted(tutorials: bool) -> list[str]:
-    """Pages of docs that are in no list of pages yet."""
-    listed = {
-        word
-        for page in DOCS.glob("[a-z]*.md")
-        for word in re.findall(r"^[\w/-]+$", page.read_text("utf-8"), re.M)
-    }
-    names = sorted(page.stem for page in DOCS.glob("[a-z]*.md"))
-    new = [name for name in names if name not in listed | {"index"}]
-    return [name for name in new if any(fnmatch(name, pattern) for pattern in TUTORIALS) == tutorials]
+def repository_link(label: str, place: Path) -> str:
+    """A link to what is no page of the site; words, where the address of the repository is not known."""
+    path = place.relative_to(ROOT).as_posix()
+    label = f"`{path}`" if label == place.name else label
+    return f"[{label}]({REPOSITORY}/blob/main/{path})" if REPOSITORY else label
+
+
+def menu(text: str) -> str:
+    """The hidden tables of contents of the first page: a part for each of its sections that is a table of pages."""
+    lines = []
+    for section in text.split("\n## ")[1:]:
+        if names := ROW.findall(section):
+            caption = section.partition("\n")[0]
+            lines += ["", "```{toctree}", ":hidden:", f":caption: {caption}", "", *names, "```"]
+    return "\n".join([*lines, ""])
 
 
 def read_page(app: Any, name: str, source: list[str]) -> None:
     """Change a page's text before it is parsed."""
     if name.startswith("_generated/"):
         return
-    text = site_links(source[0], DOCS, "")
+    text = site_links(source[0])
     if app.config.motionkit_gallery:
         text = text.replace(DEMO_PICTURE, DEMO)
     for language, known in UNKNOWN_LANGUAGES.items():
         text = text.replace(f"```{language}\n", f"```{known}\n")
-    if name in ("tutorials", "how-to") and (more := unlisted(name == "tutorials")):
-        text += "\n```{toctree}\n" + "\n".join(more) + "\n```\n"
-    source[0] = text
+    source[0] = text + (menu(text) if name == "index" else "")
 
 
 def write(name: str, text: str) -> None:
@@ -136,9 +124,10 @@ def write(name: str, text: str) -> None:
 
 
 def generate(app: Any) -> None:
-    """Write the pages that are made of code."""
-    for source, name in ROOT_PAGES.items():
-        write(name, site_links((ROOT / source).read_text("utf-8"), ROOT, "../"))
+    """Write the pages that are made of code, and remove those of former builds."""
+    for page in GENERATED.glob("*.md"):
+        if page.name not in MADE_BY.values():
+            page.unlink()
     write("api.md", api_page())
     if app.config.motionkit_gallery:
         from make_gallery import make_gallery

@@ -1,29 +1,30 @@
-"""Writes docs/types.md, what the bundled model knows of each of its motion types; run it after the model has changed.
+"""Writes the section "Types" of docs/model-card.md from the bundled model; run it after the model has changed.
 
 python docs/make_types.py
 """
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.motion_type import MotionKind, MotionType
 
-PAGE = Path(__file__).resolve().parent / "types.md"
-HEAD = """# Types
+PAGE = Path(__file__).resolve().parent / "model-card.md"
+SECTION = re.compile(r"^## Types\n.*?(?=^## )", re.MULTILINE | re.DOTALL)
+HEAD = """## Types
 
-What the bundled model knows of each of its motion types, written from the model file by `python docs/make_types.py`.
-[scoreboard.md](scoreboard.md) has how well each is shown.
+Written from the model file by `python docs/make_types.py`.
 
 - **kind**: *stands* and *gait* are steered by speed alone on paths and by keys, without recordings; *performance* is
   shown from beginning to end; *strikes* have a phase for each strike or jump; all others go on for as long as they are
   asked for.
 - **speed** over the ground in cm/s; **seconds** of one performance, strike or jump.
-- **recordings**: seconds of reference recordings in the file ([references.md](references.md)), and **gain** on them.
-- **blend**: share of the last velocity that is kept; **noise**: factor on the temperature
-  ([streaming.md](streaming.md)).
-- **slip**: share of the root-slip correction ([correction.md](correction.md)).
+- **recordings**: seconds of reference recordings in the file, and **gain** on them
+  ([rollout.md](rollout.md#what-the-network-sees)).
+- **blend**: share of the last velocity that is kept; **noise**: factor on the temperature.
+- **slip**: share of the [root-slip correction](rollout.md#root-slip-correction).
 
 | type | kind | speed | seconds | recordings | gain | blend | noise | slip |
 |---|---|---|---|---|---|---|---|---|
@@ -42,7 +43,7 @@ def kind_of(known: MotionType) -> str:
 
 
 def page_text() -> str:
-    """The text of the page."""
+    """The text of the page, with the section written anew."""
     model, lines = load_bundled_model(), []
     for name, known in model.types.items():
         recorded = sum(len(clip) for clip in known.reference_clips) / model.fps
@@ -59,7 +60,7 @@ def page_text() -> str:
             *map("{:g}".format, numbers),
         ]
         lines.append("| " + " | ".join(cells) + " |\n")
-    return HEAD + "".join(lines)
+    return SECTION.sub(lambda _: HEAD + "".join(lines) + "\n", PAGE.read_text("utf-8"))
 
 
 if __name__ == "__main__":

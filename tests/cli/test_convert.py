@@ -54,7 +54,7 @@ def test_synthesize_and_follow_path_write_every_format(
     words = ("follow-path", "line", "--size", 0.2, "--model", tiny_model_file, "-o", "b.glb")
     assert motionkit(*words).code == 0
     assert read_motion(tmp_path / "b.glb").skeleton.names == JOINT_NAMES
-    for name, words in (("c.fbx", "docs/formats.md"), ("v.html", ".bvh, .glb"), ("c", ".bvh, .glb")):
+    for name, words in (("c.fbx", "docs/clips.md"), ("v.html", ".bvh, .glb"), ("c", ".bvh, .glb")):
         said = motionkit("synthesize", "--types", "walking", "--model", tiny_model_file, "-o", name)
         assert said.code == 2 and words in said.err and not (tmp_path / name).exists()
 

@@ -42,7 +42,7 @@ if __name__ == "__main__":
         (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "control.follow.finish_motions"),
         (["metrics", "a.bvh"], "metrics.report.load_canonical"),
         (["evaluate", "MODEL", "DATASET", "-o", "x.md"], "evaluation.scoreboard.RealMotion"),
-        (["mirror", "clips", "out"], "motion.mirror.mirror_bvh"),
+        (["mirror", "clips", "out"], "rig.mirror.mirror_bvh"),
         (["view", "a.bvh", "-o", "a.gif"], "view.film.Scenery"),
         (["export", "--onnx", "x.onnx", "--model", "MODEL"], "export.onnx_export.build_graph"),
     ],

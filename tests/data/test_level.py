@@ -10,7 +10,7 @@ import pytest
 from motionkit.arrays import Array
 from motionkit.data.dataset import Dataset
 from motionkit.data.diagnosis import diagnose
-from motionkit.data.level import STEEPEST, floor_tilt, footfalls, levelled
+from motionkit.data.level import TILT, floor_tilt, footfalls, levelled
 from motionkit.data.options import PreprocessOptions
 from motionkit.data.preprocess import preprocess
 from motionkit.motion.bvh import write_bvh
@@ -65,7 +65,7 @@ def test_feet_held_in_the_air_do_not_tilt_a_floor() -> None:
         [np.zeros((0, 3))],
         [steps((0.0, 0.0), seed=i) for i in range(4)],
         [0.05 * steps((0.0, 0.0), seed=i) for i in range(4)],  # all within 25 cm
-        [steps((0.0, 1.5 * STEEPEST), seed=i) for i in range(4)],  # a ramp
+        [steps((0.0, 1.5 * TILT.steepest), seed=i) for i in range(4)],  # a ramp
         [steps((0.001, 0.001), seed=i) for i in range(4)],
     ],
 )

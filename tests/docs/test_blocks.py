@@ -139,16 +139,15 @@ def test_no_command_stands_outside_a_block() -> None:
 
 
 def test_clients_of_the_live_page(tmp_path: Path) -> None:
-    """The Python clients of live.md and steer.md print frames of a server that runs."""
+    """The Python clients of live.md print frames of a server that runs."""
     serve = [sys.executable, "-m", "motionkit", "play", "--headless", "--port", "0", "--tcp", "0", "--json"]
     server = subprocess.Popen(serve, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, cwd=tmp_path)
     try:
         assert server.stdout is not None
         told = json.loads(server.stdout.readline())
         web, tcp = (int(address) for address in (told["url"].rstrip("/").rpartition(":")[2], told["tcp"][1]))
-        pages = [ROOT / "docs" / name for name in ("live.md", "steer.md")]
-        clients = [text for page in pages for language, text in blocks(page) if language == "python"]
-        assert len(clients) == 3
+        clients = [text for language, text in blocks(ROOT / "docs" / "live.md") if language == "python"]
+        assert len(clients) == 2
         for text in clients:
             code = re.sub("8642|8643", lambda found: str(web if found[0] == "8642" else tcp), text)
             command = [sys.executable, "-u", "-c", code]
@@ -168,7 +167,7 @@ def test_clients_of_the_live_page(tmp_path: Path) -> None:
 OLD_WORDS = re.compile(
     r"\b(guides?|outlines?|grip|footing|inertia|obedience|endurance|likeness|replay)\b", re.IGNORECASE
 )
-RECORDS = {"scoreboard", "results-log"}
+RECORDS = {"scoreboard"}
 
 
 @pytest.mark.parametrize("page", [p for p in ALL_PAGES if p.stem not in RECORDS], ids=lambda page: page.stem)

@@ -109,8 +109,8 @@ def test_the_network_page_counts_parameters_right() -> None:
         assert f" {count:,} " in row, f"{name} has {count:,} parameters"
 
 
-def test_the_features_page_counts_columns_right() -> None:
-    text = (DOCS / "features.md").read_text("utf-8")
+def test_the_network_page_counts_columns_right() -> None:
+    text = (DOCS / "network.md").read_text("utf-8")
     layouts = [feature_layout(version).blocks for version in LAYOUTS]
     for block in layouts[0]:
         sizes = [layout[block].stop - layout[block].start for layout in layouts]

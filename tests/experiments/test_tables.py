@@ -15,7 +15,7 @@ import pytest
 from motionkit.errors import MotionkitError
 from motionkit.experiments.claims import claims_table, verdict
 from motionkit.experiments.model_results import read_scenes
-from motionkit.experiments.page import Extras, page
+from motionkit.experiments.page import Extras, page, tables_page, tables_path, write_page
 from motionkit.experiments.paper import STUDIES
 from motionkit.experiments.scenes import SCENES
 from motionkit.experiments.study import ASPECTS, write_study
@@ -335,7 +335,7 @@ def test_the_page_shows_scenes_of_each_model_beside_the_paper(tmp_path: Path) ->
         (tmp_path / f"{name}.json").write_text(json.dumps(scenes(name, shift)))
     (tmp_path / "figure-6-curves.png").write_bytes(b"")
     found = read_scenes(tmp_path)
-    text = page(RESULTS, Extras(tuple(found)), tmp_path)
+    text = page(RESULTS, Extras(tuple(found)), tmp_path / "page.md")
     steps = "200 training steps in its last run (cm/frame)"
     assert f"| shipped, {steps} | tptn-0, {steps} | paper |" in text
     assert "| 6 | walking a path with large curvatures | 1.500 ± 0.707 | 3.500 ± 0.707 | 0.513 |" in text
@@ -359,6 +359,21 @@ def test_the_page_says_what_was_tested_and_whether_recordings_differ() -> None:
     moved = json.loads(json.dumps(same))
     moved[0]["groups"]["all"]["bm-euler"][1] += 0.5
     assert "goes from 50.00 to 50.50" in page(moved)
+
+
+def test_the_page_has_one_budget_and_the_tables_have_all(tmp_path: Path) -> None:
+    def trained(steps: int) -> list[dict[str, Any]]:
+        budget = {"name": "cpu", "steps": steps, "batch": 8, "window": 96, "rate": 1e-3}
+        more = {"folder": f"D_L/cpu-{steps}", "budget": budget, "timing": {"seconds": 60.0, "machine": "CPU"}}
+        return [each | more for each in RESULTS]
+
+    write_page([*trained(20), *trained(300)], tmp_path / "page.md", tmp_path / "all.tex")
+    short = (tmp_path / "page.md").read_text("utf-8")
+    full = tables_path(tmp_path / "page.md").read_text("utf-8")
+    assert "claims: `D_L/cpu-300`" in short and "claims: `D_L/cpu-20`" not in short
+    assert "The same was run in `D_L/cpu-20`." in short and "[page-tables.md](page-tables.md)" in short
+    assert all(f"claims: `D_L/cpu-{steps}`" in full for steps in (20, 300))
+    assert all(markdown(table) in full for table in tables([*trained(20), *trained(300)]))
 
 
 # ---- the paper's claims ----
@@ -413,4 +428,4 @@ def test_the_page_says_what_more_training_does() -> None:
     assert "40 steps of 8 windows (1 seed): MPJPE 4, path 4, AFS 4." in text
     assert "by training" not in page(few)
     floor = result("last frame", "floors", 0, 1.0) | {"parameters": 0, "folder": "all/cpu", "data": "all"}
-    assert "No network has been trained in `all/cpu` yet." in page([*few, floor])
+    assert "No network has been trained in `all/cpu` yet." in tables_page([*few, floor])

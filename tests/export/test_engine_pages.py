@@ -1,4 +1,4 @@
-"""The programs on the engine pages of docs: in Chromium, Node and Godot, each skipped where it is missing."""
+"""The programs on the page of engines in docs: in Chromium, Node and Godot, each skipped where it is missing."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ def site(tmp_path: Path) -> Iterator[str]:
 
 
 def bundle(folder: Path, name: str, more: str) -> None:
-    """A page of a program of web.md, with a line of code after it."""
-    (folder / name).write_text(program("web.md", name) + more)
+    """A page of a program of my-engine.md, with a line of code after it."""
+    (folder / name).write_text(program("my-engine.md", name) + more)
     esbuild = JS / "node_modules" / ".bin" / "esbuild"
     words = [esbuild, name, "--bundle", "--format=esm", "--outfile=page.js", "--log-level=warning"]
     (folder / "node_modules").symlink_to(JS / "node_modules")
@@ -132,11 +132,11 @@ def live_lines(server: Running, folder: Path, page: str, words: list[str]) -> se
 
 
 def test_node_reads_live_frames(node: str, serve: Callable[..., Running], tmp_path: Path) -> None:  # noqa: F811
-    assert len(live_lines(serve(tcp=0), tmp_path, "web.md", [node, "live.mjs"])) > 50
+    assert len(live_lines(serve(tcp=0), tmp_path, "my-engine.md", [node, "live.mjs"])) > 50
 
 
 def test_godot_reads_live_frames(godot: str, serve: Callable[..., Running], tmp_path: Path) -> None:  # noqa: F811
-    assert len(live_lines(serve(tcp=0), tmp_path, "godot.md", [godot, "--script", "live.gd"])) > 30
+    assert len(live_lines(serve(tcp=0), tmp_path, "my-engine.md", [godot, "--script", "live.gd"])) > 30
 
 
 def import_files(godot: str, folder: Path) -> None:
@@ -162,7 +162,7 @@ def imported(folder: Path) -> bool:
 
 def test_godot_takes_root_motion(godot: str, tmp_path: Path) -> None:
     write_motion(tmp_path / "walk-loop.glb", with_ground_root(make_walk(90)))
-    (tmp_path / "root_motion.gd").write_text(program("godot.md", "root_motion.gd"))
+    (tmp_path / "root_motion.gd").write_text(program("my-engine.md", "root_motion.gd"))
     import_files(godot, tmp_path)
     steps = lines_of([godot, "--script", "root_motion.gd"], tmp_path, 30)
     moved = [float(line.strip("()\n").split(",")[2]) for line in steps]

@@ -227,8 +227,8 @@ def test_blender_imports_bones_frames_and_places(files: Path, place: Array, moti
 
 
 def test_the_fbx_recipe(files: Path, place: Array, motion: Motion, tmp_path: Path) -> None:
-    """The script of docs/formats.md makes an FBX that Blender reads back."""
-    page = (HERE.parents[1] / "docs" / "formats.md").read_text("utf-8")
+    """The script of docs/clips.md makes an FBX that Blender reads back."""
+    page = (HERE.parents[1] / "docs" / "clips.md").read_text("utf-8")
     script = page.split("```python title=glb_to_fbx.py\n")[1].split("```")[0]
     (tmp_path / "glb_to_fbx.py").write_text(script)
     blender(tmp_path / "glb_to_fbx.py", files / "a.glb", tmp_path / "a.fbx")

@@ -2,7 +2,7 @@
 
 Takes a canonical motion and returns the repaired motion and a report. Every detector compares a frame with its
 neighbours, so that kicks, flips and cartwheels, which are fast for several frames in a row, are left alone.
-docs/cleaning.md has the measurements behind the constants.
+docs/dataset.md has the measurements behind the constants.
 """
 
 from __future__ import annotations
@@ -59,10 +59,9 @@ class Breaks:
     # Steps below which a body is frozen. Chosen; with more, a body that only breathes would count.
     frozen_angle: float = math.radians(0.01)
     frozen_distance: float = 1e-3
-    # Steps that may be leaps: all joints on average, the same beyond edge_seconds, the root, one joint. Measured on
-    # 76 clips that labels say begin badly: all are found, and one besides. With less, fast starts are cut.
-    body: float = math.radians(3.0)
-    far_body: float = math.radians(6.0)
+    # Steps that may be leaps: all joints on average, the root, one joint near the ends. Measured on 76 clips that
+    # labels say begin badly: all are found, and one besides. With less, fast starts are cut.
+    body: float = math.radians(6.0)
     root: float = 8.0
     joint: float = math.radians(30.0)
     # A leap is so many times any of the next `look_ahead` steps. Measured likewise: with less, kicks are cut.
@@ -94,14 +93,10 @@ class Pops:
 class Flips:
     """When a knee or elbow is on the wrong side. Measured on CMU subject 05, 24 flips in 8 clips (docs/cleaning.md)."""
 
-    jump: float = math.radians(
-        40.0
-    )  # of both thigh and foot, away and back; with less, fast swings would count
+    jump: float = math.radians(40.0)  # of thigh and foot, away and back; with less, fast swings would count
     seconds: float = 0.25  # of the longest; what stays longer may be meant
-    # How far the good frames around may be apart, for a flip of `full`; smaller flips in proportion. Chosen: with more,
-    # turns that happen to pause would be undone.
-    turn: float = math.radians(75.0)
-    full: float = math.radians(150.0)
+    # Share of the jump that the good frames around may be apart: with more, turns that happen to pause are undone.
+    back: float = 0.5
 
 
 BREAKS, POPS, FLIPS = Breaks(), Pops(), Flips()
@@ -193,7 +188,7 @@ def _lead(angles: Array, distances: Array, fps: float) -> int:
     coarse = max(1.0, 60.0 / fps)  # real steps are larger at lower frame rates
     body = angles.mean(axis=1)
     lead = max(
-        _last_true(_breaks(body, coarse * BREAKS.far_body, window)),
+        _last_true(_breaks(body, coarse * BREAKS.body, window)),
         _last_true(_breaks(distances, coarse * BREAKS.root, window)),
         _edge_breaks(angles, edge, coarse),
     )
@@ -226,11 +221,10 @@ def _tail(angles: Array, distances: Array, fps: float) -> int:
 
 
 def _edge_breaks(angles: Array, edge: int, coarse: float) -> int:
-    """Number of frames before the last break of the body or of a joint, within the first steps (T - 1, J)."""
-    body = _breaks(angles.mean(axis=1), coarse * BREAKS.body, edge)
+    """Number of frames before the last break of a joint within the first steps (T - 1, J)."""
     joints = _breaks(angles, coarse * BREAKS.joint, edge)
     joints[2:, list(TOES)] = False  # toes jitter; cut only the outermost frames for them
-    return _last_true(body | joints.any(axis=1))
+    return _last_true(joints.any(axis=1))
 
 
 def _breaks(steps: Array, least: float, window: int) -> Array:
@@ -353,7 +347,7 @@ def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]
             continue
         ends_apart = float(_angle(upper[away], upper[back + 1]))
         jump = float(_angle(upper[away], upper[away + 1]))
-        if ends_apart < FLIPS.turn * min(1.0, jump / FLIPS.full):
+        if ends_apart < FLIPS.back * jump:
             spans.append((away + 1, back))
     return spans
 

@@ -1,7 +1,7 @@
 """The phase of flips, strikes and jumps.
 
 The paper has no such signal. A run continues from its last poses, but a cartwheel or a kick begins from standing, and
-the poses do not say when. The phase does: it goes from 0 at the beginning to 1 at the end (docs/features.md). Two
+the poses do not say when. The phase does: it goes from 0 at the beginning to 1 at the end (docs/network.md). Two
 kinds of types have a phase. For types that turn the body over, each labelled stretch is one performance. For types
 made of strikes or jumps, each strike or jump is one. A left strike goes through the first half of the phase and a
 right one through the second, so the phase also gives the side.

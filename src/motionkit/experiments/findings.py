@@ -29,11 +29,10 @@ def findings(results: Results) -> list[str]:
             + _blind(folder, here)
             + _unlearnt(folder, here)
         )
-    lines += _by_budget(results)
     return lines or ["Nothing yet: no results of TPTN beside another."]
 
 
-def _by_budget(results: Results) -> list[str]:
+def by_budget(results: Results) -> list[str]:
     """Say what more training does to TPTN, for each data set with more than one budget."""
     lines = []
     mine = [r for r in results if r["name"] == "TPTN" and "budget" in r]

@@ -1,4 +1,7 @@
-"""docs/experiments.md, written from the results in a folder."""
+"""docs/experiments.md and docs/experiments-tables.md, written from the results in a folder.
+
+The page says what was run and what is learnt; the file of tables beside it holds every table of every budget.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 
 from motionkit.experiments.bodies import BODIES_HEADER, bodies_row, slopes
 from motionkit.experiments.claims import claims_table
-from motionkit.experiments.findings import findings
+from motionkit.experiments.findings import by_budget, findings
 from motionkit.experiments.long_rollouts import APART, LONG_HEADER, long_row, sheet_name
 from motionkit.experiments.scenes import picture_name
 from motionkit.experiments.tables import (
@@ -27,9 +30,8 @@ from motionkit.files import atomic_write
 
 HEAD = """# Experiments
 
-The paper's experiments on free motion: `motionkit experiment` trains its network, every variant and the networks of
-other papers alike, rolls them out on test sequences, and writes these tables. This page is written by
-`motionkit experiment tables` from the results in `experiments/results`; no figure on it is typed in.
+`motionkit experiment` repeats the paper's experiments on free motion: it trains the paper's network, every variant and
+the networks of other papers alike, rolls them out on test sequences and measures them.
 
 ```text
 motionkit preprocess cmu/ --labels docs/free-cmu-labels.csv --layout expmap-root-1 --own-bodies --raw -o datasets/paper
@@ -37,29 +39,32 @@ motionkit experiment run all --data datasets/paper --seeds 3 # continues where i
 motionkit experiment tables
 ```
 
-**How to read them.** Each cell is the mean over seeds, ± the standard deviation over seeds where there are two or
-more, and in brackets the paper's figure, which was measured on the paper's own data after its own training (2000
-epochs; table 3 on the data of PFNN). The command above takes the default budget and all frames of the test sequences;
-those of the tables below stand beside their budgets. Bold is a best value that is better by more than the spread over
-seeds; with one seed nothing is bold. BM is best where it is nearest to the recorded one. Networks are drawn at full
-sigma, from 87 initial frames (30 where a sequence is short), with the types, trajectory and skeleton of the test
-sequence, without foot IK, reference poses, velocity blending or corrections.
-Metrics are those of [metrics.md](metrics.md): `bm-euler`, `afs`, `ssim-channel`, `mpjpe`, `path-mean`.
-The table of the shipped model has it with all that surrounds it: reference poses, sampling presets, corrections and
-foot locks, and follows the trajectory where it lies on the ground; it leaves out test sequences that are mirror
-images of training clips.
+The last command writes this page from the results in `experiments/results`, and every table of every budget into
+[{tables}]({tables}). No figure is typed in.
+
+**How to read it.** The paper's figures come from its own data, after its own training of 2000 epochs (table 3 from the
+data of PFNN). A cell is the mean over seeds, ± the standard deviation over seeds, with the paper's figure in brackets.
+Bold is a best value that is better by more than the spread over seeds. Networks draw each frame at full sigma, from 87
+initial frames (30 where a sequence is short), with the types, trajectory and skeleton of the test sequence. They have
+no foot locking, reference poses, velocity blending or corrections. [metrics.md](metrics.md) defines the metrics: BM is
+`bm-euler`, which is best where it is nearest to the recorded one, then `afs`, `ssim-channel`, `mpjpe` and `path-mean`.
+"""
+
+TABLES_HEAD = """# Tables of the experiments
+
+Every table of `motionkit experiment tables`; [{page}]({page}) says how to read them and what is learnt. The shipped
+model is measured as it ships, with reference poses, sampling presets, corrections and foot locking. It follows the
+trajectory where it lies on the ground, and test sequences that are mirror images of its training clips are left out.
 `fid-pose` and diversity work on windows of a second, described by mean and deviation of the pose embedding.
 """
 
-
 SCENES = """## The paper's figures 1 and 5 to 9
 
-`motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). The paper gives its
-paths as pictures alone: types and shapes are those of the paper, lengths are chosen to suit the recordings, so the
-distances are of like paths and not of the same. Each distance is the mean over frames from the root's place on the
-ground to the nearest point of the path, ± the standard deviation over seeds. Feet are not held; in the paper they are
-unless it says otherwise, as it does of figure 9. The shipped model uses its reference poses. `python
-docs/make_scenes.py` draws the pictures below.
+`motionkit experiment scenes --seeds 3` makes what these figures show, with any model (`--model`). Types and shapes are
+those of the paper; it gives its paths as pictures alone, so lengths are chosen to suit the recordings. Each distance is
+the mean over frames from the root's place on the ground to the nearest point of the path, ± the standard deviation over
+seeds. Feet are not locked; in the paper they are, except in figure 9. The shipped model uses its reference poses.
+`python docs/make_scenes.py` draws the pictures.
 """
 
 
@@ -98,67 +103,67 @@ def scene_cell(scene: dict[str, Any]) -> str:
 LONG = """## Long roll-outs
 
 Twenty seconds from 30 initial frames of test clips (the paper's section 5.2): types are given, the trajectory is the
-network's own prediction, fed back, and frames are drawn at full sigma. Each roll-out is measured in four parts: the
-distance of its poses to the nearest pose in the training clips of the type (root mean square over joints, in the
-heading frame), how far the feet swing about their mean place under the body, and the speed over the ground, beside
-those of the held-out recording. It holds where no part is {apart:g} times as far from the training clips as the
-recording is, its feet swing between half and {apart:g} times as far, and it goes no faster than the fastest five
-seconds of its type in the training clips. `motionkit experiment long MODEL` makes them, and `motionkit train
-datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 200 --trajectory-drift 0.15 --from-scratch` a
-model for it, of all types. The paper has noise on the frames and says nothing of its control signals (section 4.3).
-The networks of `experiment run` lie in experiments/checkpoints; those of D_L know no dance (`--type`).
+network's own prediction, fed back, and frames are drawn at full sigma. A roll-out holds where, in each of four parts,
+its poses are at most {apart:g} times as far from the nearest pose in the training clips of the type as the held-out
+recording is, its feet swing about their mean place under the body between half and {apart:g} times as far, and it goes
+no faster than the fastest five seconds of its type in the training clips. `motionkit experiment long MODEL` makes them,
+and `motionkit train datasets/paper --preset tptn-paper --budget medium --batch 8 --minutes 200 --trajectory-drift 0.15
+--from-scratch` a model for it, of all types. Networks of D_L know no dance (`--type`).
 """
 
 
-def long_section(models: Sequence[dict[str, Any]], beside: Path) -> list[str]:
-    """Return the section of long roll-outs: a table for each model, and the contact sheet beside the page."""
+def long_section(models: Sequence[dict[str, Any]], beside: Path | None = None) -> list[str]:
+    """Return the section of long roll-outs: how many of each model hold.
+
+    With the folder of the page also a table for each model, and the contact sheet that lies there.
+    """
     parts = [LONG.format(apart=APART)] if models else []
     for each in models:
-        rows = tuple(long_row(facts) for facts in each["rollouts"])
-        title = f"{each['model']}, {each['steps']} training steps in its last run"
-        parts.append(markdown(TextTable(title, LONG_HEADER, rows)))
+        if beside is not None:
+            rows = tuple(long_row(facts) for facts in each["rollouts"])
+            title = f"{each['model']}, {each['steps']} training steps in its last run"
+            parts.append(markdown(TextTable(title, LONG_HEADER, rows)))
+            sheet = sheet_name(each["model"])
+            if (beside / sheet).exists():
+                parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
+        held = sum(facts["holds"] for facts in each["rollouts"])
+        parts.append(f"{held} of {len(each['rollouts'])} roll-outs of {each['model']} hold.\n")
         if each.get("note"):
             parts.append(f"{each['note']}\n")
-        held = sum(facts["holds"] for facts in each["rollouts"])
-        parts.append(f"{held} of {len(rows)} roll-outs of {each['model']} hold.\n")
-        sheet = sheet_name(each["model"])
-        if (beside / sheet).exists():
-            parts.append(f"![Roll-outs of {each['model']}, a pose every second]({sheet})\n")
     return parts
 
 
 BODIES = """## Skeleton control
 
 The control signal c^s holds the joints of the performer's body in its rest pose (paper section 3). Here one recording
-is continued with the bodies of {count} performers in that signal, and with the same initial frames, types, trajectory
-and seeds. The network predicts joint positions beside rotations, so what it takes the body to be is measured in
-them, after the initial frames have left its receptive field; steps are the largest distance between the ankles in a
-second. Beside it stand the performer's own recordings of the type, all in cm. `motionkit experiment bodies MODEL` makes
-the table.
+is continued with the bodies of {count} performers in that signal, all else equal. What the network takes the body to be
+is measured in the joint positions that it predicts, in cm, after the initial frames have left its receptive field;
+steps are the largest distance between the ankles in a second. `motionkit experiment bodies MODEL` makes the table.
 """
 
 
-def bodies_section(models: Sequence[dict[str, Any]]) -> list[str]:
+def bodies_section(models: Sequence[dict[str, Any]], with_tables: bool = True) -> list[str]:
     """Return the section of the skeleton control signal: a table for each model, and how far it is followed."""
     parts = [BODIES.format(count=len(models[0]["performers"]))] if models else []
     for each in models:
         shown = each["performers"]
         trained = f"{each['model']}, {each['steps']} training steps in its last run"
         title = f"{trained}: {each['type']}, {each['seeds']} seeds"
-        parts.append(markdown(TextTable(title, BODIES_HEADER, tuple(bodies_row(row) for row in shown))))
+        if with_tables:
+            parts.append(markdown(TextTable(title, BODIES_HEADER, tuple(bodies_row(row) for row in shown))))
         words = ", ".join(f"{name} {slope:.2f}" for name, slope in slopes(shown).items())
         parts.append(
-            f"How much of a difference between performers is made (least squares; 1 is all): {words}.\n"
+            f"How much of a difference between performers is made by {title} (least squares; 1 is all): {words}.\n"
         )
     return parts
 
 
 LEARNT = """A claim of the paper **agrees** or **does not agree** where its metric differs by more than twice the spread
 over seeds, that of TPTN where the variant has one seed; else it **cannot be said**. Of sixteen claims some agree by
-chance. BM is better the nearer it is to the recorded one, unless the claim is that the
-variant moves less. The verdicts are computed, and hold for the training that the networks had here; the lines below
-the tables say how little that is.
+chance. The verdicts are computed, and hold for the training that the networks had here; the lines below
+the table say how little that is.
 """
+COMPARED = "Networks of other papers, and floors"
 
 
 @dataclass(frozen=True)
@@ -170,35 +175,86 @@ class Extras:
     bodies: tuple[dict[str, Any], ...] = ()
 
 
-def page(results: Results, extras: Extras | None = None, beside: Path = Path("docs")) -> str:
-    """Return docs/experiments.md, with the pictures of scenes that lie beside it in a folder."""
+def page(results: Results, extras: Extras | None = None, path: Path = Path("docs/experiments.md")) -> str:
+    """Return the page: the budget with most training on the small data set, scenes, and what holds for long.
+
+    Args:
+        results: of all data sets and budgets.
+        extras: what stands there besides.
+        path: where the page is to lie, with the pictures of scenes beside it.
+    """
     extras = extras or Extras()
-    parts = [HEAD, "## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
+    main = _most_trained(results)
+    here = [result for result in results if result["folder"] == main]
+    parts = [HEAD.format(tables=tables_path(path).name), *_what_was_run(here)]
+    others = [f"`{folder}`" for folder in protocol_folders(results) if folder != main]
+    parts += [f"The same was run in {', '.join(others)}.\n"] if others else []
+    parts += [*_what_is_learnt(here), *(f"- {line}" for line in by_budget(results)), ""]
+    parts += [markdown(table) for table in tables(here) if table.title.startswith(COMPARED)]
+    parts += [*scenes_section(extras.scenes, path.parent), *long_section(extras.long)]
+    return "\n".join([*parts, *bodies_section(extras.bodies, with_tables=False)])
+
+
+def tables_page(
+    results: Results, extras: Extras | None = None, path: Path = Path("docs/experiments.md")
+) -> str:
+    """Return the file of tables beside the page: all data sets and budgets; arguments as of page."""
+    extras = extras or Extras()
+    parts = [TABLES_HEAD.format(page=path.name), *_what_was_run(results), *_what_is_learnt(results)]
+    parts += [
+        *(f"- {line}" for line in by_budget(results)),
+        "",
+        "## Tables\n",
+        *(markdown(table) for table in tables(results)),
+    ]
+    parts += [*long_section(extras.long, path.parent), *bodies_section(extras.bodies)]
+    return "\n".join(parts)
+
+
+def tables_path(path: Path) -> Path:
+    """Return where the tables of a page lie."""
+    return path.with_name(f"{path.stem}-tables{path.suffix}")
+
+
+def _most_trained(results: Results) -> str:
+    """Return the folder whose networks were trained for most steps, of the small data set if there is one."""
+
+    def training(folder: str) -> tuple[bool, int]:
+        here = [result for result in results if result["folder"] == folder]
+        return here[0]["data"] == "D_L", max(r["budget"]["steps"] if "budget" in r else 0 for r in here)
+
+    return max(protocol_folders(results), key=training)
+
+
+def _what_was_run(results: Results) -> list[str]:
+    parts = ["## What was run\n", *(f"- {line}" for line in budget_lines(results)), ""]
     for folder in protocol_folders(results):
         lacking = missing(results, folder)
         if not any(r.get("parameters") for r in results if r["folder"] == folder):
             parts.append(f"No network has been trained in `{folder}` yet.\n")
         elif lacking:
             parts.append(f"Not run yet in `{folder}`: {', '.join(lacking)}.\n")
-    parts += ["## What is learnt\n", LEARNT]
+    return parts
+
+
+def _what_is_learnt(results: Results) -> list[str]:
+    parts = ["## What is learnt\n", LEARNT]
     for folder in protocol_folders(results):
         here = [result for result in results if result["folder"] == folder]
         # They are of the small data set, and so are the figures beside them.
         if here[0]["data"] == "D_L":
             table = claims_table(here, f"The paper's claims: `{folder}`")
             parts += [markdown(table)] if table.rows else []
-    parts += [*(f"- {line}" for line in findings(results)), "", "## Tables\n"]
-    parts += [markdown(table) for table in tables(results)]
-    parts += [*scenes_section(extras.scenes, beside), *long_section(extras.long, beside)]
-    return "\n".join([*parts, *bodies_section(extras.bodies)])
+    return [*parts, *(f"- {line}" for line in findings(results))]
 
 
 def write_page(
     results: Results, path: Path, latex_path: Path | None = None, extras: Extras | None = None
 ) -> None:
-    """Write the page, and all tables in LaTeX if a path is given, each whole or not at all."""
-    with atomic_write(path, "w") as out:
-        out.write(page(results, extras, path.parent))
+    """Write the page, its tables beside it, and these in LaTeX if a path is given, each whole or not at all."""
+    for target, text in ((path, page), (tables_path(path), tables_page)):
+        with atomic_write(target, "w") as out:
+            out.write(text(results, extras, path))
     if latex_path is not None:
         with atomic_write(latex_path, "w") as out:
             out.write("\n".join(latex(table) for table in tables(results)))

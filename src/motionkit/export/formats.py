@@ -26,7 +26,7 @@ WRITERS: dict[str, str] = {
 READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "formats:_read_glb"}
 # Endings that are often asked for, and what to do instead.
 INSTEAD: dict[str, str] = {
-    ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/formats.md, FBX)",
+    ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/clips.md, FBX)",
     ".gltf": "motionkit writes binary glTF only: use .glb",
     ".vrm": "a .vrm is an avatar; write its animation as .vrma",
     ".usd": "motionkit writes USD as text: use .usda",

@@ -24,7 +24,7 @@ CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)
 
 
 def write_npz(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as numpy arrays, atomically; docs/formats.md lists them."""
+    """Write a motion of any rig as numpy arrays, atomically; docs/clips.md lists them."""
     motion = in_metres(clip.motion).motion.scaled(100.0)
     rotations, positions = motion_kinematics(motion)
     arrays: dict[str, Any] = {
@@ -47,7 +47,7 @@ def write_npz(path: str | Path, clip: Clip) -> None:
 
 
 def write_csv(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as a table with a row for each frame, atomically; docs/formats.md has the columns."""
+    """Write a motion of any rig as a table with a row for each frame, atomically; docs/clips.md has the columns."""
     motion = in_metres(clip.motion).motion.scaled(100.0)
     rotations, positions = motion_kinematics(motion)
     touching = contacts(clip.motion)

@@ -1,6 +1,6 @@
 """The table of the 276 feature columns: what each one means.
 
-Paper section 3; docs/features.md explains the split into 6 + 66 + 66 + 69 + 69. Each of the 23 joints owns 12
+Paper section 3; docs/network.md explains the split into 6 + 66 + 66 + 69 + 69. Each of the 23 joints owns 12
 columns; both body parts share those of the root.
 """
 

@@ -64,7 +64,7 @@ class Skeleton:
 
 
 # Name, parent, offset in cm. The rest pose is that of CMU (arms level, legs spread 20 degrees); the offsets are
-# medians over the CMU subjects, made symmetric. docs/conventions.md has the command that measures them.
+# medians over the CMU subjects, made symmetric. docs/measure_offsets.py measures them.
 _CANONICAL: tuple[tuple[str, str, tuple[float, float, float]], ...] = (
     ("Hips", "", (0.0, 0.0, 0.0)),
     ("LeftUpLeg", "Hips", (9.14, -10.04, 4.01)),

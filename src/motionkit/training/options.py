@@ -12,7 +12,7 @@ from motionkit.training.losses import WEIGHTS, LossOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 from motionkit.training.windows import ControlSampling, SamplerOptions
 
-# The paper's weights, but for smoothness: the paper's weight of 10 damps every movement (docs/learning.md).
+# The paper's weights, but for smoothness: the paper's weight of 10 damps every movement (docs/training.md).
 SHIPPED_WEIGHTS = WEIGHTS | {"smooth": 1.0}
 SHIPPED_LOSSES = LossOptions(outlier=3.0, beta_nll=0.5, slip_weight=10.0, weights=SHIPPED_WEIGHTS)
 

@@ -16,7 +16,7 @@ from motionkit.training.windows import ControlSampling, SamplerOptions
 
 # A run from random weights. At first no prediction is near enough to be an input. To follow reference poses is soon
 # learnt, to move without them is not: for most of the run few windows have them. Feet are to stand where they stood
-# once there are steps to speak of, and what is still hard is shown more often at the end (docs/learning.md).
+# once there are steps to speak of, and what is still hard is shown more often at the end (docs/training.md).
 STAGES = (
     Stage(0.0, {"share": 0.0, "reference_dropout": 0.8}),
     Stage(0.04, {"share": 0.4}),
