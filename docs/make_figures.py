@@ -31,7 +31,9 @@ from figure_style import (
 import motionkit as mk
 from motionkit.arrays import Array
 from motionkit.control.follow import PathFollower
-from motionkit.control.reference_player import ReferencePlayer, last_poses
+from motionkit.control.opening import last_poses
+from motionkit.control.plan import plan_path
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.features.layout import FEATURE_COUNT, feature_layout
 from motionkit.features.reference import REFERENCE_OFFSETS
@@ -351,7 +353,7 @@ def steering(model: MotionModel) -> Any:
     line = np.concatenate([part.points for part in path.parts])
     left.plot(*line.T, color=FAINT, lw=5)
     left.plot(*track.T, color=LEFT, lw=1.2)
-    follower, at = PathFollower(model, path), 90
+    follower, at = PathFollower(model, plan_path(model, path)), 90
     x, z = track[at]
     heading = float(np.arctan2(*(track[at + 1] - track[at - 1])))
     ahead = np.asarray(follower(at, np.array([[x, z, heading]])).trajectory).reshape(-1)[:12].reshape(6, 2)

@@ -22,6 +22,7 @@ from click.testing import CliRunner
 
 from motionkit.cli.main import cli
 from motionkit.models.bundled import BUNDLED_MODEL, load_bundled_model
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.rig.upright import in_metres
 from motionkit.view.figure_data import Shown, figure_data, rig_data
@@ -73,7 +74,7 @@ def loops() -> list[Loop]:
 
 
 def _asked(name: str, kind: Any) -> str:
-    return name if kind.performed else f"{name}:{SECONDS}"
+    return name if kind.kind is MotionKind.PERFORMANCE else f"{name}:{SECONDS}"
 
 
 def make_gallery(folder: Path) -> None:

@@ -14,6 +14,7 @@ from motionkit.control.synthesize import synthesize
 from motionkit.lab.scoreboard.paths import path_trials
 from motionkit.models.bundled import BUNDLED, open_model
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.motion import Motion
 from motionkit.view.contact_sheet import write_contact_sheet
 
@@ -25,7 +26,7 @@ POSES, WIDTH = 10, 1100
 
 def type_motions(model: MotionModel) -> list[tuple[str, Motion]]:
     """Six seconds of every type; what is performed once, between two walks."""
-    performed = {name for name, kind in model.types.items() if kind.performed}
+    performed = {name for name in model.types if model.kind(name) is MotionKind.PERFORMANCE}
     out = []
     for kind in model.types:
         once = f"walking:1.5,{kind}:{model.phase_seconds(kind):.2f},walking:1.5"

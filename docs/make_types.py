@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from motionkit.models.bundled import load_bundled_model
-from motionkit.models.motion_type import MotionType
+from motionkit.models.motion_type import MotionKind, MotionType
 
 PAGE = Path(__file__).resolve().parent / "model-card.md"
 SECTION = re.compile(r"^## Types\n.*?(?=^## )", re.MULTILINE | re.DOTALL)
@@ -33,13 +33,13 @@ Written from the model file by `python docs/make_types.py`.
 
 def kind_of(known: MotionType) -> str:
     """How a type is controlled, in one word."""
-    if known.stands:
+    if known.kind is MotionKind.STANCE:
         return "stands"
     if known.steered:
         return "gait"
-    if known.performed:
+    if known.kind is MotionKind.PERFORMANCE:
         return "performance"
-    return "strikes" if known.has_phase else "goes on"
+    return "strikes" if known.kind is MotionKind.EVENTS else "goes on"
 
 
 def page_text() -> str:

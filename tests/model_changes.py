@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import ReferenceClip
+from motionkit.models.motion_type import MotionKind, ReferenceClip
 
 
 def with_clips(
@@ -17,7 +17,7 @@ def with_clips(
         {
             name: {
                 "reference_clips": tuple(clips.get(name, ())),
-                "steered": gaits if name in clips and not kind.stands else kind.steered,
+                "steered": gaits if name in clips and kind.kind is not MotionKind.STANCE else kind.steered,
             }
             for name, kind in model.types.items()
         }

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, TypedDict
 from motionkit.control import follow, synthesize
 from motionkit.control.keys import Key, check_keys, check_length, read_keys
 from motionkit.control.path import Path2D, check_shape_options, read_path, shape_path
-from motionkit.control.script import TypePart, parse_types, whole_performances
+from motionkit.control.plan import plan_path, plan_types
+from motionkit.control.script import TypePart, parse_types
 from motionkit.control.speeds import check_speeds
 from motionkit.control.steering import walking_type
 from motionkit.control.synthesize import SynthesisOptions, SynthesisResult
@@ -83,11 +84,9 @@ class SynthesisRequest:
     @property
     def frames(self) -> int:
         """Frames of the longest motion at the model's rate. Raises MotionkitError if one has fewer than 2."""
-        fps = self.model.fps
-        whole = [whole_performances(self.model, plan) for plan in self.plans]
-        lengths = [sum(max(1, round(part.seconds * fps)) for part in plan) for plan in whole]
+        lengths = [len(plan_types(self.model, plan).track) for plan in self.plans]
         if min(lengths) < 2:
-            raise MotionkitError(f"expected at least 2 frames, {2.0 / fps:.2g} s, found 1")
+            raise MotionkitError(f"expected at least 2 frames, {2.0 / self.model.fps:.2g} s, found 1")
         return max(lengths)
 
     def run(self, progress: Callable[[int], None] | None = None) -> SynthesisResult:
@@ -145,7 +144,7 @@ class PathRequest:
     @property
     def seconds(self) -> float:
         """How long the path takes at the asked speeds."""
-        return follow.expected_seconds(self.model, self.path)
+        return plan_path(self.model, self.path).seconds
 
     def run(self, progress: Callable[[float], None] | None = None) -> FollowResult:
         """Follow the path; progress is called with the share done."""

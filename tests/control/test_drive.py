@@ -10,6 +10,7 @@ from motionkit.arrays import Array
 from motionkit.control.drive import DriveOptions, Driver, Wish, together
 from motionkit.control.follow import PathFollower
 from motionkit.control.path import shape_path
+from motionkit.control.plan import plan_path
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls, future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT, reference_signal
@@ -217,7 +218,7 @@ def test_the_choice_picks_the_recordings_of_a_wish(tiny_model: MotionModel) -> N
 
 def test_a_path_is_followed_as_follow_path_does_and_then_it_stands(tiny_model: MotionModel) -> None:
     path = shape_path("line", 2.0, ["walking", "running"], 1.5)
-    driver, follower = Driver(tiny_model, "walking"), PathFollower(tiny_model, path)
+    driver, follower = Driver(tiny_model, "walking"), PathFollower(tiny_model, plan_path(tiny_model, path))
     driver.set_wish(Wish(path=path))
     ground, frame = AT_ORIGIN, 0
     while driver.following is not None and frame < 300:

@@ -7,10 +7,10 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.control.drive import Driver, Wish
-from motionkit.control.first_steps import FIRST_STEPS, FirstSteps
 from motionkit.control.follow import follow_path
+from motionkit.control.memory import FIRST_STEPS, FirstSteps
 from motionkit.control.path import PathPart, make_path
-from motionkit.control.reference_player import FEW_SECONDS, ReferencePlayer, few_clips
+from motionkit.control.recording_choice import ENTRY, RecordingChoice, few_clips
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.features.control import Controls
 from motionkit.inference.character import CharacterStream
@@ -48,8 +48,8 @@ def test_every_start_enters_the_recordings_anew(tiny_model: MotionModel) -> None
     once, again = FirstSteps(tiny_model, 3), FirstSteps(tiny_model, 3)
     again.begin("running")
     for steps in (once, again):
-        steps._player.random.seed(0)
-        steps._player._draws = 0
+        steps._player.recordings.random.seed(0)
+        steps._player.recordings.draws = 0
         steps.begin("walking")
     first, second = (steps.reference(asked, AHEAD) for steps in (once, again))
     assert np.array_equal(first.reference, second.reference), "nothing fades in from the run before"
@@ -58,14 +58,13 @@ def test_every_start_enters_the_recordings_anew(tiny_model: MotionModel) -> None
 def test_few_clips_are_the_first_ones_and_one_at_least(tiny_model: MotionModel) -> None:
     clips = tiny_model.types["walking"].reference_clips
     longest = max(clips, key=len)
-    fps = len(longest) / FEW_SECONDS  # it lasts as long as all may
+    fps = len(longest) / ENTRY.few_seconds  # it lasts as long as all may
     assert few_clips((longest, *clips), fps) == (longest,)
     assert few_clips((longest,), fps / 2.0) == (longest,)
     assert few_clips((), 60.0) == ()
-    player = ReferencePlayer(with_clips(tiny_model, {"walking": [longest] * 40}), few=True)
-    assert len(player._clips) == 0
-    player.kind = "walking"
-    assert 0 < len(player._clips) < 40
+    recordings = RecordingChoice(with_clips(tiny_model, {"walking": [longest] * 40}), few=True)
+    assert len(recordings.clips("")) == 0
+    assert 0 < len(recordings.clips("walking")) < 40
 
 
 def test_a_body_that_goes_on_after_a_stop_does_not_drop() -> None:

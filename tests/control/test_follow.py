@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from motionkit.arrays import Array, spans
-from motionkit.control.follow import ACCELERATION, PathFollower, follow_path, speed_profile
+from motionkit.control.follow import PathFollower, follow_path
 from motionkit.control.path import SPACING, Path2D, PathPart, make_path, shape_path
+from motionkit.control.plan import plan_path
+from motionkit.control.speeds import PROFILE, speed_profile
 from motionkit.control.synthesize import SynthesisOptions
 from motionkit.errors import ControlError
 from motionkit.metrics.trajectory import trajectory_distance
@@ -15,9 +17,13 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.rotations import rotate_ground
 
 
+def following(model: MotionModel, path: Path2D) -> PathFollower:
+    return PathFollower(model, plan_path(model, path))
+
+
 def walk_obediently(follower: PathFollower, path: Path2D, frames: int) -> tuple[Array, list[Array]]:
     """Ground track (T, 3) of a body that goes just where its trajectory says, and the controls it got."""
-    heading = np.arctan2(path.tangents[0, 0], path.tangents[0, 1]) - follower.facings[0]
+    heading = np.arctan2(path.tangents[0, 0], path.tangents[0, 1]) - follower.route.facings[0]
     ground = np.concatenate([path.points[0], heading[None]])[None]
     track, asked = [], []
     for frame in range(frames):
@@ -28,7 +34,7 @@ def walk_obediently(follower: PathFollower, path: Path2D, frames: int) -> tuple[
         turn = np.arctan2(directions[0, 0], directions[0, 1]) / 10.0
         ground = np.concatenate([ground[0, :2] + step, (ground[0, 2] + turn)[None]])[None]
         track.append(ground[0])
-        if follower.arc >= path.length - SPACING:
+        if follower.place.arc >= path.length - SPACING:
             break
     return np.stack(track), asked
 
@@ -48,10 +54,10 @@ def test_an_obedient_body_follows_to_the_end(
     tiny_model: MotionModel, name: str, size: float, mean: float, largest: float
 ) -> None:
     path = shape_path(name, size, ["walking"], 1.2)
-    follower = PathFollower(tiny_model, path)
-    frames = int(1.6 * 60 * follower.expected_seconds)
+    follower = following(tiny_model, path)
+    frames = int(1.6 * 60 * follower.plan.seconds)
     track, _ = walk_obediently(follower, path, frames)
-    assert follower.arc >= path.length - SPACING, "the end was not reached"
+    assert follower.place.arc >= path.length - SPACING, "the end was not reached"
     distance = trajectory_distance(track[:, :2], path.points)
     assert distance.mean < mean and distance.max < largest
     assert distance.coverage > 0.95, "no part of the path was left out"
@@ -60,9 +66,9 @@ def test_an_obedient_body_follows_to_the_end(
 
 def test_samples_are_where_the_path_is_at_the_asked_speed(tiny_model: MotionModel) -> None:
     path = shape_path("line", 10.0, ["walking"], 1.2)
-    follower = PathFollower(tiny_model, path)
+    follower = following(tiny_model, path)
     ground = np.array([[0.0, 100.0, 0.0]], np.float32)
-    follower.arc = 100.0
+    follower.place.arc = 100.0
     positions, directions = follower(0, ground).trajectory[0].reshape(2, 6, 2)
     assert np.allclose(positions[:, 1], 120.0 * np.arange(1, 7) / 6.0, atol=1e-2)
     assert np.abs(positions[:, 0]).max() < 1e-3
@@ -70,7 +76,7 @@ def test_samples_are_where_the_path_is_at_the_asked_speed(tiny_model: MotionMode
 
 
 def test_samples_are_in_the_heading_frame(tiny_model: MotionModel) -> None:
-    follower = PathFollower(tiny_model, shape_path("line", 10.0, ["walking"], 1.2))
+    follower = following(tiny_model, shape_path("line", 10.0, ["walking"], 1.2))
     quarter = np.array(
         [[30.0, 0.0, math.pi / 2]], np.float32
     )  # faces +X, the path goes along +Z to its right
@@ -86,7 +92,7 @@ def test_a_stop_is_held_and_braked_for(tiny_model: MotionModel) -> None:
         PathPart(line, "walking", 200.0, stop=2.0),
         PathPart(np.array([[0.0, 1200.0]]), "walking", 200.0, stop=1.0),
     ])  # fmt: skip
-    follower = PathFollower(tiny_model, path)
+    follower = following(tiny_model, path)
     ground, speeds, standing = np.array([[0.0, 0.0, 0.0]], np.float32), [], []
     while not follower.finished:
         assert len(speeds) < 1200, "the end was not reached"
@@ -103,8 +109,11 @@ def test_a_stop_is_held_and_braked_for(tiny_model: MotionModel) -> None:
         pytest.approx(1.0, abs=0.4),
     ]
     assert [idle[start:end].max() for start, end in stops] == [1.0, 1.0] and idle[0] == 0.0
-    assert np.abs(np.diff(np.convolve(speeds, np.ones(20) / 20, "valid"))).max() * 60 < 1.6 * ACCELERATION
-    assert len(speeds) / 60 == pytest.approx(follower.expected_seconds, rel=0.15)
+    assert (
+        np.abs(np.diff(np.convolve(speeds, np.ones(20) / 20, "valid"))).max() * 60
+        < 1.6 * PROFILE.acceleration
+    )
+    assert len(speeds) / 60 == pytest.approx(follower.plan.seconds, rel=0.15)
 
 
 def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
@@ -112,7 +121,7 @@ def test_a_performance_after_a_stop_is_shown(tiny_model: MotionModel) -> None:
         PathPart(np.array([[0.0, 0.0], [0.0, 200.0]]), "walking", 130.0, stop=1.0),
         PathPart(np.array([[0.0, 400.0]]), "cartwheel", 130.0),
     ])  # fmt: skip
-    follower = PathFollower(tiny_model, path)
+    follower = following(tiny_model, path)
     _, asked = walk_obediently(follower, path, 600)
     shown = [bool(np.abs(controls.reference).any()) for controls in asked]
     of_it = [float(controls.type_weights[0, tiny_model.type_id("cartwheel")]) for controls in asked]
@@ -134,10 +143,10 @@ def test_bodies_slow_down_for_sharp_turns(tiny_model: MotionModel) -> None:
 )
 def test_a_way_back_on_the_way_there_is_gone(tiny_model: MotionModel, corners: list) -> None:
     path = make_path([PathPart(np.array(corners, np.float64), "walking", 120.0)])
-    follower = PathFollower(tiny_model, path)
-    track, _ = walk_obediently(follower, path, int(1.6 * 60 * follower.expected_seconds))
+    follower = following(tiny_model, path)
+    track, _ = walk_obediently(follower, path, int(1.6 * 60 * follower.plan.seconds))
     assert follower.finished
-    assert len(track) / 60 < 1.15 * follower.expected_seconds
+    assert len(track) / 60 < 1.15 * follower.plan.seconds
     furthest = np.linalg.norm(track[:, :2], axis=1).max()
     assert furthest > np.linalg.norm(corners[1]) - 15.0, "it turned too early"
 
@@ -147,7 +156,7 @@ def test_the_speed_changes_no_faster_than_bodies_brake(tiny_model: MotionModel) 
     path = make_path([PathPart(p, "cartwheel", v) for p, v in zip(line, (360.0, 100.0, 300.0), strict=True)])
     speeds = speed_profile(tiny_model, path)
     accelerations = np.diff(speeds.astype(np.float64) ** 2) / (2.0 * SPACING)
-    assert np.abs(accelerations).max() <= 1.001 * ACCELERATION
+    assert np.abs(accelerations).max() <= 1.001 * PROFILE.acceleration
     assert (speeds <= np.array([360.0, 100.0, 300.0])[path.part] + 1e-3).all()
     for part, speed in enumerate((360.0, 100.0, 300.0)):
         assert speeds[path.part == part].max() == pytest.approx(speed)
@@ -160,7 +169,7 @@ def test_a_type_that_goes_backwards_faces_against_its_way(tiny_model: MotionMode
     assert gait is not None
     model = tiny_model.with_types({"walking": {"gait": replace(gait, facing=math.pi)}})
     path = shape_path("line", 5.0, ["walking"], 1.2)
-    track, asked = walk_obediently(PathFollower(model, path), path, 400)
+    track, asked = walk_obediently(following(model, path), path, 400)
     facing = np.remainder(track[:, 2] + math.pi, 2 * math.pi)
     assert np.minimum(facing, 2 * math.pi - facing).max() < 1e-3, "it faces -Z all the way"
     assert float(track[-1, 1]) == pytest.approx(500.0, abs=5.0)
@@ -169,7 +178,7 @@ def test_a_type_that_goes_backwards_faces_against_its_way(tiny_model: MotionMode
 
 def test_types_blend_over_40_frames_between_parts(tiny_model: MotionModel) -> None:
     path = shape_path("line", 12.0, ["walking", "running"], 1.2)
-    follower = PathFollower(tiny_model, path)
+    follower = following(tiny_model, path)
     _, asked = walk_obediently(follower, path, 1000)
     weights = np.concatenate([c.type_weights for c in asked])
     running = weights[:, tiny_model.type_id("running")]
@@ -185,34 +194,34 @@ def test_who_runs_walks_around_a_sharp_turn_and_to_a_stop(tiny_model: MotionMode
     path = make_path(
         [PathPart(there_and_back, "running", None, 1.0), PathPart(there_and_back[:2], "running")]
     )
-    follower = PathFollower(tiny_model, path)
+    follower = following(tiny_model, path)
     running, walking = (tiny_model.type_id(kind) for kind in ("running", "walking"))
     slowest, _ = tiny_model.speed_range("running") or (0.0, 0.0)
-    slow = follower.speeds < 0.98 * slowest
-    assert (follower.shown[slow] == walking).all() and (
-        follower.shown[follower.speeds >= slowest] == running
+    slow = follower.route.speeds < 0.98 * slowest
+    assert (follower.plan.track[slow] == walking).all() and (
+        follower.plan.track[follower.route.speeds >= slowest] == running
     ).all()
     assert slow[path.nearest(900.0)] and slow[path.nearest(1800.0)] and 0.0 < slow.mean() < 0.5
-    weights = follower._type_weights(900.0)
-    assert float(weights[walking]) == 1.0 and float(follower._type_weights(300.0)[running]) == 1.0
-    walked = PathFollower(tiny_model, make_path([PathPart(there_and_back, "walking")]))
-    assert (walked.shown == walking).all(), "who walks has nothing slower"
-    straight = PathFollower(tiny_model, shape_path("line", 10.0, ["running"], None))
-    assert (straight.shown == running).all()
+    weights = follower.type_weights(900.0)
+    assert float(weights[walking]) == 1.0 and float(follower.type_weights(300.0)[running]) == 1.0
+    walked = following(tiny_model, make_path([PathPart(there_and_back, "walking")]))
+    assert (walked.plan.track == walking).all(), "who walks has nothing slower"
+    straight = following(tiny_model, shape_path("line", 10.0, ["running"], None))
+    assert (straight.plan.track == running).all()
 
 
 def test_a_type_goes_at_its_own_speed_unless_told(tiny_model: MotionModel) -> None:
     path = shape_path("line", 10.0, ["running"], None)
-    follower = PathFollower(tiny_model, path)
-    assert float(follower.speeds[0]) == pytest.approx(tiny_model.types["running"].gait.speed, rel=1e-3)
-    slow = PathFollower(tiny_model, shape_path("line", 10.0, ["idle"], None))
-    assert float(slow.speeds[0]) == 20.0, "one who stands would never arrive"
-    assert slow.expected_seconds == pytest.approx(50.0, rel=0.01)
+    follower = following(tiny_model, path)
+    assert float(follower.route.speeds[0]) == pytest.approx(tiny_model.types["running"].gait.speed, rel=1e-3)
+    slow = following(tiny_model, shape_path("line", 10.0, ["idle"], None))
+    assert float(slow.route.speeds[0]) == 20.0, "one who stands would never arrive"
+    assert slow.plan.seconds == pytest.approx(50.0, rel=0.01)
 
 
 def test_a_body_pushed_off_the_path_is_led_back(tiny_model: MotionModel) -> None:
     path = shape_path("line", 10.0, ["walking"], 1.2)
-    follower = PathFollower(tiny_model, path)
+    follower = following(tiny_model, path)
     positions = follower(0, np.array([[40.0, 50.0, 0.0]], np.float32)).trajectory[0, :12].reshape(6, 2)
     assert np.allclose(positions[:, 0], np.full((6,), -40.0, np.float32), atol=1e-3)
 
@@ -232,7 +241,7 @@ def test_a_whole_roll_out(tiny_model: MotionModel) -> None:
     assert result.frames == len(result.motion) == len(seen)
     assert np.array_equal(result.motion.local_rotations, again.motion.local_rotations)
     assert len(result.part_distances) == 2
-    limit = int((1.6 * PathFollower(tiny_model, path).expected_seconds + 3.0) * 60)
+    limit = int((1.6 * following(tiny_model, path).plan.seconds + 3.0) * 60)
     assert result.frames <= limit + 1
     assert result.finished == (seen[-1] >= 0.9)
     assert seen == sorted(seen) and max(seen) <= 1.0, "progress is a share that never falls"

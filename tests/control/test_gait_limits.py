@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from motionkit.control.drive import Driver, Wish
-from motionkit.control.gait_limits import MOST_ASIDE, MOST_ASIDE_RUNNING, GaitLimits
+from motionkit.control.gait_limits import MOST_ASIDE, MOST_ASIDE_RUNNING, speed_limits, within_limits
 from motionkit.control.steering import GOES_FROM, steered_type
 from motionkit.inference.character import CharacterStream
 from motionkit.models.bundled import load_bundled_model
@@ -16,22 +16,22 @@ from motionkit.motion.floor import foot_positions
 
 
 def test_speeds_are_those_of_the_recordings() -> None:
-    limits = GaitLimits(load_bundled_model())
-    slowest, fastest = limits.speeds("walking")
+    model = load_bundled_model()
+    slowest, fastest = speed_limits(model, "walking")
     for asked, goes in ((30.0, slowest), (100.0, 100.0), (900.0, fastest)):
-        velocity, facing = limits.nearest("walking", (0.0, -asked), math.pi)
+        velocity, facing = within_limits(model, "walking", (0.0, -asked), math.pi)
         assert velocity == pytest.approx((0.0, -goes)) and facing == math.pi
-    assert limits.nearest("walking", (0.0, 5.0), 0.0) == ((0.0, 5.0), 0.0), "a wish to stand"
-    assert limits.nearest("idle", (0.0, 20.0), 1.0) == ((0.0, 0.0), 1.0), "who stands is not moved"
-    assert limits.nearest("dance-salsa", (0.0, 900.0), None) == ((0.0, 900.0), None)
+    assert within_limits(model, "walking", (0.0, 5.0), 0.0) == ((0.0, 5.0), 0.0), "a wish to stand"
+    assert within_limits(model, "idle", (0.0, 20.0), 1.0) == ((0.0, 0.0), 1.0), "who stands is not moved"
+    assert within_limits(model, "dance-salsa", (0.0, 900.0), None) == ((0.0, 900.0), None)
 
 
 @pytest.mark.parametrize("facing", [-3.0, -1.5, -0.5, 0.0, 0.7, 1.6, 3.0])
 def test_a_gait_goes_aside_up_to_a_limit(facing: float) -> None:
-    limits = GaitLimits(load_bundled_model())
+    model = load_bundled_model()
     walks = (("walking", 0.0, MOST_ASIDE), ("b-walking", math.pi, MOST_ASIDE))
     for kind, own, most in (*walks, ("running", 0.0, MOST_ASIDE_RUNNING)):
-        _, turned = limits.nearest(kind, (0.0, 100.0), facing)
+        _, turned = within_limits(model, kind, (0.0, 100.0), facing)
         assert turned is not None
         away = math.remainder(turned - own, 2 * math.pi)
         wanted = math.remainder(facing - own, 2 * math.pi)

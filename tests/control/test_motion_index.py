@@ -7,8 +7,10 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.arrays import Array
+from motionkit.control.blending import LONGEST_BLEND
 from motionkit.control.motion_index import STATE_FRAMES, MotionIndex, pose_state
-from motionkit.control.reference_player import CLEARLY, LONGEST_BLEND, RECONSIDERED, ReferencePlayer
+from motionkit.control.recording_choice import MATCHING
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.features.control import future_trajectory
 from motionkit.features.reference import EMBEDDING_COUNT
 from motionkit.models.model import MotionModel
@@ -58,7 +60,7 @@ def test_one_stays_unless_another_place_is_clearly_better(reference_clips: list[
 def test_a_player_goes_over_to_what_suits_the_way(
     tiny_model: MotionModel, reference_clips: list[ReferenceClip]
 ) -> None:
-    assert CLEARLY < 1.0
+    assert MATCHING.clearly < 1.0
     for number, reference_clip in enumerate(reference_clips):
         reference_clip.poses[:, 0] = 0.01 * number
     player = ReferencePlayer(with_clips(tiny_model, {"walking": reference_clips}))
@@ -68,7 +70,7 @@ def test_a_player_goes_over_to_what_suits_the_way(
         trajectory=way_of(reference_clips[1]),
     )
     assert player.clip is reference_clips[1]
-    frames = RECONSIDERED + LONGEST_BLEND + 1
+    frames = MATCHING.every + LONGEST_BLEND + 1
     slow, fast = (np.tile(way_of(reference_clips[n]), (frames, 1)) for n in (1, 2))
     player.play(len(slow), slow)
     assert player.clip is reference_clips[1], "nothing suits better"
@@ -85,7 +87,7 @@ def test_strikes_are_not_left_for_a_better_way(
     reference_clips[1].phases[:100] = np.arange(100) / 100.0
     player = ReferencePlayer(with_clips(tiny_model, {"walking": reference_clips}))
     player.kind, player.clip, player.at = "walking", reference_clips[1], 1
-    fast = np.tile(way_of(reference_clips[2]), (RECONSIDERED + 60, 1))
+    fast = np.tile(way_of(reference_clips[2]), (MATCHING.every + 60, 1))
     player.play(len(fast), fast)
     assert player.clip is reference_clips[1] and player.at == 1 + len(fast)
 

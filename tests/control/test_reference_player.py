@@ -9,34 +9,36 @@ import pytest
 
 from model_changes import with_clips
 from motionkit.arrays import Array, lerp
+from motionkit.control.blending import LONGEST_BLEND, SHORTEST_BLEND, Crossfade
 from motionkit.control.momentum import CHANGE
 from motionkit.control.motion_index import STATE_FRAMES
-from motionkit.control.reference_player import (
-    BEFORE_EVENT,
-    GAIT_LEAST,
-    LONGEST_BLEND,
-    OWN_SHARE,
-    PAUSE,
-    SHORTEST_BLEND,
-    Left,
-    ReferencePlayer,
-    drawn_evenly,
-    last_poses,
-    last_speed,
-)
-from motionkit.control.script import TypePart, plan_controls, whole_performances
+from motionkit.control.opening import last_poses, last_speed
+from motionkit.control.plan import whole_performances
+from motionkit.control.recording_choice import ENTRY, drawn_evenly
+from motionkit.control.reference_controls import OWN_SHARE
+from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.script import TypePart
 from motionkit.errors import ControlError
 from motionkit.features.control import future_trajectory, straight_trajectory
-from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_COUNT, reference_signal
+from motionkit.features.reference import (
+    BEFORE_EVENT,
+    EMBEDDING_COUNT,
+    PAUSE,
+    REFERENCE_COUNT,
+    reference_signal,
+)
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import ReferenceClip, recorded_rhythm, recorded_velocity
+from motionkit.models.motion_type import MotionKind, ReferenceClip, recorded_rhythm, recorded_velocity
+from planned import controls_of
 
 NEAR = np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32)
 
 
 @pytest.fixture
 def flips(tiny_model: MotionModel) -> MotionModel:
-    assert tiny_model.types["cartwheel"].performed, "the tiny dataset has a type that turns over"
+    assert tiny_model.kind("cartwheel") is MotionKind.PERFORMANCE, (
+        "the tiny dataset has a type that turns over"
+    )
     return tiny_model
 
 
@@ -54,10 +56,10 @@ def recording(frames: int, phases: Array | None = None, first: float = 0.0) -> R
 def test_the_way_counts_only_while_a_performance_is_asked_for(
     flips: MotionModel, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("motionkit.control.script.carried_over", lambda asked, *speeds: asked)
+    monkeypatch.setattr("motionkit.control.planned_controls.carried_over", lambda asked, *speeds: asked)
     model = flips.with_types({"walking": {"steered": False}})
     parts = [TypePart("walking", 1.0), TypePart("cartwheel", 0.5), TypePart("walking", 0.5)]
-    asked = plan_controls(model, parts, NEAR)
+    asked = controls_of(model, parts, NEAR)
     assert asked.trajectory.shape == (120, 24) and asked.reference.shape == (120, REFERENCE_COUNT)
     assert asked.trajectory_mask.tolist() == [0.0] * 60 + [1.0] * 30 + [0.0] * 30
     assert asked.reference_gain.tolist() == pytest.approx(
@@ -78,11 +80,11 @@ def test_a_change_of_type_carries_the_speed_over(tiny_model: MotionModel) -> Non
     model = with_clips(tiny_model, {"running": [run], "idle": [still]})
     model = model.with_types({"idle": {"steered": False}})
     parts = [TypePart("running", 1.0), TypePart("idle", 2.0)]
-    asked = plan_controls(model, parts, NEAR)
+    asked = controls_of(model, parts, NEAR)
     braking = asked.trajectory_mask[60:].sum()
     assert 300.0 / CHANGE - 0.1 < braking / 60.0 < 300.0 / CHANGE + 0.1
     assert asked.trajectory[60, 1] > 3.5 * 10 and not asked.trajectory_mask[:60].any()
-    assert not plan_controls(model, parts[1:], NEAR).trajectory_mask.any()
+    assert not controls_of(model, parts[1:], NEAR).trajectory_mask.any()
 
 
 @pytest.mark.parametrize(("apart", "blend"), [(8.0, SHORTEST_BLEND), (30.0, 30), (1000.0, LONGEST_BLEND)])
@@ -99,7 +101,7 @@ def test_references_are_blended_at_the_pace_of_the_clip_entered(
     player.begin("running")
     entered = player.at
     running.poses[:, 0] += walking.poses[100, 0] + apart - running.poses[entered, 0]
-    player.left = Left(walking, 100, running, entered)
+    player.left = Crossfade(walking, 100, running, entered)
     shown = player.play(70).reference[:, 0]
     alone = reference_signal(running.poses, np.arange(entered, entered + 70))[:, 0]
     assert np.flatnonzero(shown != alone).tolist() == list(range(blend))
@@ -112,7 +114,7 @@ def test_another_performance_follows_after_a_pause_that_leads_over(flips: Motion
     shifted = replace(first, poses=first.poses + np.float32(0.01))
     model = with_clips(flips, {"cartwheel": [first, shifted]})
     length = len(first)
-    asked = plan_controls(model, [TypePart("cartwheel", (3 * length + 2 * PAUSE) / flips.fps)], NEAR)
+    asked = controls_of(model, [TypePart("cartwheel", (3 * length + 2 * PAUSE) / flips.fps)], NEAR)
     starts = [0, length + PAUSE, 2 * (length + PAUSE)]
     for start, clip in zip(starts, (first, shifted, first), strict=True):
         played = slice(start, start + length)
@@ -135,7 +137,7 @@ def test_a_performance_begins_after_another_one_by_a_pause(flips: MotionModel) -
     parts = [TypePart("cartwheel", seconds), TypePart("jumping-l", seconds), TypePart("idle", 1.0)]
     whole = whole_performances(model, parts)
     assert [round(part.seconds * flips.fps) for part in whole] == [length, PAUSE + length, 60]
-    asked = plan_controls(model, whole, NEAR)
+    asked = controls_of(model, whole, NEAR)
     assert (asked.phase[length : length + PAUSE] < 0.0).all()
     assert np.array_equal(asked.phase[length + PAUSE : 2 * length + PAUSE], clip.phases)
     # No pause where the first is not shown to its end, and none is asked for where there is time.
@@ -143,7 +145,7 @@ def test_a_performance_begins_after_another_one_by_a_pause(flips: MotionModel) -
     assert [part.seconds for part in whole_performances(model, short)] == pytest.approx(
         [part.seconds for part in short], abs=1.0 / flips.fps
     )
-    assert (plan_controls(model, short, NEAR).phase[round(0.5 * length) : length] >= 0.0).all()
+    assert (controls_of(model, short, NEAR).phase[round(0.5 * length) : length] >= 0.0).all()
     long = [TypePart("cartwheel", seconds), TypePart("jumping-l", seconds + 1.0), TypePart("idle", 1.0)]
     assert sum(part.seconds for part in whole_performances(model, long)) == pytest.approx(2.0 * seconds + 2.0)
 
@@ -162,19 +164,19 @@ def test_a_performance_to_the_other_side_is_not_taken_for_the_one_that_was_begun
 
 def test_first_part_goes_on_from_its_seed_and_choice_picks_a_recording(flips: MotionModel) -> None:
     reference_clips, parts = flips.types["cartwheel"].reference_clips, [TypePart("cartwheel", 10 / flips.fps)]
-    asked = plan_controls(flips, parts, NEAR, behind=5)
+    asked = controls_of(flips, parts, NEAR, behind=5)
     assert np.array_equal(asked.phase, reference_clips[0].phases[5:15])
-    other = plan_controls(flips, parts, NEAR, choice=1)
+    other = controls_of(flips, parts, NEAR, choice=1)
     assert np.array_equal(other.reference, reference_signal(reference_clips[1].poses, np.arange(10)))
-    again = plan_controls(flips, parts, NEAR, choice=len(reference_clips))
+    again = controls_of(flips, parts, NEAR, choice=len(reference_clips))
     assert np.array_equal(again.reference, reference_signal(reference_clips[0].poses, np.arange(10)))
 
 
 def test_a_model_without_guides_gives_none(flips: MotionModel) -> None:
-    asked = plan_controls(replace(flips, uses_references=False), [TypePart("walking", 1.0)], NEAR)
+    asked = controls_of(replace(flips, uses_references=False), [TypePart("walking", 1.0)], NEAR)
     assert not asked.reference_gain.any()
     unknown = with_clips(flips, {})
-    asked = plan_controls(unknown, [TypePart("walking", 1.0)], NEAR)
+    asked = controls_of(unknown, [TypePart("walking", 1.0)], NEAR)
     assert not asked.reference_gain.any() and not asked.reference.any() and float(asked.phase.max()) == -1.0
 
 
@@ -239,14 +241,14 @@ def test_gaits_are_entered_anywhere_else_still_clips_nowhere_and_calm_and_lively
         clip.poses[:, 0] = pace * np.arange(len(clip.poses))
     player = ReferencePlayer(with_clips(tiny_model, {"walking": clips}))
     player.begin("walking", NEAR)
-    entered = {id(clip): frames for clip, frames in player.entry_frames(clips)}
+    entered = {id(clip): frames for clip, frames in player.recordings.entry_frames("walking", clips)}
     assert entered.keys() == {id(clips[0]), id(clips[2]), id(clips[3])}
     for other in clips[2:]:
         assert 0 < len(entered[id(other)]) <= 20, "those that a second and a half follow"
     gait = ReferencePlayer(with_clips(tiny_model, {"walking": clips}, gaits=True))
     gait.begin("walking", NEAR)
-    last = [frames[-1] for _, frames in gait.entry_frames(clips)]
-    assert last == [len(clip) - round(GAIT_LEAST * 60.0) - 1 for clip in clips]
+    last = [frames[-1] for _, frames in gait.recordings.entry_frames("walking", clips)]
+    assert last == [len(clip) - round(ENTRY.gait_seconds * 60.0) - 1 for clip in clips]
 
 
 @pytest.mark.parametrize("slow", [0.2, 0.9])
@@ -260,9 +262,11 @@ def test_gaits_leave_a_clip_before_it_brakes(tiny_model: MotionModel, slow: floa
     player = ReferencePlayer(with_clips(tiny_model, {"walking": [clip, other]}, gaits=True))
     player.begin("walking", NEAR)
     shown = player.model.types["walking"].reference_clips[0]
-    entered = dict((id(each), frames) for each, frames in player.entry_frames([shown]))[id(shown)]
+    entered = dict((id(each), frames) for each, frames in player.recordings.entry_frames("walking", [shown]))[
+        id(shown)
+    ]
     brakes = slow < 0.5
-    assert entered[-1] < (200 if brakes else 300) - round(GAIT_LEAST * 60.0)
+    assert entered[-1] < (200 if brakes else 300) - round(ENTRY.gait_seconds * 60.0)
     player.clip, player.at, player.left = shown, 100, None
     player.play(150)
     assert (player.clip is shown) is not brakes
@@ -273,8 +277,8 @@ def test_a_gait_that_is_slow_all_along_brakes_nowhere(tiny_model: MotionModel) -
     fast.ground[:, 1], slow.ground[:, 1] = 8.0 * np.arange(300), 0.5 * np.arange(300)
     player = ReferencePlayer(with_clips(tiny_model, {"walking": [fast, slow]}, gaits=True))
     player.begin("walking", NEAR)
-    for _, frames in player.entry_frames(player.model.types["walking"].reference_clips):
-        assert frames == list(range(300 - round(GAIT_LEAST * 60.0)))
+    for _, frames in player.recordings.entry_frames("walking", player.model.types["walking"].reference_clips):
+        assert frames == list(range(300 - round(ENTRY.gait_seconds * 60.0)))
 
 
 def test_gaits_go_where_their_recordings_went(tiny_model: MotionModel) -> None:
@@ -366,9 +370,7 @@ def test_jumps_that_fill_their_clips_are_not_blended_but_follow_after_a_pause(
 
 
 def test_the_same_choice_plays_the_same(tiny_model: MotionModel) -> None:
-    plays = [
-        plan_controls(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).reference for c in (4, 4, 5)
-    ]
+    plays = [controls_of(tiny_model, [TypePart("running", 8.0)], NEAR, choice=c).reference for c in (4, 4, 5)]
     assert np.array_equal(plays[0], plays[1]) and not np.array_equal(plays[0], plays[2])
 
 
@@ -462,13 +464,13 @@ def test_without_recordings_a_clock_counts_the_phase(flips: MotionModel) -> None
     assert alone.phase_seconds("cartwheel") == flips.phase_seconds("cartwheel")
     length = round(alone.phase_seconds("cartwheel") * alone.fps)
     parts = [TypePart("walking", 0.5), TypePart("cartwheel", (length + PAUSE + 10) / alone.fps)]
-    asked = plan_controls(alone, parts, NEAR)
+    asked = controls_of(alone, parts, NEAR)
     assert not asked.reference.any() and not asked.trajectory_mask[30:].any()
     assert (asked.phase[:30] == -1.0).all()
     wheel = asked.phase[30:]
     assert wheel[:length] == pytest.approx(np.arange(length) / length)
     assert (wheel[length : length + PAUSE] == -1.0).all() and wheel[length + PAUSE] == 0.0
-    begun = plan_controls(alone, parts[1:], NEAR, behind=7)
+    begun = controls_of(alone, parts[1:], NEAR, behind=7)
     assert begun.phase[0] == pytest.approx(7 / length)
     player = ReferencePlayer(alone)
     player.begin("cartwheel")
@@ -488,7 +490,7 @@ def test_jumps_without_recordings_keep_their_pace_and_period(tiny_model: MotionM
     model = with_clips(tiny_model, {"jumping-l": clips}).with_reference("none")
     rhythm = model.types["jumping-l"].rhythm
     assert rhythm is not None and rhythm.frames == pytest.approx(60.0) and rhythm.period == 90
-    phases = plan_controls(model, [TypePart("jumping-l", 3.0)], NEAR).phase
+    phases = controls_of(model, [TypePart("jumping-l", 3.0)], NEAR).phase
     assert phases[[0, 30, 59]] == pytest.approx([0.0, 0.5, 59 / 60], abs=1e-4) and (phases[60:90] < 0.0).all()
     assert phases[90] == 0.0
     assert ReferencePlayer(model).event_frames() == 0, "of no type"
@@ -513,10 +515,10 @@ def test_gaits_and_jumps_without_recordings_go_at_their_usual_velocity(tiny_mode
     assert model.types["walking"].velocity == pytest.approx((0.0, 60.0), abs=1e-3)
     assert model.types["idle"].velocity is None and model.types["cartwheel"].velocity is None
     for kind in ("walking", "jumping-l"):
-        asked = plan_controls(model, [TypePart(kind, 0.5)], NEAR)
+        asked = controls_of(model, [TypePart(kind, 0.5)], NEAR)
         assert (asked.trajectory_mask == 1.0).all() and not asked.reference.any()
         assert np.allclose(asked.trajectory, straight_trajectory((0.0, 60.0), 60.0), atol=1e-3)
-    assert not plan_controls(model, [TypePart("idle", 0.5)], NEAR).trajectory_mask.any()
+    assert not controls_of(model, [TypePart("idle", 0.5)], NEAR).trajectory_mask.any()
     # A trajectory that is asked for comes first.
     player = ReferencePlayer(model)
     player.begin("walking")
@@ -537,7 +539,7 @@ def test_a_body_that_begins_by_standing_keeps_its_stance(tiny_model: MotionModel
         for mean in (-1.0, 1.0, 2.0)
     ]  # fmt: skip
     model = with_clips(tiny_model, {"idle": clips, "walking": [recording(120)]})
-    assert model.types["idle"].stands
+    assert model.kind("idle") is MotionKind.STANCE
     stance = NEAR + 0.5
     player = ReferencePlayer(model)
     player.begin("idle", stance)

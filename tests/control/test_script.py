@@ -3,7 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motionkit.control.script import TypePart, parse_types, plan_weights, type_track
+from motionkit.control.plan import plan_types
+from motionkit.control.script import TypePart, parse_types
 from motionkit.errors import ControlError
 
 
@@ -52,14 +53,14 @@ def test_what_is_no_list_of_types(text: str, seconds: float | None, complaint: s
 
 
 def test_track_has_the_asked_number_of_frames(tiny_model) -> None:
-    track = type_track(tiny_model, [TypePart("running", 1.0), TypePart("idle", 0.5)])
+    track = plan_types(tiny_model, [TypePart("running", 1.0), TypePart("idle", 0.5)]).track
     running, idle = (tiny_model.type_id(name) for name in ("running", "idle"))
     assert track.tolist() == [running] * 60 + [idle] * 30
-    assert len(type_track(tiny_model, [TypePart("idle", 0.001)])) == 1
+    assert len(plan_types(tiny_model, [TypePart("idle", 0.001)]).track) == 1
 
 
 def test_weights_blend_over_40_frames(tiny_model) -> None:
-    weights = plan_weights(tiny_model, [TypePart("running", 2.0), TypePart("idle", 2.0)])
+    weights = plan_types(tiny_model, [TypePart("running", 2.0), TypePart("idle", 2.0)]).weights
     assert np.allclose(weights.sum(-1), np.ones(240, np.float32))
     mixed = np.flatnonzero((weights > 0).sum(-1) == 2)
     assert (int(mixed[0]), int(mixed[-1]), len(mixed)) == (101, 139, 39)
@@ -67,4 +68,4 @@ def test_weights_blend_over_40_frames(tiny_model) -> None:
 
 def test_an_unknown_type(tiny_model) -> None:
     with pytest.raises(ControlError, match="did you mean 'cartwheel'"):
-        type_track(tiny_model, [TypePart("cart wheel", 1.0)])
+        plan_types(tiny_model, [TypePart("cart wheel", 1.0)])

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from motionkit.control.drive import Driver, Wish
-from motionkit.control.gait_limits import GaitLimits
-from motionkit.control.speed_trim import LEAD, LEAD_SECONDS, LIMITS, WAIT_SECONDS, SpeedTrim
+from motionkit.control.memory import TRIM, SpeedTrim
 from motionkit.inference.character import CharacterStream
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.model import MotionModel
@@ -27,24 +26,24 @@ def go(trim: SpeedTrim, wish: tuple[float, float], share: float, seconds: float)
 
 @pytest.mark.parametrize("share", [0.8, 0.9, 1.0, 1.2])
 def test_a_lasting_error_of_speed_is_made_up_for(tiny_model: MotionModel, share: float) -> None:
-    asked = go(SpeedTrim(GaitLimits(tiny_model)), WALKS, share, 8.0)
+    asked = go(SpeedTrim(tiny_model), WALKS, share, 8.0)
     assert share * math.hypot(*asked) == pytest.approx(90.0, rel=0.01)
     assert asked[0] == 0.0
 
 
 def test_nothing_is_made_up_for_on_the_way_to_a_wish(tiny_model: MotionModel) -> None:
-    trim = SpeedTrim(GaitLimits(tiny_model))
-    assert go(trim, WALKS, 0.3, WAIT_SECONDS) == WALKS
-    assert go(trim, (90.0, 0.0), 0.3, WAIT_SECONDS) == (90.0, 0.0), "another direction is another wish"
-    assert go(trim, (88.0, 3.0), 0.3, WAIT_SECONDS) != (88.0, 3.0), "a stick that trembles is not"
+    trim = SpeedTrim(tiny_model)
+    assert go(trim, WALKS, 0.3, TRIM.wait) == WALKS
+    assert go(trim, (90.0, 0.0), 0.3, TRIM.wait) == (90.0, 0.0), "another direction is another wish"
+    assert go(trim, (88.0, 3.0), 0.3, TRIM.wait) != (88.0, 3.0), "a stick that trembles is not"
 
 
 def test_a_change_of_speed_is_asked_for_beyond_the_wish_at_first(tiny_model: MotionModel) -> None:
-    trim = SpeedTrim(GaitLimits(tiny_model))
+    trim = SpeedTrim(tiny_model)
     go(trim, (0.0, 110.0), 1.0, 3.0)
-    assert trim("walking", WALKS, (0.0, 110.0)) == pytest.approx((0.0, 90.0 - 20.0 * LEAD))
-    assert go(trim, WALKS, 1.0, LEAD_SECONDS) == pytest.approx(WALKS, rel=0.01)
-    assert trim("walking", (0.0, 110.0), WALKS) == pytest.approx((0.0, 110.0 + 20.0 * LEAD), rel=0.01)
+    assert trim("walking", WALKS, (0.0, 110.0)) == pytest.approx((0.0, 90.0 - 20.0 * TRIM.lead))
+    assert go(trim, WALKS, 1.0, TRIM.lead_seconds) == pytest.approx(WALKS, rel=0.01)
+    assert trim("walking", (0.0, 110.0), WALKS) == pytest.approx((0.0, 110.0 + 20.0 * TRIM.lead), rel=0.01)
     slowest, fastest = tiny_model.speed_range("walking") or (0.0, 0.0)
     assert trim("walking", (0.0, fastest), WALKS) == pytest.approx((0.0, fastest)), (
         "nothing that no recording shows"
@@ -53,7 +52,7 @@ def test_a_change_of_speed_is_asked_for_beyond_the_wish_at_first(tiny_model: Mot
 
 
 def test_a_gait_keeps_its_share_over_a_change_of_speed_and_over_a_stop(tiny_model: MotionModel) -> None:
-    trim = SpeedTrim(GaitLimits(tiny_model))
+    trim = SpeedTrim(tiny_model)
     go(trim, WALKS, 0.8, 8.0)
     assert trim("idle", (0.0, 0.0), (0.0, 0.0)) == (0.0, 0.0)
     assert trim("running", (0.0, 300.0), (0.0, 0.0)) == (0.0, 300.0), "another gait has its own"
@@ -63,13 +62,13 @@ def test_a_gait_keeps_its_share_over_a_change_of_speed_and_over_a_stop(tiny_mode
 def test_what_cannot_go_faster_is_not_asked_for_more_and_more(tiny_model: MotionModel) -> None:
     slowest, fastest = tiny_model.speed_range("walking") or (0.0, 0.0)
     assert 0.0 < slowest < 90.0 < fastest
-    assert go(SpeedTrim(GaitLimits(tiny_model)), WALKS, 0.2, 20.0)[1] <= min(LIMITS[1] * 90.0, fastest) + 1e-6
+    assert go(SpeedTrim(tiny_model), WALKS, 0.2, 20.0)[1] <= min(TRIM.limits[1] * 90.0, fastest) + 1e-6
     beyond = (0.0, fastest + 50.0)
-    assert go(SpeedTrim(GaitLimits(tiny_model)), beyond, 0.2, 20.0) == pytest.approx(beyond)
+    assert go(SpeedTrim(tiny_model), beyond, 0.2, 20.0) == pytest.approx(beyond)
 
 
 def test_a_body_pushed_backwards_by_a_wish_of_nothing_stands(tiny_model: MotionModel) -> None:
-    trim = SpeedTrim(GaitLimits(tiny_model))
+    trim = SpeedTrim(tiny_model)
     assert trim("walking", (0.0, 10.0), (0.0, 0.0)) == (0.0, 10.0), "so slow a wish is one to stand"
 
 

@@ -7,9 +7,8 @@ import pytest
 
 import motionkit as mk
 from model_changes import with_clips
-from motionkit.control.follow import speed_profile
 from motionkit.control.path import Path2D, shape_path
-from motionkit.control.speeds import check_speeds, other_speeds, part_speeds
+from motionkit.control.speeds import check_speeds, other_speeds, part_speeds, speed_profile
 from motionkit.errors import ControlError
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip, recorded_speeds

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -10,12 +10,16 @@ import pytest
 from model_changes import with_clips
 from motionkit.arrays import Array
 from motionkit.control.motion_index import STATE_FRAMES
-from motionkit.control.script import TypePart, crowd_controller, plan_controls
+from motionkit.control.opening import Shown
+from motionkit.control.plan import plan_types
+from motionkit.control.planned_controls import CrowdController
+from motionkit.control.script import TypePart
 from motionkit.control.standing import BRAKING, SETTLING
 from motionkit.features.control import Controls
 from motionkit.features.reference import EMBEDDING_COUNT
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip
+from planned import controls_of
 
 NEAR = np.zeros((len(STATE_FRAMES), EMBEDDING_COUNT), np.float32)
 
@@ -44,17 +48,31 @@ def embedding_of(model: MotionModel, features: Array) -> Array:
     return model.pose_embedding.of(features)
 
 
+@dataclass
+class Body:
+    """A character whose last frame is always the same."""
+
+    features: Array
+
+
 def rolled(model: MotionModel, parts: list[TypePart], present: Array | None) -> list[Controls]:
     """The controls of every frame of one character whose last frame is always the same (276,)."""
-    controller = crowd_controller(
-        model, [parts], [NEAR], [0], present=None if present is None else lambda: present[None]
-    )
+    bodies = None if present is None else Body(present[None])
+    controller = CrowdController(model, [plan_types(model, parts, Shown(NEAR))], bodies=bodies)
     frames = sum(round(part.seconds * 60) for part in parts)
-    # What was read is changed later on: a copy.
-    return [
-        replace(asked, reference=asked.reference.copy(), reference_gain=asked.reference_gain.copy())
-        for asked in (controller(frame, np.zeros((1, 3))) for frame in range(frames))
-    ]
+    return [controller(frame, np.zeros((1, 3))) for frame in range(frames)]
+
+
+def test_controls_stay_as_they_were_read(tiny_model: MotionModel) -> None:
+    """A frame that is read twice is the same, and later stances change nothing that was read before."""
+    model = going_model(tiny_model, 130.0)
+    body = Body(model.types["idle"].start_poses[0].features[-1:])
+    plan = plan_types(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], Shown(NEAR))
+    controller = CrowdController(model, [plan], bodies=body)
+    made = controller.controls.reference.copy()
+    shown = [controller(frame, np.zeros((1, 3))).reference.copy() for frame in range(300)]
+    again = [controller(frame, np.zeros((1, 3))).reference for frame in range(300)]
+    assert np.array_equal(shown, again) and np.array_equal(controller.controls.reference, made)
 
 
 @pytest.mark.parametrize(("speed", "brakes"), [(130.0, False), (300.0, True)])
@@ -62,7 +80,7 @@ def test_a_run_is_braked_and_a_walk_stops_by_itself(
     tiny_model: MotionModel, speed: float, brakes: bool
 ) -> None:
     model = going_model(tiny_model, speed)
-    asked = plan_controls(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], NEAR)
+    asked = controls_of(model, [TypePart("walking", 1.0), TypePart("idle", 4.0)], NEAR)
     assert (
         not asked.reference_gain[60 : 60 + SETTLING].any() and not asked.reference[60 : 60 + SETTLING].any()
     )
@@ -103,9 +121,7 @@ def test_no_recordings_in_a_stance_unlike_all_that_are_recorded(tiny_model: Moti
 
 def test_who_stands_from_the_beginning_is_shown_recordings_at_once(tiny_model: MotionModel) -> None:
     model = going_model(tiny_model, 130.0)
-    asked = plan_controls(model, [TypePart("idle", 1.0), TypePart("idle", 1.0)], NEAR)
+    asked = controls_of(model, [TypePart("idle", 1.0), TypePart("idle", 1.0)], NEAR)
     assert asked.reference_gain.all()
-    bare = plan_controls(
-        model.with_reference("none"), [TypePart("walking", 1.0), TypePart("idle", 1.0)], NEAR
-    )
+    bare = controls_of(model.with_reference("none"), [TypePart("walking", 1.0), TypePart("idle", 1.0)], NEAR)
     assert not bare.reference_gain.any()

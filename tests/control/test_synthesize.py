@@ -17,6 +17,7 @@ from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import clip_start, type_start
 from motionkit.inference.step import NetworkStep
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_to_motion, read_bvh, write_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -269,7 +270,7 @@ def test_a_type_takes_its_share_of_the_noise(tiny_model: MotionModel) -> None:
 def test_feet_hold_the_root_of_all_but_standing_bodies(tiny_model: MotionModel) -> None:
     weights = np.eye(len(tiny_model.types), dtype=np.float32)
     stand, walk = tiny_model.type_id("idle"), tiny_model.type_id("walking")
-    assert tiny_model.types["idle"].stands
+    assert tiny_model.kind("idle") is MotionKind.STANCE
     mixed = 0.25 * weights[stand] + 0.75 * weights[walk]
     assert tiny_model.root_hold(np.stack([weights[stand], weights[walk], mixed])).tolist() == [0.0, 1.0, 0.75]
 

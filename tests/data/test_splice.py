@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motionkit.control.reference_player import Pause
+from motionkit.control.blending import Pause
 from motionkit.data.dataset import Clip, ClipData, Dataset
 from motionkit.data.splice import HEAD, TAIL, splice_clips
 from motionkit.features.decode import decode_motion

@@ -13,7 +13,7 @@ import torch
 
 from motionkit.control.follow import follow_path
 from motionkit.control.path import shape_path
-from motionkit.control.script import parse_types, plan_controls
+from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.data.dataset import Dataset
 from motionkit.errors import ModelError
@@ -37,6 +37,7 @@ from motionkit.training.presets import train_options
 from motionkit.training.sampler import LEAST_CUT, WindowSampler
 from motionkit.training.trainer import train
 from motionkit.training.windows import ControlSampling, SamplerOptions
+from planned import controls_of
 
 SMALL = {"width": 48, "heads": 4, "ffn": 96, "layers": 2, "control_width": 16, "control_embedding": 24}
 
@@ -284,7 +285,7 @@ def test_a_path_can_be_followed(paper_model: MotionModel) -> None:
 def test_plans_name_the_types_ahead(paper_model: MotionModel) -> None:
     names = paper_model.type_names
     parts = parse_types(f"{names[0]}:1,{names[1]}:1")
-    asked = plan_controls(paper_model, parts, np.zeros((2, 24), np.float32))
+    asked = controls_of(paper_model, parts, np.zeros((2, 24), np.float32))
     assert asked.types_ahead is not None and asked.types_ahead.shape == (120, 6, len(names))
     assert asked.types_ahead[35, -1, 1] > 0.9 and asked.type_weights[35, 0] > 0.9
 

@@ -21,8 +21,6 @@ import motionkit as mk
 from motionkit.arrays import Array, Floats
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.errors import ModelError, MotionkitError
-from motionkit.evaluation.body import body_of
-from motionkit.evaluation.detectors import DETECTORS, detection_windows
 from motionkit.export.onnx_export import every_control
 from motionkit.export.page_tracks import type_tracks
 from motionkit.features.control import Controls
@@ -30,6 +28,8 @@ from motionkit.inference.character import CharacterStream, model_first_type
 from motionkit.inference.step_arrays import TILE
 from motionkit.inference.step_kernel import StepProgram
 from motionkit.inference.step_weights import ModuleWeights, StepWeights, pack
+from motionkit.metrics.body import body_of
+from motionkit.metrics.detectors import DETECTORS, detection_windows
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import Variant
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
@@ -244,7 +244,7 @@ def test_every_type_with_recordings_has_tracks_and_seeds_differ() -> None:
         assert bool(tracks) == (bool(kind.reference_clips) and not kind.stands)
         poses = {track.poses[:60].tobytes() for track in tracks}
         assert len(poses) >= min(len(tracks), 2)
-        assert all(bool(track.performance) == kind.has_phase for track in tracks)
+        assert all(bool(track.performance) == kind.kind.phased for track in tracks)
 
 
 @pytest.mark.parametrize("kind", ["cartwheel", "backflip", "punching", "running"])

@@ -165,7 +165,7 @@ def test_a_path_ends_with_an_arrival(session: Session) -> None:
     assert character is not None
     ask(session, 1, "path", points=[[0, 0], [0, 40]], type="walking", speed=300)
     assert play(session, 1)[0].characters[0].following is not None
-    character.driver._follower.arc = 40.0  # the tiny model cannot walk there by itself
+    character.driver.follower.place.arc = 40.0  # the tiny model cannot walk there by itself
     character.stream.state.frame.ground[0, 1] = 40.0
     assert play(session, 1)[0].arrived == (character.id,)
     assert play(session, 1)[0].arrived == ()

@@ -15,7 +15,7 @@ from motionkit.data.preprocess import preprocess
 from motionkit.features.control import ControlLayout
 from motionkit.features.reference import EMBEDDING_COUNT, REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MOVEMENT_FRAMES, MotionType, ReferenceClip
+from motionkit.models.motion_type import MOVEMENT_FRAMES, MotionKind, MotionType, ReferenceClip
 from motionkit.models.network import PartTransformer
 from motionkit.models.presets import preset
 from motionkit.motion.bvh import write_bvh
@@ -160,7 +160,7 @@ def test_what_is_steered_is_found_from_the_motion(dataset: Dataset) -> None:
     network = PartTransformer(preset("tiny"), ControlLayout(dataset.types).size)
     model = bundle_model(network.weights(), dataset, {})
     assert {name for name, kind in model.types.items() if kind.steered} == {"idle", "walking", "running"}
-    assert [name for name, kind in model.types.items() if kind.stands] == ["idle"]
+    assert [name for name in model.types if model.kind(name) is MotionKind.STANCE] == ["idle"]
     noise = {name: kind.preset.noise_scale for name, kind in model.types.items()}
     assert noise["idle"] > noise["running"] == noise["cartwheel"], "a standing body needs noise to sway"
 

@@ -8,29 +8,22 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.first_steps import FirstSteps
 from motionkit.control.follow import PathFollower
-from motionkit.control.gait_limits import GaitLimits
-from motionkit.control.path import SPACING, Path2D
+from motionkit.control.gait_limits import within_limits
+from motionkit.control.memory import FirstSteps, Performance, Performances, Request, SpeedTrim, TypeBlend
+from motionkit.control.path import Path2D
+from motionkit.control.plan import plan_path
 from motionkit.control.reference_player import ReferencePlayer
-from motionkit.control.speed_trim import SpeedTrim
-from motionkit.control.steering import (
-    STANDS_BELOW,
-    Steering,
-    SteeringOptions,
-    steered_type,
-)
+from motionkit.control.steering import STANDS_BELOW, Pair, Steering, SteeringOptions, steered_type
 from motionkit.errors import ControlError
 from motionkit.features.control import Controls
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.names import nfc
 
 DEFAULT_SECONDS = 2.0  # of a performance of a type that has no length of its own
 PATH = ""  # stands for a type where a path names the types
 _TRAJECTORY = ("trajectory", "trajectory_mask")
-AFTER_EVENT = 10  # frames of the recording that follow a strike or jump
-
-
 FASTEST_WISH = 1000.0  # cm/s
 
 
@@ -63,18 +56,38 @@ class DriveOptions:
     blend_frames: int = 12
 
 
-@dataclass(frozen=True)
-class _Performance:
-    """A type shown once; its first frame is due at frame begins."""
+class GaitDriver:
+    """How a live character goes and stands: the spring it is steered by, the speed it lacks, and its first steps."""
 
-    type: str
-    begins: int
-    controls: Controls
+    def __init__(self, model: MotionModel, options: SteeringOptions, choice: int) -> None:
+        """choice picks among the recordings of first steps."""
+        self.model = model
+        self.steering = Steering(model.fps, options)
+        self.trim = SpeedTrim(model)
+        self.first_steps = FirstSteps(model, choice)
 
     @property
-    def frames(self) -> int:
-        """How long it takes."""
-        return len(self.controls.phase)
+    def speed(self) -> float:
+        """The speed of the spring in cm/s."""
+        return math.hypot(*self.steering.velocity)
+
+    def trajectory(self, kind: str, velocity: Pair, facing: float | None) -> tuple[Array, Array]:
+        """The trajectory (1, 24) of a type that is to go as wished, and how far feet may hold the root (1,)."""
+        if facing is None and math.hypot(*velocity) >= STANDS_BELOW:
+            gait = self.model.types[kind].gait
+            facing = math.atan2(*velocity) - (0.0 if gait is None else gait.facing)
+        velocity, facing = within_limits(self.model, kind, velocity, facing)
+        velocity = self.trim(kind, velocity, self.steering.measured)
+        settled = np.array([self.steering.settled(velocity)], np.float32)
+        return np.array([self.steering.trajectory(velocity, facing)], np.float32), settled
+
+    def first_steps_of(self, kind: str, stood: bool, asked: Controls) -> Controls:
+        """The controls (1, ...) of a gait or of standing, with recordings for the first steps from standing."""
+        if stood and self.model.kind(kind) is MotionKind.GAIT:
+            self.first_steps.begin(kind)
+        if self.first_steps.takes(kind):
+            return self.first_steps.reference(asked, asked.trajectory)
+        return asked
 
 
 class Driver:
@@ -91,23 +104,24 @@ class Driver:
         options: DriveOptions | None = None,
         choice: int = 0,
     ) -> None:
-        """kind is the type of the frames the character starts from; by default that of one who stands.
+        """kind is the type of the frames the character starts from; by default that of standing.
 
         choice picks among the recordings of what is wished for: two characters with the same one dance alike.
         """
         self.model, self.options, self.choice = model, options or DriveOptions(), choice
         self.wish = Wish()
-        self.type = kind or steered_type(model, (0.0, 0.0), None)
-        self.steering = Steering(model.fps, self.options.steering)
-        self._limits = GaitLimits(model)
-        self._trim = SpeedTrim(self._limits)
-        self._player, self._played = ReferencePlayer(model, choice), ""
-        self._first_steps = FirstSteps(model, choice)
-        self._follower: PathFollower | None = None
-        self._performance: _Performance | None = None
-        self._waiting: tuple[str, float, int] | None = None
-        self._weights = self._one(self.type)
-        self._from, self._target, self._blended = self._weights, self.type, self.options.blend_frames
+        self.gaits = GaitDriver(model, self.options.steering, choice)
+        self.performances = Performances(model, self.options.blend_frames)
+        self.blend = TypeBlend(
+            model, kind or steered_type(model, (0.0, 0.0), None), self.options.blend_frames
+        )
+        self.follower: PathFollower | None = None
+        self._player, self._played = ReferencePlayer(model, choice), ""  # of types that recordings move
+
+    @property
+    def type(self) -> str:
+        """The type that is shown, or gone over to."""
+        return self.blend.type
 
     def set_wish(self, wish: Wish) -> None:
         """Follow another wish from the next frame on; raises ControlError for an unknown type or an unlikely number."""
@@ -122,7 +136,9 @@ class Driver:
             wish = replace(wish, type=kind)
         if wish.path is not self.wish.path:
             path = wish.path
-            self._follower = None if path is None else PathFollower(self.model, path, self.choice)
+            self.follower = (
+                None if path is None else PathFollower(self.model, plan_path(self.model, path), self.choice)
+            )
         self.wish = wish
 
     def perform(self, kind: str, seconds: float = DEFAULT_SECONDS, choice: int = 0) -> None:
@@ -137,101 +153,66 @@ class Driver:
         """
         kind = nfc(kind)
         self.model.type_id(kind)
-        self._waiting = (kind, seconds, choice)
+        self.performances.waiting = Request(kind, seconds, choice)
 
     @property
     def performing(self) -> str | None:
         """The type that is being shown once, if any."""
-        return None if self._performance is None else self._performance.type
+        return None if self.performances.shown is None else self.performances.shown.type
 
     @property
     def following(self) -> float | None:
         """The share of the path that lies behind, None where none is followed."""
-        if self._follower is None:
-            return None
-        return min(1.0, self._follower.arc / max(self._follower.path.length - SPACING, SPACING))
+        return None if self.follower is None else self.follower.place.share
 
     def __call__(self, frame: int, ground: Array) -> Controls:
         """Controls (1, ...) of a frame; frame counts up by one at each call, ground (1, 3) is where the body is."""
-        self._take_turns(frame)
-        shown = self._performance
-        free = self.wish.velocity is None or self._follower is not None or shown is not None
+        shown = self.performances.take_turns(frame, self.gaits.speed, self._repeated())
+        free = self.wish.velocity is None or self.follower is not None or shown is not None
         x, z, heading = ground[0].tolist()
-        self.steering.observe(x, z, heading, free)
-        kind, asked = self._steer() if self._follower is None else self._follow(self._follower, frame, ground)
+        self.gaits.steering.observe(x, z, heading, free)
+        kind, asked = self._wished() if self.follower is None else self._follow(self.follower, frame, ground)
         if shown is not None:
             kind, asked = self._show(shown, frame, kind, asked)
-        return replace(asked, type_weights=self._blend(kind, asked.type_weights[0])[None])
+        return replace(asked, type_weights=self.blend(kind, asked.type_weights[0])[None])
 
-    def _take_turns(self, frame: int) -> None:
-        """End a performance that is over, begin the one that waits, and repeat one the wish holds on to."""
-        over = self._performance
-        if over is not None and frame < over.begins + over.frames:
-            return
-        self._performance = None
+    def _repeated(self) -> Request | None:
+        """A performance, strike or jump that the wish holds on to."""
         held = self.wish.type
-        if self._waiting is None and self._follower is None and held and self.model.phase_seconds(held):
-            self._waiting = (held, DEFAULT_SECONDS, self.choice)
-        if self._waiting is None:
-            return
-        kind, seconds, choice = self._waiting
-        self._waiting = None
-        length = round(self.model.phase_seconds(kind) * self.model.fps)
-        player = ReferencePlayer(self.model, choice)
-        player.begin(kind, speed=math.hypot(*self.steering.velocity))
-        if not self.model.types[kind].performed:
-            event = player.event_frames()
-            length = event + AFTER_EVENT if event else 0
-        # Weights cross the middle of their blend as the first frame is due, as they do in training.
-        begins = frame if over is not None and over.type == kind else frame + self.options.blend_frames // 2
-        controls = player.play(max(1, length or round(seconds * self.model.fps)))
-        self._performance = _Performance(kind, begins, controls)
+        if self.follower is None and held and self.model.kind(held).phased:
+            return Request(held, DEFAULT_SECONDS, self.choice)
+        return None
 
-    def _steer(self) -> tuple[str, Controls]:
+    def _wished(self) -> tuple[str, Controls]:
         """The type and the controls of the wish."""
         wish = self.wish
         if wish.velocity is None:
-            return self._with_reference(wish.type or steered_type(self.model, (0.0, 0.0), None), None)
+            kind = wish.type or steered_type(self.model, (0.0, 0.0), None)
+            return kind, without_trajectory(self._recorded(kind, None))
         kind = wish.type or steered_type(self.model, wish.velocity, wish.facing)
-        facing = wish.facing
-        if facing is None and math.hypot(*wish.velocity) >= STANDS_BELOW:
-            gait = self.model.types[kind].gait
-            facing = math.atan2(*wish.velocity) - (0.0 if gait is None else gait.facing)
-        velocity, facing = self._limits.nearest(kind, wish.velocity, facing)
-        velocity = self._trim(kind, velocity, self.steering.measured)
-        settled = np.array([self.steering.settled(velocity)], np.float32)
-        trajectory = np.array([self.steering.trajectory(velocity, facing)], np.float32)
-        if self.model.types[kind].steered:
-            self._played = ""
-            asked = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
-            if self._goes_from_standing(kind):
-                self._first_steps.begin(kind)
-            if self._first_steps.takes(kind):
-                asked = self._first_steps.reference(asked, trajectory)
-            return kind, asked.with_mask(1.0)
-        return self._with_reference(kind, trajectory)
+        trajectory, settled = self.gaits.trajectory(kind, wish.velocity, wish.facing)
+        if not self.model.kind(kind).steered:
+            return kind, self._recorded(kind, trajectory)
+        self._played = ""
+        asked = replace(self._free(kind), trajectory=trajectory, slip_correction=settled)
+        stood = self.model.kind(self.blend.target) is MotionKind.STANCE
+        return kind, self.gaits.first_steps_of(kind, stood, asked).with_mask(1.0)
 
-    def _goes_from_standing(self, kind: str) -> bool:
-        """Whether this frame is the first of a gait after standing."""
-        known = self.model.types
-        return known[kind].goes and self._target in known and known[self._target].stands
-
-    def _with_reference(self, kind: str, trajectory: Array | None) -> tuple[str, Controls]:
-        """A type with its reference clips, for as long as it is wished."""
+    def _recorded(self, kind: str, trajectory: Array | None) -> Controls:
+        """Controls (1, ...) of a type that its recordings move, for as long as it is wished."""
         if kind != self._played:
-            self._player.begin(kind, speed=math.hypot(*self.steering.velocity))
+            self._player.begin(kind, speed=self.gaits.speed)
             self._played = kind
-        asked = self._player.play(1, trajectory)
-        return kind, asked if trajectory is not None else without_trajectory(asked)
+        return self._player.play(1, trajectory)
 
     def _follow(self, follower: PathFollower, frame: int, ground: Array) -> tuple[str, Controls]:
         """The controls of a path, which has type weights of its own."""
         asked = follower(frame, ground)
-        if follower.arc >= follower.path.length - SPACING:
-            self._follower, self.wish = None, Wish()
+        if follower.place.at_end:
+            self.follower, self.wish = None, Wish()
         return PATH, asked
 
-    def _show(self, shown: _Performance, frame: int, kind: str, otherwise: Controls) -> tuple[str, Controls]:
+    def _show(self, shown: Performance, frame: int, kind: str, otherwise: Controls) -> tuple[str, Controls]:
         """The controls of a performance; before its first frame is due and in its last ones, only some of them."""
         at = frame - shown.begins
         if at < 0:
@@ -246,28 +227,13 @@ class Driver:
         if not asked.trajectory_mask.any():
             # A standing character that kicks is not held in place; a moving one keeps its trajectory.
             speed = math.hypot(*(self.wish.velocity or (0.0, 0.0)))
-            if self._follower is not None or speed >= STANDS_BELOW:
+            if self.follower is not None or speed >= STANDS_BELOW:
                 asked = replace(asked, **{name: getattr(otherwise, name) for name in _TRAJECTORY})
         return kind, asked
 
-    def _blend(self, kind: str, goal: Array) -> Array:
-        """Type weights (N,) on their way to a goal, which they reach within blend_frames of a change of kind."""
-        if kind != self._target:
-            self._from, self._target, self._blended = self._weights, kind, 0
-        self._blended += 1
-        share = min(1.0, self._blended / max(1, self.options.blend_frames))
-        self._weights = self._from + share * (goal - self._from)
-        self.type = kind or self.model.type_names[int(goal.argmax())]
-        return self._weights
-
     def _free(self, kind: str) -> Controls:
         """Controls (1, ...) of a type alone."""
-        return Controls.of_types(self._one(kind)[None])
-
-    def _one(self, kind: str) -> Array:
-        weights = np.zeros(len(self.model.types), np.float32)
-        weights[self.model.type_id(kind)] = 1.0
-        return weights
+        return Controls.of_types(self.model.type_weights(kind)[None])
 
 
 def without_trajectory(controls: Controls) -> Controls:

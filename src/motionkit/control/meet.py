@@ -16,6 +16,8 @@ import numpy as np
 
 from motionkit.arrays import Array, lerp
 from motionkit.control.keys import Key, smoothed_step, travel_direction
+from motionkit.control.opening import Opening
+from motionkit.control.plan import Plan
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
 from motionkit.features.heading import heading_angles
@@ -54,14 +56,6 @@ SOLVED = 1.0  # cm; a joint that stays further from its point is out of reach
 
 
 @dataclass(frozen=True, eq=False)
-class Beginning:
-    """What is before the first frame: its place (3,) x, z and heading, and embeddings (S, 24) of the last poses."""
-
-    ground: Array
-    poses: Array
-
-
-@dataclass(frozen=True, eq=False)
 class Stretch:
     """What a recording does in the frames first to end, the frame before the motion being -1.
 
@@ -81,21 +75,21 @@ class Stretch:
 
 
 def matched_stretches(
-    model: MotionModel, keys: Sequence[Key], begin: Beginning, types: Array, way: Array | None
+    model: MotionModel, keys: Sequence[Key], begin: Opening, types: Array, way: Array | None
 ) -> list[Stretch]:
     """For each key with a pose the stretch of a recording of its type that leads from the pose before to the key's.
 
     The pose before is that of the beginning or of the key before, if that is at most LONGEST_STRETCH away.
     """
     out = []
-    before: tuple[int, Array] | None = (-1, begin.poses[0])
+    before: tuple[int, Array] | None = (-1, begin.shown.poses[0])
     for key in keys:
         at = round(key.seconds * model.fps)
         if key.pose is not None and before is not None and 0 < at - before[0] <= LONGEST_STRETCH * model.fps:
             kind = model.types[model.type_names[int(types[min((before[0] + at) // 2, len(types) - 1)])]]
             travel = None
             if way is not None and key.position is not None:
-                start = begin.ground if before[0] < 0 else way[min(before[0], len(way) - 1)]
+                start = begin.start.ground[0] if before[0] < 0 else way[min(before[0], len(way) - 1)]
                 travel = _travel(np.asarray(start, np.float64)[None], way[min(at, len(way) - 1)][None])[0]
             found = _stretch(kind, before[1], key.pose.embedding, at - before[0], travel)
             if found is not None:
@@ -183,19 +177,17 @@ class KeyedController:
         self,
         model: MotionModel,
         base: Controller,
-        keys: Sequence[Key],
-        begin: Beginning,
-        types: Array,
+        plan: Plan,
+        begin: Opening,
         share: float,
     ) -> None:
-        """types are the type ids (T,) of the frames, share the length of the legs relative to the default body's."""
-        self.model, self.base, self.keys = model, base, keys
-        self.way = planned_way(keys, begin.ground, model.fps, share)
-        self.stretches = matched_stretches(model, keys, begin, types, self.way)
+        """Take a plan with keys; share is the length of the legs relative to the default body's."""
+        self.model, self.base, keys = model, base, plan.keys
+        self.way = planned_way(keys, begin.start.ground[0], model.fps, share)
+        self.stretches = matched_stretches(model, keys, begin, plan.track, self.way)
         if self.way is not None:
-            self.way = recorded_way(self.way, self.stretches, begin.ground)
-        steered = {model.type_id(name) for name, kind in model.types.items() if kind.steered}
-        self.steered = np.array([i in steered for i in range(len(model.types))], np.float32)
+            self.way = recorded_way(self.way, self.stretches, begin.start.ground[0])
+        self.steered = np.array([known.kind.steered for known in model.types.values()], np.float32)
         met = {stretch.end for stretch in self.stretches}
         poses = [(round(key.seconds * model.fps), key.pose.embedding) for key in keys if key.pose is not None]
         self.poses = [pose for pose in poses if pose[0] not in met]

@@ -10,10 +10,10 @@ from motionkit.arrays import Array
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls, future_trajectory
 
 # cm/s^2 by which speed changes in a transition; strides add as much again, and recorded gaits stay below the sum in
-# 99.9 % of their frames.
+# 99.9 % of their frames (measured).
 CHANGE = 350.0
-LEAST = 60.0  # cm/s; smaller changes of speed are left to the network
-SPAN = 10  # frames over which a speed is measured
+LEAST = 60.0  # cm/s; smaller changes of speed are left to the network; chosen
+SPAN = 10  # frames over which a speed is measured; chosen
 
 
 def forward_speeds(ground: Array, fps: float) -> Array:

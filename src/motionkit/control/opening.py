@@ -5,12 +5,32 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from motionkit.arrays import Array
-from motionkit.control.reference_player import frames_behind, last_poses, last_speed
+from motionkit.control.momentum import ground_speeds
+from motionkit.control.motion_index import STATE_FRAMES
+from motionkit.control.recording_choice import frames_behind
+from motionkit.features.decode import integrate_ground
 from motionkit.inference.start import Start, clip_start, on_body, type_start
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton
+
+
+@dataclass(frozen=True, eq=False)
+class Shown:
+    """What a body has shown before its first frame.
+
+    Attributes:
+        poses: (S, 24) pose embeddings of its last frames (last_poses).
+        behind: frames of the first type's performance.
+        speed: over the ground in cm/s at the end; None if it is not known.
+    """
+
+    poses: Array
+    behind: int = 0
+    speed: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -19,17 +39,13 @@ class Opening:
 
     Attributes:
         start: the frames, on the character's body.
-        near: (S, 24) pose embeddings of the last of them (last_poses).
+        shown: what they show.
         length: frames of the performance that the start pose begins; 0 for other types, and for frames of a clip.
-        behind: frames of the first type's performance that they have shown already.
-        speed: over the ground in cm/s at their end.
     """
 
     start: Start
-    near: Array
+    shown: Shown
     length: float
-    behind: int
-    speed: float
 
 
 def opening(
@@ -47,11 +63,25 @@ def opening(
         MotionkitError: for a file that cannot be used, or a type without start poses.
     """
     start = type_start(model, kind, choice=choice) if init is None else clip_start(model, init, 1)
-    shown = start.features[0]
-    near, speed = last_poses(model, shown), last_speed(model, shown)
+    features = start.features[0]
+    poses, speed = last_poses(model, features), last_speed(model, features)
     if init is not None:
-        return Opening(on_body(model, start, body), near, 0.0, frames_behind(model, kind, near), speed)
+        shown = Shown(poses, frames_behind(model, kind, poses), speed)
+        return Opening(on_body(model, start, body), shown, 0.0)
     # A start pose is the beginning of a performance; what comes after it goes on from there.
     length = model.phase_seconds(kind) * model.fps
-    behind = len(shown) if length else 0
-    return Opening(on_body(model, start, body), near, length, behind, speed)
+    shown = Shown(poses, len(features) if length else 0, speed)
+    return Opening(on_body(model, start, body), shown, length)
+
+
+def last_poses(model: MotionModel, features: Array) -> Array:
+    """Pose embeddings (S, 24) of the frames of (T, 276) that are STATE_FRAMES before the last."""
+    return model.pose_embedding.of(features[[max(0, len(features) - 1 - before) for before in STATE_FRAMES]])
+
+
+def last_speed(model: MotionModel, features: Array) -> float:
+    """Speed over the ground in cm/s at the last of frames (T, 276); 0 at one alone."""
+    if len(features) < 2:
+        return 0.0
+    ground = integrate_ground(features, np.zeros(3), model.fps, model.config.layout)
+    return float(ground_speeds(ground, model.fps)[-1])

@@ -1,44 +1,57 @@
-"""How fast a path is gone along: what is asked for, within what recordings of the type show."""
+"""Speeds along a path: what is asked for, within what recordings of the type show."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.path import METRE, SPACING, Path2D
+from motionkit.control.steering import WALK_SPEED, steered_type
 from motionkit.errors import ControlError
 from motionkit.metrics.pace import PACE_SECONDS, ground_acceleration
 from motionkit.models.model import MotionModel
 
-DEFAULT_SPEED = 130.0  # cm/s, for a type the model has no speed of
-SLOWEST = 20.0  # cm/s, at least
+
+@dataclass(frozen=True)
+class ProfileSettings:
+    """Speeds along a path. All numbers but the acceleration are chosen."""
+
+    default: float = WALK_SPEED  # cm/s, for a type the model has no speed of
+    slowest: float = 20.0  # cm/s of a part at least
+    creep: float = 10.0  # cm/s at a stop
+    acceleration: float = 220.0  # cm/s^2 at most; 98 % of the frames of recorded runs brake less
+    sharp: float = -0.8  # cosine between the directions before and after a turn that bodies slow down for
+    turn_speed: float = 30.0  # cm/s at such a turn; faster bodies leap around it
+    beside_turn: int = 3  # points of the path to both sides that tell the directions
+    too_slow: float = 0.99  # share of the slowest recorded speed of a run, below which a body walks
+    short: float = 0.5  # share of its time in which a performance may not be shown
+
+
+PROFILE = ProfileSettings()
 # Of the recorded frames of a motion's types are below its limit; the others are outliers, and peaks that held feet add.
 RECORDED_SHARE = 0.997
 USUAL = 3.5  # m/s^2; any body accelerates so hard where it begins to do something else
-SHORT = 0.5  # share of its time in which a performance may not be shown
 
 
 def asked_speeds(model: MotionModel, path: Path2D) -> Array:
     """Speed (N,) in cm/s that is asked for on each part, else what is usual for its type."""
-    known = [model.types.get(part.type) for part in path.parts]
-    gaits = [None if kind is None else kind.gait for kind in known]
-    typical = [DEFAULT_SPEED if gait is None else gait.speed for gait in gaits]
-    wanted = [s if part.speed is None else part.speed for part, s in zip(path.parts, typical, strict=True)]
-    return np.maximum(np.array(wanted, np.float32), SLOWEST)
+    speeds = []
+    for part in path.parts:
+        gait = model.types[part.type].gait if part.type in model.types else None
+        usual = PROFILE.default if gait is None else gait.speed
+        speeds.append(usual if part.speed is None else part.speed)
+    return np.maximum(np.array(speeds, np.float32), PROFILE.slowest)
 
 
 def part_speeds(model: MotionModel, path: Path2D) -> Array:
-    """Speed (N,) in cm/s with which each part is gone along: a gait's goes no further than its speed range.
+    """Speed (N,) in cm/s of each part: for gaits within their speed range.
 
     Beyond it a network glides: feet hardly leave the ground, or hardly touch it.
     """
-    return _within_ranges(model, path, asked_speeds(model, path))
-
-
-def _within_ranges(model: MotionModel, path: Path2D, asked: Array) -> Array:
-    speeds = asked.copy()
+    speeds = asked_speeds(model, path)
     for number, part in enumerate(path.parts):
         span = model.speed_range(part.type)
         if span is not None and part.speed is not None:
@@ -59,9 +72,8 @@ def short_performances(model: MotionModel, path: Path2D) -> list[str]:
     lines = []
     speeds, lengths = part_speeds(model, path), np.bincount(path.part, minlength=len(path.parts)) * SPACING
     for number, (part, speed, length) in enumerate(zip(path.parts, speeds, lengths, strict=True), 1):
-        kind = model.types.get(part.type)
-        seconds = 0.0 if kind is None or not kind.has_phase else model.phase_seconds(part.type)
-        if float(length / speed) < SHORT * seconds:
+        seconds = model.phase_seconds(part.type)
+        if float(length / speed) < PROFILE.short * seconds:
             lines.append(
                 f"part {number}: {part.type} takes some {seconds * float(speed) / METRE:.1f} m, found "
                 f"{float(length) / METRE:.1f} m, in which it may not be shown"
@@ -80,8 +92,7 @@ def check_speeds(model: MotionModel, path: Path2D) -> None:
 
 def _changed(model: MotionModel, path: Path2D) -> Iterator[tuple[int, str, float, float]]:
     """Number, type, asked speed and speed gone in cm/s of each part where these differ."""
-    wanted = asked_speeds(model, path)
-    speeds = wanted.tolist(), _within_ranges(model, path, wanted).tolist()
+    speeds = asked_speeds(model, path).tolist(), part_speeds(model, path).tolist()
     for number, (part, asked, gone) in enumerate(zip(path.parts, *speeds, strict=True), 1):
         if asked != gone:
             yield number, part.type, asked, gone
@@ -91,6 +102,48 @@ def _recorded(model: MotionModel, kind: str) -> str:
     span = model.speed_range(kind)
     assert span is not None, "only types with recorded speeds have limits"
     return f"{span[0] / METRE:.2f} to {span[1] / METRE:.2f} m/s by its recordings"
+
+
+def speed_profile(model: MotionModel, path: Path2D) -> Array:
+    """Speed (N,) in cm/s at each point of the path, which changes no faster than bodies brake and start, to each stop.
+
+    The beginning is as fast as its part: start poses are in motion.
+    """
+    speeds = part_speeds(model, path)[path.part].astype(np.float64)
+    sharp = _sharp_turns(path)
+    speeds[sharp] = np.minimum(speeds[sharp], PROFILE.turn_speed)
+    for place, _ in path.stops:
+        speeds[path.nearest(place)] = PROFILE.creep
+    # The square of the speed changes evenly along the way: no point's is more than so much above another's.
+    slope = 2.0 * PROFILE.acceleration * SPACING * np.arange(len(speeds))
+    squares = np.minimum.accumulate(speeds * speeds - slope) + slope
+    squares = np.minimum.accumulate((squares + slope)[::-1])[::-1] - slope
+    return np.sqrt(squares).astype(np.float32)
+
+
+def shown_types(model: MotionModel, path: Path2D, speeds: Array) -> Array:
+    """The type id (N,) at each point: a run becomes a walk where the path is slower than any recorded run.
+
+    Args:
+        speeds: (N,) speed_profile. It is slow around stops and sharp turns.
+    """
+    shown = np.array([model.type_id(part.type) for part in path.parts])[path.part]
+    walk = steered_type(model, (0.0, WALK_SPEED), 0.0)
+    slower = model.speed_range(walk)
+    for number, part in enumerate(path.parts):
+        gait, span = model.types[part.type].gait, model.speed_range(part.type)
+        if gait and span and slower and gait.runs and slower[0] < span[0]:
+            shown[(path.part == number) & (speeds < PROFILE.too_slow * span[0])] = model.type_id(walk)
+    return shown
+
+
+def _sharp_turns(path: Path2D) -> Array:
+    """Whether the path turns sharply at each point (N,)."""
+    beside = PROFILE.beside_turn
+    before, after = path.tangents[: -2 * beside], path.tangents[2 * beside :]
+    sharp = np.zeros(len(path.points), bool)
+    sharp[beside : len(sharp) - beside] = (before * after).sum(axis=-1) < PROFILE.sharp
+    return sharp
 
 
 def acceleration_limit(model: MotionModel, kinds: Iterable[str]) -> float | None:

@@ -1,8 +1,8 @@
-"""The coming second of a character that is steered: a made-up trajectory from what it does to what is wanted.
+"""Steering: the trajectory of the coming second for a wished velocity and facing, and the gait that suits them.
 
-A path says where the root will be; a held key says only which velocity is wanted now. Velocity and facing
-therefore go over to what is wanted as a critically damped spring does: quick at first, without overshoot.
-Plain floats, since this runs for every character at every frame.
+A path says where the root will be; a held key says only which velocity is wished for now. Velocity and facing therefore
+go over to what is wished as a critically damped spring does: quick at first, without overshoot. Plain floats, since
+this runs for every character at every frame.
 """
 
 from __future__ import annotations
@@ -13,38 +13,51 @@ from dataclasses import dataclass
 from motionkit.control.script import TypePart
 from motionkit.features.control import TRAJECTORY_OFFSETS
 from motionkit.models.model import MotionModel
-
-TURN_COST = 3.0  # of a radian between wanted and usual facing, in roots of cm/s
-BACKWARDS_SHARE = 0.2
-STANDS_BELOW = 15.0  # cm/s; who is asked for less stands
-GOES_FROM = 25.0  # cm/s; who is asked for more goes, where there is a gait to choose
-SMOOTHING = 0.2  # share of a frame in the measured velocity: hips sway with every step
-SETTLED_WITHIN = 0.08  # of the wanted speed; feet hold the root of a body that is so near to it
-LEAVE_ANCHOR = 60.0  # cm; one who stands and was carried so far away stays there instead of going back
+from motionkit.models.motion_type import MotionKind
 
 Pair = tuple[float, float]
-# A run is faster than this (cm/s), a walk about as fast as that.
-RUN_SPEED, WALK_SPEED = 200.0, 130.0
-NEUTRAL_SECONDS = 0.5  # of a neutral type before a command
-FORWARDS = math.pi / 4  # radians between facing and direction up to which a gait goes forwards
+STANDS_BELOW = 15.0  # cm/s; below this speed the character stands; chosen
+GOES_FROM = 25.0  # cm/s; from this speed on it goes, where the model has a gait; chosen
+WALK_SPEED = 130.0  # cm/s of a usual walk; measured on CMU motion
+NEUTRAL_SECONDS = 0.5  # of a neutral type before a command; chosen
+
+
+@dataclass(frozen=True)
+class GaitChoice:
+    """How a gait is chosen for a wished velocity and facing; all numbers are chosen."""
+
+    turn_cost: float = 3.0  # cost of a radian between wished and usual facing, in square roots of cm/s
+    backwards_share: float = (
+        0.2  # share of the usual facing that counts besides: sideways is nearer to forwards
+    )
+    forwards: float = math.pi / 4  # radians between facing and direction up to which a gait goes forwards
 
 
 @dataclass(frozen=True)
 class SteeringOptions:
-    """How the wanted turns into the coming second.
+    """How a wished velocity and facing turn into the coming second; all numbers are chosen.
 
     Attributes:
-        halflife: seconds in which half of the way to a wanted velocity is made.
+        halflife: seconds in which half of the change to a wished velocity is made.
         turn_halflife: the same for the facing.
-        anchor_halflife: the same for the way back to where one who stands came to a halt.
+        anchor_halflife: the same for the way back to where a standing body stopped.
         own_share: how far each frame draws the spring towards what the body really does; 0 never looks,
             1 starts every frame from the present velocity, which a sluggish body then keeps.
+        smoothing: share of a frame in the measured velocity: hips sway with every step.
+        settled_within: share of the wished speed; feet hold the root of a body whose speed is so near to it.
+        leave_anchor: cm; a standing body that was carried so far away stays there instead of going back.
     """
 
     halflife: float = 0.1
     turn_halflife: float = 0.15
     anchor_halflife: float = 0.5
     own_share: float = 0.02
+    smoothing: float = 0.2
+    settled_within: float = 0.08
+    leave_anchor: float = 60.0
+
+
+GAIT_CHOICE = GaitChoice()
 
 
 def spring_rate(halflife: float) -> float:
@@ -75,16 +88,16 @@ def nearest_turn(angle: float) -> float:
 
 
 def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> str:
-    """The steered type for a wanted velocity (x, z in cm/s) and facing (radians, None for any).
+    """The steered type for a wished velocity (x, z in cm/s) and facing (radians, None for any).
 
     Its usual speed is nearest (in square roots, so that slow types have narrow bands) and its body faces the
-    direction of motion as wanted. A model without steered types chooses among all that have no phase.
+    direction of motion as wished. A model without steered types chooses among all that have no phase.
     """
-    known = [name for name, kind in model.types.items() if kind.steered]
+    known = [name for name in model.types if model.kind(name).steered]
     if math.hypot(*velocity) >= GOES_FROM:
         # Between the speeds of standing and going no body glides along.
-        known = [name for name in known if not model.types[name].stands] or known
-    names = known or [name for name in model.types if not model.phase_seconds(name)] or list(model.types)
+        known = [name for name in known if model.kind(name) is MotionKind.GAIT] or known
+    names = known or [name for name in model.types if not model.kind(name).phased] or list(model.types)
     speed, direction = math.hypot(*velocity), math.atan2(*velocity)
 
     def cost(kind: str) -> float:
@@ -94,9 +107,8 @@ def steered_type(model: MotionModel, velocity: Pair, facing: float | None) -> st
         wanted = 0.0 if facing is None else direction - facing
         if speed < STANDS_BELOW:
             return abs(math.sqrt(speed) - math.sqrt(gait.speed))
-        # Sideways is nearer to forwards than to backwards: those types count a little more turned.
-        turn = abs(nearest_turn(wanted - gait.facing)) + BACKWARDS_SHARE * abs(gait.facing)
-        return abs(math.sqrt(speed) - math.sqrt(gait.speed)) + TURN_COST * turn
+        turn = abs(nearest_turn(wanted - gait.facing)) + GAIT_CHOICE.backwards_share * abs(gait.facing)
+        return abs(math.sqrt(speed) - math.sqrt(gait.speed)) + GAIT_CHOICE.turn_cost * turn
 
     return min(names, key=cost)
 
@@ -108,7 +120,7 @@ class Gaits:
     Attributes:
         stand: standing still.
         walk: forwards at about WALK_SPEED.
-        run: the fastest of those faster than RUN_SPEED.
+        run: the fastest of the runs forwards.
         back: backwards.
     """
 
@@ -120,19 +132,17 @@ class Gaits:
 
 def usual_gaits(model: MotionModel) -> Gaits:
     """The types of a model that stand, walk, run and go backwards, whatever they are called."""
-    found = {name: kind.gait for name, kind in model.types.items() if kind.steered and kind.gait is not None}
-    going = {name: gait for name, gait in found.items() if not model.types[name].stands}
-    ahead = {name: gait.speed for name, gait in going.items() if abs(nearest_turn(gait.facing)) < FORWARDS}
-    runs = {name: speed for name, speed in ahead.items() if speed > RUN_SPEED}
+    found = {name: known.gait for name, known in model.types.items() if known.kind.steered and known.gait}
+    stands = [name for name in found if model.kind(name) is MotionKind.STANCE]
+    turned = {name: abs(nearest_turn(gait.facing)) for name, gait in found.items() if name not in stands}
+    ahead = [name for name, turn in turned.items() if turn < GAIT_CHOICE.forwards]
+    back = [name for name, turn in turned.items() if turn > math.pi - GAIT_CHOICE.forwards]
+    walks = [name for name in ahead if not found[name].runs]
     return Gaits(
-        min((name for name in found if name not in going), key=lambda name: found[name].speed, default=None),
-        min(ahead.keys() - runs.keys(), key=lambda name: abs(ahead[name] - WALK_SPEED), default=None),
-        max(runs, key=lambda name: runs[name], default=None),
-        max(
-            (name for name in going if abs(nearest_turn(going[name].facing)) > math.pi - FORWARDS),
-            key=lambda name: abs(going[name].facing),
-            default=None,
-        ),
+        min(stands, key=lambda name: found[name].speed, default=None),
+        min(walks, key=lambda name: abs(found[name].speed - WALK_SPEED), default=None),
+        max((name for name in ahead if found[name].runs), key=lambda name: found[name].speed, default=None),
+        max(back, key=lambda name: abs(found[name].facing), default=None),
     )
 
 
@@ -175,7 +185,7 @@ class Steering:
         steps = ((x - before[0]) * self.fps, (z - before[1]) * self.fps)
         share = 1.0 if free else self.options.own_share
         for axis, step in enumerate(steps):
-            self._measured[axis] += SMOOTHING * (step - self._measured[axis])
+            self._measured[axis] += self.options.smoothing * (step - self._measured[axis])
             self.velocity[axis] += share * (self._measured[axis] - self.velocity[axis])
             self._acceleration[axis] *= 1.0 - share
         facing, turning = self._facing or (heading, 0.0)
@@ -193,8 +203,8 @@ class Steering:
         """The 24 trajectory numbers in the heading frame, after observe.
 
         Args:
-            velocity: wanted, x and z in cm/s; slower than STANDS_BELOW stands where it came to a halt.
-            facing: wanted heading in radians; None keeps the facing one stopped with, or the present one.
+            velocity: wished, x and z in cm/s; below STANDS_BELOW the character stands where it stopped.
+            facing: wished heading in radians; None keeps the facing it stopped with, or the present one.
         """
         assert self._before is not None and self._facing is not None
         x, z, heading = self._before
@@ -219,18 +229,18 @@ class Steering:
         """How far feet may hold the root, 0 to 1: not while a body that is to go another way, or faster, does not yet.
 
         Args:
-            velocity: wanted, x and z in cm/s.
+            velocity: wished, x and z in cm/s.
         """
         speed = math.hypot(*velocity)
         if speed < STANDS_BELOW:
             return 1.0
         along = (self.velocity[0] * velocity[0] + self.velocity[1] * velocity[1]) / speed
-        return min(1.0, max(0.0, 1.0 - (1.0 - along / speed) / SETTLED_WITHIN))
+        return min(1.0, max(0.0, 1.0 - (1.0 - along / speed) / self.options.settled_within))
 
     def _hold(self, x: float, z: float) -> tuple[float, float, float] | None:
         """Place and heading to keep, once the spring has nearly stopped; None before."""
         assert self._facing is not None
-        far = self._anchor is not None and math.dist(self._anchor[:2], (x, z)) > LEAVE_ANCHOR
+        far = self._anchor is not None and math.dist(self._anchor[:2], (x, z)) > self.options.leave_anchor
         if self._anchor is None or far:
             if math.hypot(*self.velocity) > STANDS_BELOW:
                 return None

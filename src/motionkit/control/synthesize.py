@@ -10,15 +10,17 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.keys import Key, check_length
-from motionkit.control.meet import Beginning, KeyedController, meet_keys
-from motionkit.control.opening import opening
-from motionkit.control.script import TypePart, crowd_controller, plan_weights, type_track, whole_performances
+from motionkit.control.keys import Key
+from motionkit.control.meet import KeyedController, meet_keys
+from motionkit.control.opening import Opening, opening
+from motionkit.control.plan import Plan, plan_keys, plan_types
+from motionkit.control.planned_controls import CrowdController
+from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
 from motionkit.finish.finish import Finish, finish
 from motionkit.inference.noise import Noise, default_noise
-from motionkit.inference.rollout import Rollout, RolloutState, rollout_motion, run
+from motionkit.inference.rollout import Controller, Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_motion
 from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion, resample
@@ -105,62 +107,54 @@ def synthesize(
         ControlError: for an unknown type or character, a count below one, or more than MAX_FRAMES.
     """
     options = options or SynthesisOptions()
-    count = options.count
-    if count < 1:
-        raise ControlError(f"expected a count of at least 1, found {count}")
-    plans = _plans(parts)
-    check_size(max(sum(part.seconds for part in plan) for plan in plans), model.fps, options)
+    asked = _asked(model, parts, options)
     names = [name.strip() for name in options.character.split(",")]
     skeletons = [model.character(name) for name in names]
-    for plan in plans:
-        type_track(model, plan)  # an unknown type is refused before any frame is sought for it
-    turn = [i % len(plans) for i in range(count)]
-    kinds = [plans[t][0].type for t in turn]
-    bodies = [model.moved_skeleton(names[i % len(names)]) for i in range(count)]
     init = None if options.init is None else clip_motion(model, options.init)
-    openings = [
-        opening(model, kind, body, init, options.seed + i)
-        for i, (kind, body) in enumerate(zip(kinds, bodies, strict=True))
-    ]
-    starts, near = [each.start for each in openings], [each.near for each in openings]
-    behind = [each.behind for each in openings]
-    plans = [whole_performances(model, plan, shown) for plan, shown in zip(plans, behind, strict=False)]
-    weights = [plan_weights(model, plan) for plan in plans]
-    state = RolloutState(model, count, options.noise or default_noise(model), options.seed)
+    bodies, openings, plans = [], [], []
+    for i in range(options.count):
+        own = asked[i % len(asked)]
+        bodies.append(model.moved_skeleton(names[i % len(names)]))
+        openings.append(opening(model, own[0].type, bodies[-1], init, options.seed + i))
+        plans.append(plan_types(model, own, openings[-1].shown))
+    state = _begun(model, options, bodies, openings, plans)
+    controller: Controller = CrowdController(model, plans, options.seed, state.frame)
+    if options.keys:
+        keyed = plan_keys(plans[0], options.keys)
+        controller = KeyedController(model, controller, keyed, openings[0], model.body_scale(names[0]))
+    limits = [acceleration_limit(model, [part.type for part in own]) for own in asked]
+    started = time.perf_counter()
+    rollout = run(state, max(len(plan.track) for plan in plans), controller, progress)
+    seconds = time.perf_counter() - started
+    motions = []
+    for i, plan in enumerate(plans):
+        mine = rollout.first(len(plan.track))
+        skeleton, most = skeletons[i % len(skeletons)], limits[i % len(asked)]
+        hold = model.root_hold(plan.weights)
+        motion, raw = finish_motions(model, mine, i, skeleton, options, most, hold)
+        motions.append(Synthesis(motion, mine.contacts[i], plan.parts, raw))
+    return SynthesisResult(tuple(motions), seconds)
+
+
+def _begun(
+    model: MotionModel,
+    options: SynthesisOptions,
+    bodies: list[Skeleton],
+    openings: Sequence[Opening],
+    plans: Sequence[Plan],
+) -> RolloutState:
+    """A roll-out that has shown the opening of each character."""
+    state = RolloutState(model, options.count, options.noise or default_noise(model), options.seed)
     state.controls.set_skeletons(bodies)
-    ground = np.concatenate([start.ground for start in starts])
+    starts = [each.start for each in openings]
     state.start(
         [start.features[0] for start in starts],
         [start.contacts[0] for start in starts],
-        np.stack([weights[t][0] for t in turn]),
-        ground,
+        np.stack([plan.weights[0] for plan in plans]),
+        np.concatenate([start.ground for start in starts]),
         [each.length for each in openings],
     )
-    speeds = [each.speed for each in openings]
-    controller = crowd_controller(
-        model, plans, near, behind, options.seed, speeds, lambda: state.frame.features
-    )
-    if options.keys:
-        if len(plans) > 1:
-            raise ControlError("keys are met by characters with the same types; give one list of types")
-        check_length(options.keys, min(sum(part.seconds for part in plan) for plan in plans))
-        share = model.body_scale(names[0])
-        begin = Beginning(ground[0], near[0])
-        types = type_track(model, plans[0])
-        controller = KeyedController(model, controller, options.keys, begin, types, share)
-    frames = [len(each) for each in weights]
-    limits = [acceleration_limit(model, [part.type for part in plan]) for plan in plans]
-    started = time.perf_counter()
-    rollout = run(state, max(frames), controller, progress)
-    seconds = time.perf_counter() - started
-    motions = []
-    for i in range(count):
-        mine = rollout.first(frames[turn[i]])
-        skeleton = skeletons[i % len(skeletons)]
-        hold = model.root_hold(weights[turn[i]])
-        motion, raw = finish_motions(model, mine, i, skeleton, options, limits[turn[i]], hold)
-        motions.append(Synthesis(motion, mine.contacts[i], tuple(plans[turn[i]]), raw))
-    return SynthesisResult(tuple(motions), seconds)
+    return state
 
 
 def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
@@ -174,16 +168,24 @@ def check_size(seconds: float, model_fps: float, options: SynthesisOptions) -> N
         )
 
 
-def _plans(parts: Sequence[TypePart] | Sequence[Sequence[TypePart]]) -> list[list[TypePart]]:
-    """One list of parts for every kind of character."""
-    plans: list[list[TypePart]] = []
+def _asked(
+    model: MotionModel, parts: Sequence[TypePart] | Sequence[Sequence[TypePart]], options: SynthesisOptions
+) -> list[list[TypePart]]:
+    """One list of parts for every kind of character; raises ControlError for what cannot be synthesized."""
+    asked: list[list[TypePart]] = []
     alone: list[TypePart] = []
     for part in parts:
         if isinstance(part, TypePart):
             alone.append(part)
         else:
-            plans.append(list(part))
-    return plans or [alone]
+            asked.append(list(part))
+    asked = asked or [alone]
+    check_size(max(sum(part.seconds for part in each) for each in asked), model.fps, options)
+    for part in (part for each in asked for part in each):
+        model.type_id(part.type)
+    if options.keys and len(asked) > 1:
+        raise ControlError("keys are met by characters with the same types; give one list of types")
+    return asked
 
 
 def finish_motion(

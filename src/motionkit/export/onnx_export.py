@@ -19,8 +19,10 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, plan_controls
+from motionkit.control.opening import Shown, last_poses
+from motionkit.control.plan import plan_types
+from motionkit.control.planned_controls import plan_controls
+from motionkit.control.script import TypePart
 from motionkit.errors import ModelError, MotionkitError, OverwriteError
 from motionkit.export.onnx_body import write_body
 from motionkit.export.onnx_graph import Graph
@@ -39,6 +41,7 @@ from motionkit.inference.step import NetworkStep
 from motionkit.inference.step_kernel import StepKernel
 from motionkit.inference.step_weights import pack
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.skeleton import JOINT_COUNT
 from motionkit.version import __version__
 
@@ -131,7 +134,7 @@ def metadata(model: MotionModel, character: str = "default", starts: bool = True
             for name, kind in model.types.items()
             if kind.gait is not None
         },
-        "steered": [name for name, kind in model.types.items() if kind.steered],
+        "steered": [name for name in model.types if model.kind(name).steered],
         "trajectory_frames": list(TRAJECTORY_OFFSETS),
         "reference_frames": list(REFERENCE_OFFSETS),
         "uses_references": model.uses_references,
@@ -349,14 +352,15 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
     recordings give references and phases; trajectories, references and the root-slip correction come and go.
     """
     first = model_first_type(model)
-    others = {name: kind for name, kind in model.types.items() if name != first}
+    others = {name: kind.kind for name, kind in model.types.items() if name != first}
     gaits = [name for name, kind in others.items() if kind.steered]
-    performances = [name for name, kind in others.items() if kind.performed]
-    free = [n for n, kind in others.items() if kind.reference_clips and not (kind.steered or kind.performed)]
+    performances = [name for name, kind in others.items() if kind is MotionKind.PERFORMANCE]
+    recorded = [name for name in others if model.types[name].reference_clips]
+    free = [name for name in recorded if name not in (*gaits, *performances)]
     kinds = list(dict.fromkeys([first, *gaits[:1], *performances[:1], *free[:1]]))
     parts = [TypePart(kind, frames / len(kinds) / model.fps) for kind in kinds]
     near = last_poses(model, type_start(model, first).features[0])
-    played = plan_controls(model, parts, near)
+    played = plan_controls(model, plan_types(model, parts, Shown(near)))
     steps = np.array(TRAJECTORY_OFFSETS, np.float32) / model.fps
     out = []
     for frame in range(frames):

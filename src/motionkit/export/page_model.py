@@ -25,6 +25,7 @@ from motionkit.inference.noise import Noise
 from motionkit.inference.step_weights import pack
 from motionkit.models.config import ModelConfig
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_hierarchy
 
 FORMAT = "motionkit-page-3"
@@ -128,9 +129,9 @@ def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str,
                 "name": name,
                 "gait": None if gait is None else {"speed": gait.speed, "facing": gait.facing},
                 "seconds": model.phase_seconds(name),
-                "steered": kind.steered,
+                "steered": kind.kind.steered,
                 "speeds": model.speed_range(name),
-                "performed": kind.performed,
+                "performed": kind.kind is MotionKind.PERFORMANCE,
                 "gain": kind.preset.reference_gain if model.uses_references else 0.0,
                 "tracks": entries,
             }

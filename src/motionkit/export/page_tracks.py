@@ -11,11 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from motionkit.arrays import Array, lerp
+from motionkit.control.blending import LONGEST_BLEND
 from motionkit.control.momentum import ground_speeds
-from motionkit.control.reference_player import LONGEST_BLEND, ReferencePlayer
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.features.reference import EMBEDDING_COUNT, PAUSE
 from motionkit.models.model import MotionModel
-from motionkit.models.motion_type import MotionType
+from motionkit.models.motion_type import MotionKind, MotionType
 from motionkit.motion.rotations import rotate_ground
 
 SECONDS = 12.0  # of a track that is neither a performance nor strikes or jumps
@@ -52,12 +53,12 @@ class Track:
 def type_tracks(model: MotionModel, name: str) -> list[Track]:
     """The tracks of a type, none where no recordings are shown; of gaits, their first steps."""
     kind = model.types[name]
-    if not kind.reference_clips or kind.stands or not model.uses_references:
+    if not kind.reference_clips or kind.kind is MotionKind.STANCE or not model.uses_references:
         return []
-    if kind.performed:
+    if kind.kind is MotionKind.PERFORMANCE:
         count = len(kind.reference_clips)
     else:
-        count = STRIKE_TRACKS if kind.has_phase or kind.steered else TRACKS
+        count = STRIKE_TRACKS if kind.kind.phased or kind.kind.steered else TRACKS
     return [_track(model, name, choice) for choice in range(count)]
 
 
@@ -65,7 +66,11 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
     kind, player = model.types[name], ReferencePlayer(model, choice)
     player.begin(name)
     assert player.clip is not None
-    performance = player.event_frames() + (0 if kind.performed else AFTER_EVENT) if kind.has_phase else 0
+    performance = (
+        player.event_frames() + (0 if kind.kind is MotionKind.PERFORMANCE else AFTER_EVENT)
+        if kind.kind.phased
+        else 0
+    )
     poses, phases, steps = [], [], []
     for _ in range(_frames(kind, model.fps, len(player.clip))):
         asked = player.play(1)
@@ -73,10 +78,10 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
         phases.append(asked.phase[0])
         steps.append(_step(player.clip.ground, max(player.at - 1, 0)))
     length = len(poses)
-    if kind.has_phase and not kind.performed:  # the last strike is whole
+    if kind.kind.phased and kind.kind is not MotionKind.PERFORMANCE:  # the last strike is whole
         ends = np.flatnonzero(np.diff(np.array(phases) >= 0.0, append=False)) + 1 + AFTER_EVENT
         length = int(max(ends[ends <= length], default=length))
-    bridge = PAUSE if kind.has_phase else LONGEST_BLEND
+    bridge = PAUSE if kind.kind.phased else LONGEST_BLEND
     share = np.arange(1, bridge + 1, dtype=np.float32)[:, None] / (bridge + 1)
     poses_there, steps_there = np.stack(poses[:length]), np.stack(steps[:length])
     poses_back = lerp(poses_there[-1], poses_there[0], share)
@@ -87,17 +92,17 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
         ground,
         bridge,
         performance,
-        float(ground_speeds(ground, model.fps)[: 1 if kind.has_phase else length].mean()),
+        float(ground_speeds(ground, model.fps)[: 1 if kind.kind.phased else length].mean()),
     )
 
 
 def _frames(kind: MotionType, fps: float, clip: int) -> int:
     """How long a track of a type is, without its bridge; a performance is one clip."""
-    if kind.performed:
+    if kind.kind is MotionKind.PERFORMANCE:
         return clip
-    if kind.steered:
+    if kind.kind.steered:
         return round(STEPS_SECONDS * fps)
-    return round((STRIKES_SECONDS if kind.has_phase else SECONDS) * fps)
+    return round((STRIKES_SECONDS if kind.kind.phased else SECONDS) * fps)
 
 
 def _step(ground: Array, at: int) -> Array:

@@ -16,6 +16,7 @@ from motionkit.inference.noise import Noise
 from motionkit.inference.rollout import RolloutState
 from motionkit.inference.start import on_body, type_start
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 
 _POSITIONS = 2 * len(TRAJECTORY_OFFSETS)  # of the trajectory numbers, the first are centimetres
 
@@ -76,18 +77,12 @@ class CharacterStream:
         features, contacts = (
             np.concatenate(p) for p in zip(*((s.features, s.contacts) for s in starts), strict=True)
         )
-        weights = self._weights(kind).repeat(count, axis=0)
+        weights = np.tile(model.type_weights(kind), (count, 1))
         self.state.start(features, contacts, weights, None, model.phase_seconds(kind) * model.fps)
 
     def _take_body(self, index: int, character: str) -> None:
         self.body.put(index, self.model.character(character).offsets, self.model.body_scale(character))
         self.state.controls.skeletons[index] = skeleton_signal(self.model.moved_skeleton(character))
-
-    def _weights(self, kind: str) -> Array:
-        """Type weights (1, N) of one type alone."""
-        weights = np.zeros((1, len(self.model.types)), np.float32)
-        weights[0, self.model.type_id(kind)] = 1.0
-        return weights
 
     def reset(
         self,
@@ -102,7 +97,7 @@ class CharacterStream:
             ControlError: for an unknown character or type.
         """
         model, kind = self.model, type or model_first_type(self.model)
-        weights = self._weights(kind)
+        weights = model.type_weights(kind)[None]
         start = on_body(model, type_start(model, kind, 1), model.moved_skeleton(character))
         self._take_body(index, character)
         ground = np.array([place], np.float32)
@@ -138,4 +133,4 @@ def model_first_type(model: MotionModel) -> str:
     known = {name: kind for name, kind in model.types.items() if kind.start_poses}
     if not known:
         raise ControlError("the model has no start poses")
-    return next((name for name, kind in known.items() if kind.stands), next(iter(known)))
+    return next((name for name in known if model.kind(name) is MotionKind.STANCE), next(iter(known)))

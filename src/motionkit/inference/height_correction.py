@@ -12,6 +12,6 @@ from __future__ import annotations
 
 REACH = 10.0  # cm above the floor from which on feet tell nothing
 PACE = 0.05  # share of what is missing that the root is raised by in a frame
-DOUBT = 4.0  # cm that only half are believed of
+DOUBT = 4.0  # Gap (cm) at which the correction halves
 # cm that a foot may be lower than where it stands, and the share of the rest that the root is raised by in a frame
 DEEPEST, LIFT = 5.0, 0.2

@@ -15,7 +15,13 @@ from motionkit.features.control import ControlLayout
 from motionkit.features.normalize import Scaling
 from motionkit.features.reference import PoseEmbedding, ReferenceMap, reference_map
 from motionkit.models.config import PredictorConfig
-from motionkit.models.motion_type import MotionType, recorded_rhythm, recorded_speeds, recorded_velocity
+from motionkit.models.motion_type import (
+    MotionKind,
+    MotionType,
+    recorded_rhythm,
+    recorded_speeds,
+    recorded_velocity,
+)
 from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import Skeleton, canonical_skeleton, leg_length
 from motionkit.names import nfc
@@ -87,16 +93,32 @@ class MotionModel:
             return self.type_names.index(name)
         raise ControlError(unknown_name("motion type", name, self.type_names))
 
+    def type_weights(self, name: str) -> Array:
+        """Weights (N,) of one motion type alone; raises ControlError for an unknown one."""
+        weights = np.zeros(len(self.types), np.float32)
+        weights[self.type_id(name)] = 1.0
+        return weights
+
+    def kind(self, name: str) -> MotionKind:
+        """What a motion type is; FREE for one that the model does not have."""
+        return self.types[name].kind if name in self.types else MotionKind.FREE
+
     def phase_seconds(self, kind: str) -> float:
         """Length in seconds of a performance, strike or jump of a type; 0 for types without a phase."""
         return self.types[kind].phase_seconds(self.fps) if kind in self.types else 0.0
 
     def speed_range(self, kind: str) -> tuple[float, float] | None:
         """Slowest and fastest speed in cm/s at which a gait looks right, by its recordings; None for other types."""
-        known = self.types.get(kind)
-        if known is None or not known.steered or known.stands:
-            return None
-        return known.speeds or recorded_speeds(known.reference_clips, self.fps)
+        return self._speed_ranges.get(kind)
+
+    @cached_property
+    def _speed_ranges(self) -> dict[str, tuple[float, float] | None]:
+        """The speed range of each gait; kept, because live characters ask in every frame."""
+        return {
+            name: known.speeds or recorded_speeds(known.reference_clips, self.fps)
+            for name, known in self.types.items()
+            if known.kind is MotionKind.GAIT
+        }
 
     def root_hold(self, type_weights: Array) -> Array:
         """Share (...) of the sliding of feet in contact that is taken out of the root's way, by type weights (..., N).
@@ -109,7 +131,7 @@ class MotionModel:
     @cached_property
     def _moving(self) -> Array:
         """1 for each type but standing ones (N,); kept, because live characters ask in every frame."""
-        return np.array([not each.stands for each in self.types.values()], np.float32)
+        return np.array([each.kind is not MotionKind.STANCE for each in self.types.values()], np.float32)
 
     def presets(self, name: str) -> Array:
         """One field of the sampling presets (N,) of all types, such as "noise_scale"."""
@@ -136,10 +158,11 @@ class MotionModel:
             return self
         changes: dict[str, dict[str, Any]] = {}
         for name, kind in self.types.items():
-            rhythm = None if kind.performed else recorded_rhythm(kind.reference_clips)
+            performed = kind.kind is MotionKind.PERFORMANCE
+            rhythm = None if performed else recorded_rhythm(kind.reference_clips)
             changes[name] = {"reference_clips": (), "rhythm": rhythm, "speeds": self.speed_range(name)}
             changes[name]["preset"] = kind.preset.without_references
-            if rhythm is not None or (kind.steered and not kind.stands):
+            if rhythm is not None or kind.kind is MotionKind.GAIT:
                 changes[name]["velocity"] = recorded_velocity(kind.reference_clips, self.fps)
             if kind.gait is not None:
                 seconds = self.phase_seconds(name) if rhythm is None else rhythm.frames / self.fps

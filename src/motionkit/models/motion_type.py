@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from enum import Enum
 from functools import cached_property
 
 import numpy as np
@@ -17,6 +18,7 @@ MOVEMENT_FRAMES = 120
 # Share of the recorded seconds that is left out at each end of a range of speeds, share by which it is widened, and
 # share of the usual speed that it reaches to both sides at least.
 SPEED_SHARE, SPEED_MARGIN, LEAST_MARGIN = 0.02, 0.1, 0.25
+RUN_SPEED = 200.0  # cm/s that runs are faster than; chosen between recorded walks and runs
 JUMP_OF_PHASE = 0.1  # in a frame, between one strike or jump and the next
 # A type is steered by velocity alone if it keeps going one way in much the same pose, as gaits do, or stands still.
 # Speeds are those of the root over the ground and of the joints against it; the spread is that of poses around their
@@ -47,6 +49,11 @@ class Gait:
     speed: float
     facing: float
     cycle_seconds: float = 0.0
+
+    @property
+    def runs(self) -> bool:
+        """Whether it is faster than a walk."""
+        return self.speed > RUN_SPEED
 
 
 @dataclass(frozen=True)
@@ -170,6 +177,26 @@ def recorded_speeds(clips: Sequence[ReferenceClip], fps: float) -> tuple[float, 
     )
 
 
+class MotionKind(Enum):
+    """What a motion type is, which decides how it is controlled; MotionType.kind tells it from the type's data."""
+
+    GAIT = "gait"  # steered by velocity: walks and runs
+    STANCE = "stance"  # standing still
+    PERFORMANCE = "performance"  # one movement from beginning to end, such as a cartwheel
+    EVENTS = "events"  # strikes or jumps, each with a phase of its own
+    FREE = "free"  # dances and the like: moved by reference poses, or by noise without them
+
+    @property
+    def steered(self) -> bool:
+        """Whether velocity alone steers it, without reference poses."""
+        return self in (MotionKind.GAIT, MotionKind.STANCE)
+
+    @property
+    def phased(self) -> bool:
+        """Whether its movements have a phase."""
+        return self in (MotionKind.PERFORMANCE, MotionKind.EVENTS)
+
+
 @dataclass(frozen=True, eq=False)
 class MotionType:
     """One motion type of a model.
@@ -179,7 +206,7 @@ class MotionType:
         reference_clips: recordings to take reference poses from; performances the longest first.
         gait: how it moves over the ground; None where nothing was measured.
         preset: how its frames are drawn.
-        steered: whether velocity alone steers it, without reference poses: gaits, and standing still.
+        steered: whether velocity alone steers it (is_steered); what the type is otherwise shows in its data (kind).
         rhythm: of the jumps of a model whose recordings have been left out; None for other types.
         speeds: recorded_speeds of a gait whose recordings have been left out; None for other types.
         velocity: recorded_velocity of a gait or of jumps whose recordings have been left out; None for other types.
@@ -194,35 +221,28 @@ class MotionType:
     speeds: tuple[float, float] | None = None
     velocity: tuple[float, float] | None = None
 
-    @property
-    def stands(self) -> bool:
-        """Whether the type is standing still."""
-        return self.steered and self.gait is not None and self.gait.speed < STANDING_SPEED
-
-    @property
-    def goes(self) -> bool:
-        """Whether the type is a gait."""
-        return self.steered and not self.stands
-
-    @property
-    def performed(self) -> bool:
-        """Whether the type is one performance from beginning to end, such as a cartwheel."""
-        return any(clip.performed for clip in self.reference_clips[:1])
-
-    @property
-    def has_phase(self) -> bool:
-        """Whether the type is a performance, or made of strikes or jumps."""
-        return any(bool((clip.phases >= 0.0).any()) for clip in self.reference_clips)
+    @cached_property
+    def kind(self) -> MotionKind:
+        """What the type is, by its recordings; without them by what is known of its movements."""
+        if self.steered:
+            stands = self.gait is not None and self.gait.speed < STANDING_SPEED
+            return MotionKind.STANCE if stands else MotionKind.GAIT
+        if self.reference_clips and self.reference_clips[0].performed:
+            return MotionKind.PERFORMANCE
+        if self.reference_clips:
+            phased = any(bool((clip.phases >= 0.0).any()) for clip in self.reference_clips)
+        else:
+            phased = self.rhythm is not None or (self.gait is not None and self.gait.cycle_seconds > 0.0)
+        return MotionKind.EVENTS if phased else MotionKind.FREE
 
     @property
     def moves_by_noise(self) -> bool:
         """Whether nothing but noise keeps a type moving whose recordings have been left out."""
-        phase = self.rhythm is not None or (self.gait is not None and self.gait.cycle_seconds > 0.0)
-        return not (self.reference_clips or self.steered or phase)
+        return self.kind is MotionKind.FREE and not self.reference_clips
 
     def phase_seconds(self, fps: float) -> float:
         """Length in seconds of its first performance, or of its usual strike or jump; 0 without a phase."""
-        if self.performed:
+        if self.kind is MotionKind.PERFORMANCE:
             return len(self.reference_clips[0]) / fps
         return 0.0 if self.gait is None else self.gait.cycle_seconds
 

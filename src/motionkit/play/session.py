@@ -324,7 +324,7 @@ class Session:
                 }
                 for kind, gait in gaits
             ],
-            "steered": [name for name, kind in model.types.items() if kind.steered],
+            "steered": [name for name in model.types if model.kind(name).steered],
             "bodies": self._bodies,
             "characters": self.told(),
             "limits": self.limits.told(),

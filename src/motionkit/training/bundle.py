@@ -15,6 +15,7 @@ from motionkit.features.reference import REFERENCE_OFFSETS
 from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import (
     Gait,
+    MotionKind,
     MotionType,
     ReferenceClip,
     SamplingPreset,
@@ -92,18 +93,18 @@ def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
     clips = tuple(recorded_references(dataset, kind))
     steered = is_steered(clips, dataset.pose_embedding, dataset.fps)
     plain = MotionType((), clips, gait, steered=steered)
-    plain = replace(plain, start_poses=tuple(start_poses_of(dataset, kind, plain.stands)))
+    plain = replace(plain, start_poses=tuple(start_poses_of(dataset, kind, plain.kind is MotionKind.STANCE)))
     return replace(plain, preset=sampling_preset(plain, dataset.phase_events.get(kind)))
 
 
-def sampling_preset(kind: MotionType, event: str | None) -> SamplingPreset:
+def sampling_preset(known: MotionType, event: str | None) -> SamplingPreset:
     """How frames of a type are drawn.
 
     Args:
         event: what its phase follows: "kick", "punch", "jump", "" for whole performances, None for no phase.
     """
-    if kind.steered:
-        return STANDING if kind.stands else GAIT
+    if known.kind.steered:
+        return STANDING if known.kind is MotionKind.STANCE else GAIT
     if event is None:
         return OTHER
     return {"": PERFORMANCE, "jump": JUMP}.get(event, STRIKE)

@@ -11,8 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, crowd_controller
+from motionkit.control.opening import Shown, last_poses
+from motionkit.control.plan import plan_types
+from motionkit.control.planned_controls import CrowdController
+from motionkit.control.script import TypePart
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.features.control import Controls
 from motionkit.inference.noise import Noise
@@ -48,9 +50,12 @@ def roll_out(model: MotionModel, names: tuple[str, ...], seconds: float, seed: i
     poses = [model.types[name].start_poses for name in names]
     features, contacts = start_batch([known[i % len(known)] for i, known in enumerate(poses)])
     state.start(features, contacts, weights)
-    plans = [[TypePart(name, seconds)] for name in names]
-    near = [last_poses(model, seen) for seen in features]
-    controller = crowd_controller(model, plans, near, [features.shape[1]] * len(names), seed)
+    behind = features.shape[1]
+    plans = [
+        plan_types(model, [TypePart(name, seconds)], Shown(last_poses(model, seen), behind))
+        for name, seen in zip(names, features, strict=True)
+    ]
+    controller = CrowdController(model, plans, seed)
     phases: list[Array] = []
 
     def controls(frame: int, ground: Array) -> Controls:

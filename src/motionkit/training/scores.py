@@ -13,8 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from motionkit.arrays import Array, distances_between
-from motionkit.control.reference_player import last_poses
-from motionkit.control.script import TypePart, crowd_controller
+from motionkit.control.opening import Shown, last_poses
+from motionkit.control.plan import plan_types
+from motionkit.control.planned_controls import CrowdController
+from motionkit.control.script import TypePart
 from motionkit.data.dataset import Dataset
 from motionkit.errors import MotionkitError
 from motionkit.features.decode import decode_motion, root_height
@@ -97,9 +99,12 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
     starts = [on_body(model, type_start(model, name), body) for name in model.types]
     features, contacts = start_batch([StartPose(s.features[0], s.contacts[0], s.ground) for s in starts])
     state.start(features, contacts, weights)
-    plans = [[TypePart(kind, frames / model.fps)] for kind in model.types]
-    near = [last_poses(model, seen) for seen in features]
-    return run(state, frames, crowd_controller(model, plans, near, [features.shape[1]] * count, seed))
+    behind = features.shape[1]
+    plans = [
+        plan_types(model, [TypePart(kind, frames / model.fps)], Shown(last_poses(model, seen), behind))
+        for kind, seen in zip(model.types, features, strict=True)
+    ]
+    return run(state, frames, CrowdController(model, plans, seed))
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Array:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from motionkit.control.reference_player import frames_behind, last_poses
+from motionkit.control.opening import last_poses
+from motionkit.control.recording_choice import frames_behind
 from motionkit.data.dataset import ClipData, Dataset
 from motionkit.features.control import TRAJECTORY_OFFSETS, future_trajectory
 from motionkit.lab.scoreboard.sequence_controls import SequenceControls

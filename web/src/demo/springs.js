@@ -1,7 +1,7 @@
 // The coming second of a character that is steered, as Python's Steering (control/steering.py) makes it.
 
 export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
-export const STANDS_BELOW = 15; // cm/s; who is asked for less stands
+export const STANDS_BELOW = 15; // cm/s; below this speed the character stands
 const GOES_FROM = 25; // cm/s; who is asked for more goes, where there is a gait to choose
 // A gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
 const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6];

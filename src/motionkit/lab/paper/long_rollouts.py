@@ -116,13 +116,11 @@ def long_rollout(
     check_layout(dataset, model)
     sequence = beginning(dataset, kind)
     frames = round(seconds * model.fps)
-    weights = np.zeros((1, len(model.types)), np.float32)
-    weights[0, model.type_id(kind)] = 1.0
     features = continued(
         model,
         sequence,
         dataset.skeleton(sequence.clip),
-        Controls.of_types(weights),
+        Controls.of_types(model.type_weights(kind)[None]),
         frames,
         seed,
         lambda frame: progress(frame / frames),

@@ -21,6 +21,7 @@ from motionkit.lab.scoreboard.report import Section, at_most
 from motionkit.lab.scoreboard.trial import Trial
 from motionkit.metrics.body import SPEED_SPAN, Body
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.tables import Cell, Table
 from motionkit.training.verdict.rolling import Driven, Progress, grouped, roll_live
 
@@ -80,7 +81,7 @@ def commands(model: MotionModel) -> list[Command]:
 
     def ahead(kind: str, angle: float = 0.0, share: float = 1.0) -> Wish:
         each = model.types[kind]
-        if each.stands or each.gait is None:
+        if each.kind is MotionKind.STANCE or each.gait is None:
             return Wish((0.0, 0.0), None, kind)
         speed = share * each.gait.speed
         return Wish((speed * math.sin(angle), speed * math.cos(angle)), angle - each.gait.facing, kind)

@@ -45,7 +45,7 @@ def find_roles(trial: Trial) -> Roles:
         tuple(once),
         tuple(hops),
         tuple(kind for kind in known if events.get(kind) and kind not in hops),
-        tuple(kind for kind in known if kind not in events and not model.types[kind].steered),
+        tuple(kind for kind in known if kind not in events and not model.kind(kind).steered),
     )
 
 

@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.control.reference_player import ReferencePlayer, frames_behind, last_poses
+from motionkit.control.opening import last_poses
+from motionkit.control.recording_choice import frames_behind
+from motionkit.control.reference_player import ReferencePlayer
 from motionkit.data.dataset import ClipData
 from motionkit.features.control import Controls, blend_types, future_trajectory
 from motionkit.models.model import MotionModel
@@ -38,7 +40,7 @@ class SequenceControls:
         at = np.array([min(self.initial + frame, len(self.data.types) - 1)])
         trajectory = future_trajectory(self.data.ground, at, ground)
         kind = self.types[self.data.types[at[0]]]
-        if kind not in self.model.types or self.model.types[kind].steered:
+        if kind not in self.model.types or self.model.kind(kind).steered:
             asked = replace(Controls.of_types(self.weights[at]), trajectory=trajectory)
             return replace(asked, phase=self.data.phases[at]).with_mask(1.0)
         if kind != self.kind:

@@ -114,7 +114,7 @@ def _measured(
     if take_apart is not None:
         reached["far"] = near >= FROM_RECORDINGS * take_apart
     seconds = sum(stretch.body.seconds for stretch in stretches)
-    if seconds >= LONG_SECONDS and real_loop is None and not trial.model.types[kind].steered:
+    if seconds >= LONG_SECONDS and real_loop is None and not trial.model.kind(kind).steered:
         reached["loop"] = loop is None
     row = (
         kind, gap, real_gap, drawn_learnt, drawn, len(recorded.poses), near, take_apart, stretch, take_stretch, loop,

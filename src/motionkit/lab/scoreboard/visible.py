@@ -46,7 +46,7 @@ def visible_section(trial: Trial, progress: Progress) -> Section:
         kind: [s.body for s in trial.real.of_type(kind) if len(s.body) >= LEAST_FRAMES]
         for kind in trial.recorded_types
     }
-    gaits = {kind for kind in default if trial.model.types[kind].steered}
+    gaits = {kind for kind in default if trial.model.kind(kind).steered}
     handstands = [kind for kind in default if bears_on_hands(trial.real, kind)]
     tables, goals = [], []
     for part in (_leaps(default, raw, real, gaits), _touch(default, raw, real), _lowest(default, raw, real, handstands),

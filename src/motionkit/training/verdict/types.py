@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from motionkit.control.path import Path2D, shape_path
-from motionkit.control.steering import NEUTRAL_SECONDS, RUN_SPEED
+from motionkit.control.steering import NEUTRAL_SECONDS
 from motionkit.data.workers import Map
 from motionkit.inference.noise import Noise
 from motionkit.metrics.body import Body
@@ -21,6 +21,7 @@ from motionkit.metrics.detectors import detection_windows
 from motionkit.metrics.foot_sliding import average_foot_sliding
 from motionkit.metrics.trajectory import trajectory_distance
 from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.floor import floor_height, foot_positions
 from motionkit.tables import Table
 from motionkit.training.verdict.judge import GRACE, LIVELY, Judge
@@ -202,7 +203,7 @@ def _verdict(
         len(bodies),
         sum(body.joint_speed() for body in late) / len(late) / max(profile.joint_speed, 1e-6),
         path,
-        RUNS_WITHIN if gait is not None and gait.speed > RUN_SPEED else WALKS_WITHIN,
+        RUNS_WITHIN if gait is not None and gait.runs else WALKS_WITHIN,
         float(np.mean([_sliding(body) for body in late]) / max(recorded, 0.02)),
     )
     return replace(verdict, reasons=reasons_of(verdict, judge, late))
@@ -215,8 +216,8 @@ def _path_distances(
     paths: dict[str, Path2D] = {}
     for kind in kinds:
         each = model.types[kind]
-        if each.steered and not each.stands and each.gait is not None:
-            radius = RUN_RADIUS if each.gait.speed > RUN_SPEED else WALK_RADIUS
+        if each.kind is MotionKind.GAIT and each.gait is not None:
+            radius = RUN_RADIUS if each.gait.runs else WALK_RADIUS
             paths[kind] = shape_path("figure-eight", radius, [kind], None)
     seeds = range(settings.first_seed, settings.first_seed + settings.repeats)
     tasks = [(path, seed) for path in paths.values() for seed in seeds]

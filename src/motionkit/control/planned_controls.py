@@ -1,0 +1,67 @@
+"""The controls of planned motion types, before the first frame where the body's own frames are not needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from motionkit.arrays import Array
+from motionkit.control.memory import Bodies, FoundStances
+from motionkit.control.momentum import carried_over
+from motionkit.control.plan import Plan
+from motionkit.control.reference_player import ReferencePlayer
+from motionkit.control.standing import settling
+from motionkit.features.control import Controls, types_ahead
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind
+
+
+def plan_controls(model: MotionModel, plan: Plan, choice: int = 0) -> Controls:
+    """Controls (T, ...) of a plan's types one after another, with reference poses.
+
+    Args:
+        choice: picks among the reference clips of the types.
+    """
+    player, shown = ReferencePlayer(model, choice), plan.shown
+    assert shown is not None
+    asked = []
+    for segment in plan.segments:
+        before = player.speed
+        paused = player.ends and model.kind(segment.type) is MotionKind.PERFORMANCE
+        if segment.first == 0:
+            player.begin(segment.type, shown.poses, shown.behind, speed=shown.speed)
+        else:
+            player.begin(segment.type, paused=paused, settles=segment.settles)
+        clip, at = player.clip, player.at
+        controls = player.play(segment.count)
+        if segment.settles:
+            controls = settling(controls, before, model.fps)
+        elif before is not None and clip is not None and not paused:
+            controls = carried_over(controls, clip.ground[at:], before, model.fps)
+        asked.append(controls)
+    ahead = types_ahead(plan.weights) if model.plain else None
+    return replace(Controls.concatenated(asked), type_weights=plan.weights, types_ahead=ahead)
+
+
+class CrowdController:
+    """Controls of a crowd, frame by frame: each character repeats the last frame of its plan."""
+
+    def __init__(
+        self, model: MotionModel, plans: Sequence[Plan], choice: int = 0, bodies: Bodies | None = None
+    ) -> None:
+        """Make the controls of all frames.
+
+        Args:
+            plans: one for each character.
+            choice: picks among reference clips; each character makes a choice of its own.
+            bodies: the characters, whose stances show how to go on where they come to a stand.
+        """
+        self.controls = Controls.side_by_side(
+            [plan_controls(model, plan, choice + i) for i, plan in enumerate(plans)]
+        )
+        self.stances = FoundStances(model, [plan.stands for plan in plans], bodies)
+
+    def __call__(self, frame: int, ground: Array) -> Controls:
+        """Controls (B, ...) of a frame; ground is where the characters are."""
+        row = min(frame, len(self.controls.phase) - 1)
+        return self.stances.shown(self.controls.at(row), row)

@@ -1,0 +1,100 @@
+"""What a reference player hands on: the controls of frames of a clip, of a pause, or of a type without recordings."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from motionkit.arrays import Array, lerp
+from motionkit.control.blending import Crossfade, recorded_poses, recorded_trajectory
+from motionkit.features.control import Controls, straight_trajectory
+from motionkit.features.reference import PAUSE
+from motionkit.models.model import MotionModel
+from motionkit.models.motion_type import MotionKind, ReferenceClip, Rhythm
+
+# Share of the recorded trajectory in the one shown, where one is asked for: recorded feet stand where the recording
+# went, and the root-slip correction (inference/slip_correction.py) follows the feet. Chosen.
+OWN_SHARE = 0.5
+
+
+class ReferenceControls:
+    """Makes controls of types alone, with the references, phases and trajectories of what is played."""
+
+    def __init__(self, model: MotionModel, own_share: float = OWN_SHARE) -> None:
+        """own_share: the share of the recorded trajectory in one that is asked for."""
+        self.model, self.own_share = model, own_share
+
+    def of_clip(
+        self,
+        kind: str,
+        clip: ReferenceClip,
+        frames: Array,
+        left: Crossfade | None,
+        trajectories: Array | None,
+    ) -> Controls:
+        """Controls (T, ...) at frames (T,) of a clip, into which another may fade.
+
+        Args:
+            trajectories: (T, 24) the trajectories asked for, if any.
+        """
+        reference = recorded_poses(clip, frames)
+        if left is not None:
+            reference = left.fading(frames, reference, recorded_poses)
+        asked = replace(self._shown(kind, reference), phase=clip.phases[frames])
+        trajectory = self._trajectory(kind, clip, frames, left, trajectories)
+        return asked if trajectory is None else replace(asked, trajectory=trajectory).with_mask(1.0)
+
+    def of_pause(self, kind: str, reference: Array, own: Array, trajectories: Array | None) -> Controls:
+        """Controls (T, ...) of a pause with references (T, 72), recorded trajectories and those asked for (T, 24)."""
+        asked = self._shown(kind, reference)
+        if trajectories is None and self.model.kind(kind) is not MotionKind.PERFORMANCE:
+            return asked
+        return replace(asked, trajectory=own if trajectories is None else trajectories).with_mask(1.0)
+
+    def of_clock(self, kind: str, at: int, count: int, trajectories: Array | None) -> Controls:
+        """Controls (count, ...) of a type without recordings from a frame on: a clock counts the phase."""
+        rhythm = rhythm_of(self.model, kind)
+        phase = np.full(count, -1.0, np.float32) if rhythm is None else rhythm.phases(at, count)
+        free = replace(self._of_type(kind, count), phase=phase)
+        velocity = self.model.types[kind].velocity
+        if trajectories is None and velocity is not None:
+            trajectories = np.tile(straight_trajectory(velocity, self.model.fps), (count, 1))
+        return free if trajectories is None else replace(free, trajectory=trajectories).with_mask(1.0)
+
+    def _shown(self, kind: str, reference: Array) -> Controls:
+        """Controls (T, ...) of a type with references (T, 72), at the type's gain; 0 for models without references."""
+        free = self._of_type(kind, len(reference))
+        gain = self.model.types[kind].preset.reference_gain if self.model.uses_references else 0.0
+        return replace(free, reference=reference, reference_gain=free.reference_gain + np.float32(gain))
+
+    def _of_type(self, kind: str, count: int) -> Controls:
+        """Controls (count, ...) of a type alone."""
+        return Controls.of_types(np.tile(self.model.type_weights(kind), (count, 1)))
+
+    def _trajectory(
+        self,
+        kind: str,
+        clip: ReferenceClip,
+        frames: Array,
+        left: Crossfade | None,
+        trajectories: Array | None,
+    ) -> Array | None:
+        """The trajectories (T, 24) to show at frames of a clip, None for none."""
+        gait = self.model.kind(kind) is MotionKind.GAIT and self.model.uses_references
+        if trajectories is None and not (clip.performed or gait):
+            return None
+        if trajectories is not None and not self.own_share:
+            return trajectories
+        # A cartwheel to the left is as good as one to the right, a slow walk as a fast one; the recorded trajectory
+        # decides.
+        own = recorded_trajectory(clip, frames)
+        if trajectories is not None:
+            return lerp(trajectories, own, self.own_share)
+        return own if left is None else left.fading(frames, own, recorded_trajectory)
+
+
+def rhythm_of(model: MotionModel, kind: str) -> Rhythm | None:
+    """The rhythm of performances, strikes or jumps of a type without recordings; None for other types."""
+    length = round(model.phase_seconds(kind) * model.fps)
+    return (model.types[kind].rhythm or Rhythm(length, length + PAUSE)) if length else None
