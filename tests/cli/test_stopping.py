@@ -39,7 +39,7 @@ if __name__ == "__main__":
         (["train", "DATASET", "-o", "m2.safetensors", "--preset", "tiny"], "training.trainer.WindowSampler"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "control.synthesize.run"),
         (["synthesize", "--types", "idle:0.1", "--model", "MODEL"], "motion.bvh._hierarchy_lines"),
-        (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "control.follow.finish_motions"),
+        (["follow-path", "line", "--size", "0.2", "--model", "MODEL"], "control.follow.unfinished"),
         (["metrics", "a.bvh"], "metrics.report.load_canonical"),
         (["evaluate", "MODEL", "DATASET", "-o", "x.md"], "lab.scoreboard.board.RealMotion"),
         (["mirror", "clips", "out"], "rig.mirror.mirror_bvh"),

@@ -65,7 +65,7 @@ def command(path: str, types: str | None, making: Making, wanted: Wanted, **shap
         result = request.run(show.share("following"))
     times = [frames / model.fps for frames in result.part_frames]
     bands = [(part.type, time) for part, time in zip(target.parts, times, strict=True)]
-    written, measured = making.choice.put(result.motion, making.ik)
+    written, measured = making.choice.put(result.motion, making.ik, drawn=result.unfinished)
     outputs.write(making.choice.clip_of(written, outputs.file.stem, bands))
     from motionkit.view.figure_data import Shown
 

@@ -13,6 +13,7 @@ from motionkit.cli.common import EXISTING_FILE, gathered, option, together
 
 if TYPE_CHECKING:
     from motionkit.export.clip import Clip
+    from motionkit.finish.finish import Unfinished
     from motionkit.motion.motion import Motion
     from motionkit.rig.rig import Rig
 
@@ -87,23 +88,33 @@ class RigChoice:
         """What stands behind a motion in messages: the rig it is on."""
         return "" if self.rig is None else f" on {self.rig.name}"
 
-    def on_rig(self, motion: Motion, ik: bool) -> Motion:
-        """A motion on the canonical joints, put on the rig; ik holds the feet of the rig."""
+    def on_rig(self, motion: Motion, ik: bool, drawn: Unfinished | None = None) -> Motion:
+        """A motion on the canonical joints, put on the rig; ik holds the feet of the rig.
+
+        drawn is what the motion was finished from: it is finished on the body of the rig instead, so that feet are
+        locked once.
+        """
         if self.rig is None:
             return motion
         from motionkit.finish.on_rig import on_rig
+        from motionkit.motion.motion import resample
 
-        return on_rig(motion, self.rig, ik, self.clip)
+        if drawn is None or not ik:
+            return on_rig(motion, self.rig, ik, self.clip)
+        return resample(on_rig(drawn.motion, self.rig, ik, self.clip, drawn), motion.fps)
 
-    def put(self, motion: Motion, ik: bool, cyclic: bool = False) -> tuple[Motion, Motion]:
+    def put(
+        self, motion: Motion, ik: bool, cyclic: bool = False, drawn: Unfinished | None = None
+    ) -> tuple[Motion, Motion]:
         """What to write for a motion, and the motion that metrics measure: the same on the canonical joints.
 
         Args:
             motion: on the canonical joints.
             ik: hold the feet of the rig.
             cyclic: the last frame of the motion is its first.
+            drawn: what the motion was finished from, if that is known.
         """
-        made = self.on_rig(motion, ik)
+        made = self.on_rig(motion, ik, drawn)
         if self.rig is None:
             return self.way.applied(made, cyclic), motion
         from motionkit.rig.on_rig import from_rig

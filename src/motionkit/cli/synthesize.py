@@ -138,7 +138,9 @@ def _write(
     for number, one in enumerate(result.motions):
         progress(number)
         file, parts = outputs.files[number], [(part.type, part.seconds) for part in one.types]
-        put, measured = making.choice.put(one.motion, making.ik, cyclic=bool(cycles))
+        put, measured = making.choice.put(
+            one.motion, making.ik, bool(cycles), None if cycles else one.unfinished
+        )
         outputs.write(making.choice.clip_of(put, file.stem, parts), number)
         shown.append(Shown(file.stem, put, parts))
         facts = {"file": file, "frames": len(one.motion), "fps": one.motion.fps, "types": parts}

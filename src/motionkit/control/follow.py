@@ -18,9 +18,10 @@ from motionkit.control.path_place import PathPlace
 from motionkit.control.plan import Plan, plan_path
 from motionkit.control.reference_player import ReferencePlayer
 from motionkit.control.speeds import acceleration_limit
-from motionkit.control.synthesize import SynthesisOptions, check_size, finish_motions
+from motionkit.control.synthesize import SynthesisOptions, check_size, finished, unfinished
 from motionkit.errors import ControlError
 from motionkit.features.control import TRAJECTORY_OFFSETS, Controls
+from motionkit.finish.finish import Unfinished
 from motionkit.inference.noise import default_noise
 from motionkit.inference.rollout import RolloutState, run
 from motionkit.metrics.trajectory import TrajectoryDistance, trajectory_distance
@@ -46,6 +47,7 @@ class FollowResult:
         seconds: how long the roll-out took.
         frames: frames at the model's rate.
         raw: the network's output, with feet not locked, if options.raw asks for it.
+        unfinished: what motion was finished from, for rigs whose own feet are locked.
     """
 
     motion: Motion
@@ -56,6 +58,7 @@ class FollowResult:
     seconds: float
     frames: int
     raw: Motion | None = None
+    unfinished: Unfinished | None = None
 
 
 class PathFollower:
@@ -186,24 +189,26 @@ def follow_path(
         if progress:
             progress(min(1.0, furthest))
 
-    def finished() -> bool:
+    def arrived() -> bool:
         return follower.finished
 
     began = time.perf_counter()
-    rollout = run(state, limit, follower, report, finished)
+    rollout = run(state, limit, follower, report, arrived)
     seconds = time.perf_counter() - began
     track = rollout.ground[0, :, :2]
     most = acceleration_limit(model, [part.type for part in path.parts])
-    motion, raw = finish_motions(model, rollout, 0, skeleton, options, most)
+    drawn = unfinished(model, rollout, 0, skeleton, most)
+    motion, raw = finished(model, drawn, skeleton, options)
     return FollowResult(
         motion,
         trajectory_distance(track, path.points),
         _part_distances(track, follower.arcs, path),
         tuple(np.bincount(path.part_at(np.array(follower.arcs)), minlength=len(path.parts)).tolist()),
-        finished(),
+        arrived(),
         seconds,
         len(track),
         raw,
+        drawn,
     )
 
 

@@ -18,7 +18,7 @@ from motionkit.control.planned_controls import CrowdController
 from motionkit.control.script import TypePart
 from motionkit.control.speeds import acceleration_limit
 from motionkit.errors import ControlError
-from motionkit.finish.finish import Finish, finish
+from motionkit.finish.finish import Finish, Unfinished
 from motionkit.inference.noise import Noise, default_noise
 from motionkit.inference.rollout import Controller, Rollout, RolloutState, rollout_motion, run
 from motionkit.inference.start import clip_motion
@@ -40,12 +40,14 @@ class Synthesis:
         contacts: (T, 4) predicted contacts at the model's rate.
         types: the parts that were asked for.
         raw: the network's output, with feet not locked, if options.raw asks for it.
+        unfinished: what motion was finished from, for rigs whose own feet are locked; None with keys.
     """
 
     motion: Motion
     contacts: Array
     types: tuple[TypePart, ...]
     raw: Motion | None = None
+    unfinished: Unfinished | None = None
 
 
 @dataclass(frozen=True)
@@ -131,8 +133,9 @@ def synthesize(
         mine = rollout.first(len(plan.track))
         skeleton, most = skeletons[i % len(skeletons)], limits[i % len(asked)]
         hold = model.root_hold(plan.weights)
-        motion, raw = finish_motions(model, mine, i, skeleton, options, most, hold)
-        motions.append(Synthesis(motion, mine.contacts[i], plan.parts, raw))
+        drawn = unfinished(model, mine, i, skeleton, most, hold)
+        motion, raw = finished(model, drawn, skeleton, options)
+        motions.append(Synthesis(motion, mine.contacts[i], plan.parts, raw, None if options.keys else drawn))
     return SynthesisResult(tuple(motions), seconds)
 
 
@@ -188,58 +191,44 @@ def _asked(
     return asked
 
 
-def finish_motion(
+def unfinished(
     model: MotionModel,
     rollout: Rollout,
     index: int,
     skeleton: Skeleton,
-    options: SynthesisOptions,
     most: float | None = None,
     hold: Array | float = 0.0,
-) -> Motion:
-    """One character of a roll-out as a motion to write: finished, on its skeleton, at its rate.
+) -> Unfinished:
+    """One character of a roll-out as a motion that is still to be finished.
 
-    A model that is shown the skeleton moves it as it is; what others do on the default body is scaled.
+    A model that is shown the skeleton moves it as it is; what others do is on the default body.
 
     Args:
+        skeleton: of the character that is shown.
         most: acceleration over the ground in m/s^2 (acceleration_limit of its types); None for no limit.
         hold: share (T,) or one for all frames of the sliding of feet in contact that is taken out of the root's way; 0
             where the way was given.
     """
     motion = rollout_motion(model, rollout, index, _moved(model, skeleton))
-    if options.ik:
-        size = leg_length(skeleton) / leg_length(motion.skeleton)
-        motion = finish(motion, rollout.contacts[index], Finish(hold=hold, most=most, size=size))
-    motion = on_character(motion, skeleton)
-    return motion if options.fps is None else resample(motion, options.fps)
+    size = leg_length(skeleton) / leg_length(motion.skeleton)
+    return Unfinished(motion, rollout.contacts[index], Finish(hold=hold, most=most, size=size))
 
 
-def finish_motions(
-    model: MotionModel,
-    rollout: Rollout,
-    index: int,
-    skeleton: Skeleton,
-    options: SynthesisOptions,
-    most: float | None = None,
-    hold: Array | float = 0.0,
+def finished(
+    model: MotionModel, drawn: Unfinished, skeleton: Skeleton, options: SynthesisOptions
 ) -> tuple[Motion, Motion | None]:
-    """One character's motion to write, and the same with feet not locked if the options ask for it."""
-    without = replace(options, ik=False)
-    raw = finish_motion(model, rollout, index, skeleton, without) if options.raw else None
+    """A motion to write, on its skeleton and at its rate, and the same unfinished if the options ask for it."""
+    raw = _at_rate(on_character(drawn.motion, skeleton), options) if options.raw else None
     if options.keys:
-        return _meeting(model, rollout, index, skeleton, options), raw
-    motion = finish_motion(model, rollout, index, skeleton, options, most, hold)
-    return motion, raw
+        before = None if options.init is None else on_character(clip_motion(model, options.init), skeleton)
+        body = on_character(drawn.motion, skeleton)
+        motion = meet_keys(body, drawn.contacts, options.keys, options.ik, before)
+    else:
+        motion = on_character(drawn.finished() if options.ik else drawn.motion, skeleton)
+    return _at_rate(motion, options), raw
 
 
-def _meeting(
-    model: MotionModel, rollout: Rollout, index: int, skeleton: Skeleton, options: SynthesisOptions
-) -> Motion:
-    """One character of a roll-out as a motion that meets the keys of the options, and goes on from their clip."""
-    body = rollout_motion(model, rollout, index, _moved(model, skeleton))
-    before = None if options.init is None else on_character(clip_motion(model, options.init), skeleton)
-    contacts = rollout.contacts[index]
-    motion = meet_keys(on_character(body, skeleton), contacts, options.keys, options.ik, before)
+def _at_rate(motion: Motion, options: SynthesisOptions) -> Motion:
     return motion if options.fps is None else resample(motion, options.fps)
 
 

@@ -29,8 +29,21 @@ class Finish:
     size: float = 1.0
 
 
+@dataclass(frozen=True, eq=False)
+class Unfinished:
+    """A motion before it is finished: on the canonical joints, with its contacts (T, 4) and what is told of it."""
+
+    motion: Motion
+    contacts: Array
+    told: Finish
+
+    def finished(self) -> Motion:
+        """The motion as it is written."""
+        return finish(self.motion, self.contacts, self.told)
+
+
 def finish(motion: Motion, contacts: Array, told: Finish) -> Motion:
-    """A motion as it is written; each correction once, in this order (docs/feet.md has what each brings).
+    """A motion as it is written; each correction once, in this order (docs/rollout.md has what each brings).
 
     The body rises out of the ground before its feet are moved; flights are corrected after it, since legs decide where
     a flight begins and ends.

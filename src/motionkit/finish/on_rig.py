@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from motionkit.arrays import Array
-from motionkit.finish.finish import Finish, finish
+from motionkit.finish.finish import Finish, Unfinished, finish
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.motion import Motion, resample
 from motionkit.rig.on_rig import canonical_places
@@ -20,32 +20,34 @@ def on_rig(
     rig: Rig,
     ik: bool = True,
     clip: Motion | None = None,
-    contacts: Array | None = None,
-    told: Finish | None = None,
+    drawn: Unfinished | None = None,
 ) -> Motion:
     """A motion on the skeleton of a rig, in its unit and axes; to_rig.rig_bvh makes a BVH file of it.
 
     Args:
-        motion: on the canonical joints, in cm, the floor at height zero; its feet not yet locked.
+        motion: on the canonical joints, in cm, the floor at height zero.
         rig: from read_rig.
         ik: finish the motion on the body of the rig; its feet are held while those of the motion touch the floor.
         clip: motion of the rig, whose other joints (fingers, props) move as they do there; from read_clip.
-        contacts: (T, 4) predicted contacts; labels by height and speed by default.
-        told: what finishing is told of the motion; that it was recorded by default.
+        drawn: the same motion with the contacts that a network predicted for it. By default it was recorded, and
+            contacts are found by height and speed.
 
     Raises:
         SkeletonError: clip has other joints than the rig.
     """
     body = on_body(motion, rig)
     if ik:
-        held = foot_contacts(canonical_places(motion), motion.fps) if contacts is None else contacts
-        body = _finished(motion, body, rig, held, told or Finish(drawn=False))
+        if drawn is None:
+            contacts = foot_contacts(canonical_places(motion), motion.fps)
+            drawn = Unfinished(motion, contacts, Finish(drawn=False))
+        body = _finished(body, rig, drawn)
     return from_body(body, rig, None if clip is None else resample(clip, motion.fps))
 
 
-def _finished(motion: Motion, body: Motion, rig: Rig, contacts: Array, told: Finish) -> Motion:
+def _finished(body: Motion, rig: Rig, drawn: Unfinished) -> Motion:
     """A motion of the body of a rig, finished, its feet as high as those of the rig stand."""
-    usual = stance(motion, rig, contacts)
+    contacts, told = drawn.contacts, replace(drawn.told, size=1.0)
+    usual = stance(drawn.motion, rig, contacts)
     if usual is None:  # nothing stands
         return finish(body, contacts, told)
     body = _standing(body, rig, contacts, usual)

@@ -8,7 +8,7 @@ import numpy as np
 
 from motionkit.arrays import Array
 from motionkit.control.speeds import acceleration_limit
-from motionkit.control.synthesize import SynthesisOptions, finish_motions
+from motionkit.control.synthesize import SynthesisOptions, finished, unfinished
 from motionkit.data.dataset import Dataset
 from motionkit.features.control import Controls
 from motionkit.inference.rollout import RolloutState, run
@@ -80,7 +80,7 @@ def roll_like(
         # The way is given, as on a path: feet that are locked do not change it.
         mine, options = rollout.first(clip.frames), SynthesisOptions(raw=True)
         most = acceleration_limit(model, asked[index].shown)
-        held, raw = finish_motions(model, mine, index, skeleton, options, most)
+        held, raw = finished(model, unfinished(model, mine, index, skeleton, most), skeleton, options)
         assert raw is not None, "the options ask for it"
         takes.append(Take(body_of(held), body_of(raw)))
     return takes
