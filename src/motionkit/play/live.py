@@ -12,6 +12,7 @@ from motionkit.errors import ControlError, MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.play.client import COSTS, Client
 from motionkit.play.frames import Shown, WorldFrame, frame_bytes, frame_text
+from motionkit.play.limits import Limits
 from motionkit.play.on_rig import LiveRig
 from motionkit.play.pace import Pacer
 from motionkit.play.recording import Recordings, file_bytes
@@ -21,6 +22,71 @@ from motionkit.rig.rig import Rig
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
 REST = 3.0  # after slow work such as a reset, the next has to wait this many times as long as it took
+
+
+class SlowWork:
+    """Turns at work that takes as long as several frames, such as a reset: one at a time, and a share of all time."""
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock, self._lock = clock, asyncio.Lock()
+        self._rested = 0.0  # clock time at which slow work may begin again
+
+    @asynccontextmanager
+    async def turn(self) -> AsyncIterator[None]:
+        """Wait for a turn: a client that asks for much has to wait, and frames keep going out to everyone."""
+        async with self._lock:
+            await asyncio.sleep(max(0.0, self._rested - self.clock()))
+            began = self.clock()
+            try:
+                yield
+            finally:
+                now = self.clock()
+                self._rested = now + REST * (now - began)
+
+
+class RecordingWriter:
+    """Writes recordings as files in a thread, one at a time, while frames go on.
+
+    Attributes:
+        files: what was written.
+        format: of recordings whose request names none, one of FORMATS.
+    """
+
+    def __init__(self, limits: Limits, rig: tuple[Rig | None, Motion | None], format: str) -> None:
+        self.files, self.format = Recordings(limits.recordings, limits.recording_bytes), format
+        self._most, self._rig = limits.recordings, rig
+        self._one = asyncio.Semaphore(1)
+        self._tasks: set[asyncio.Task] = set()
+
+    @property
+    def full(self) -> bool:
+        """Whether as many recordings are being written as may be kept."""
+        return len(self._tasks) >= self._most
+
+    def write(self, recorded: Recorded, tell: Callable[[dict[str, Any]], None]) -> None:
+        """Begin to write a recording; tell is called with the event of its end."""
+        task = asyncio.get_running_loop().create_task(self._write(recorded, tell))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _write(self, recorded: Recorded, tell: Callable[[dict[str, Any]], None]) -> None:
+        format = recorded.format or self.format
+        try:
+            async with self._one:
+                data = await asyncio.to_thread(file_bytes, recorded.motion, *self._rig, format)
+        except MotionkitError as error:
+            tell(error_event(error, closing=False))
+            return
+        tell(
+            {
+                "event": "recorded",
+                "character": recorded.character,
+                "url": f"/recordings/{self.files.add(data, format)}",
+                "format": format,
+                "frames": len(recorded.motion),
+                "seconds": recorded.motion.seconds,
+            }
+        )
 
 
 class Live:
@@ -39,21 +105,16 @@ class Live:
             rig: that of recordings and of JSON frames, and a clip of it for its other joints (file_bytes).
             recording_format: of recordings whose request names none, one of FORMATS.
         """
-        self.session, self.clock, self.rig = session, clock, rig
-        self.recording_format = recording_format
+        self.session, self.clock = session, clock
         self._live_rig = None if rig[0] is None else LiveRig(rig[0])
         self.clients: dict[int, Client] = {}
-        limits = session.limits
-        self.recordings = Recordings(limits.recordings, limits.recording_bytes)
+        self.writer = RecordingWriter(session.limits, rig, recording_format)
+        self.slow_work = SlowWork(clock)
         self.pacer = Pacer(session.model.fps, clock())
         self.watchers: list[Callable[[WorldFrame], None]] = []  # called with every frame, such as VMC output
         self._last_client = 0
         self._joining = 0  # clients waiting for their character
         self._changed = False  # whether characters changed since clients were last told
-        self._working = asyncio.Lock()
-        self._rested = 0.0  # clock time at which slow work may begin again
-        self._writing = asyncio.Semaphore(1)
-        self._tasks: set[asyncio.Task] = set()
 
     # ---- clients ----
 
@@ -63,7 +124,7 @@ class Live:
             return None
         self._joining += 1
         try:
-            async with self._turn():
+            async with self.slow_work.turn():
                 return self._welcome(as_json)
         finally:
             self._joining -= 1
@@ -86,7 +147,7 @@ class Live:
         character = self.session.join(client.number)
         self.clients[client.number] = client
         rig = {} if self._live_rig is None else {"rig": self._live_rig.told()}
-        recordings = {"recording_format": self.recording_format}
+        recordings = {"recording_format": self.writer.format}
         client.tell(self.session.hello(client.number, character) | recordings | rig)
         if self.pacer.behind:
             client.tell(self.pace_event())
@@ -116,7 +177,7 @@ class Live:
             stamp = request.fields["stamp"]
             client.tell({"event": "pong", "stamp": stamp, "time": self.session.time})
         elif request.do in COSTS:
-            async with self._turn():
+            async with self.slow_work.turn():
                 if client.number in self.clients:
                     self._obey(client, request)
         else:
@@ -124,7 +185,7 @@ class Live:
 
     def _obey(self, client: Client, request: Request) -> None:
         try:
-            if request.fields.get("on") and len(self._tasks) >= self.session.limits.recordings:
+            if request.fields.get("on") and self.writer.full:
                 raise ControlError("earlier recordings are still being written")
             recorded = self.session.obey(client.number, request)
         except ControlError as error:
@@ -135,22 +196,6 @@ class Live:
         if request.do in CHANGES_CHARACTERS:
             self._changed = True
 
-    @asynccontextmanager
-    async def _turn(self) -> AsyncIterator[None]:
-        """Reserve time for work that takes as long as several frames.
-
-        Clients take turns, and such work gets only a share of all time: a client that asks for much has to
-        wait, and frames keep going out to everyone.
-        """
-        async with self._working:
-            await asyncio.sleep(max(0.0, self._rested - self.clock()))
-            began = self.clock()
-            try:
-                yield
-            finally:
-                now = self.clock()
-                self._rested = now + REST * (now - began)
-
     def _tell_all(self, event: dict[str, Any]) -> None:
         for client in self.clients.values():
             client.tell(event)
@@ -158,30 +203,12 @@ class Live:
     # ---- recordings ----
 
     def _keep(self, recorded: Recorded) -> None:
-        task = asyncio.get_running_loop().create_task(self._write(recorded))
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
+        def tell(event: dict[str, Any]) -> None:
+            client = self.clients.get(recorded.owner or 0)
+            if client is not None:
+                client.tell(event)
 
-    async def _write(self, recorded: Recorded) -> None:
-        """Write the file in a thread while frames go on, then tell its owner."""
-        format = recorded.format or self.recording_format
-        try:
-            async with self._writing:
-                data = await asyncio.to_thread(file_bytes, recorded.motion, *self.rig, format)
-        except MotionkitError as error:
-            told = error_event(error, closing=False)
-        else:
-            told = {
-                "event": "recorded",
-                "character": recorded.character,
-                "url": f"/recordings/{self.recordings.add(data, format)}",
-                "format": format,
-                "frames": len(recorded.motion),
-                "seconds": recorded.motion.seconds,
-            }
-        client = self.clients.get(recorded.owner or 0)
-        if client is not None:
-            client.tell(told)
+        self.writer.write(recorded, tell)
 
     # ---- the clock ----
 

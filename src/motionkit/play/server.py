@@ -211,7 +211,7 @@ class PlayServer:
                 return _response(HTTPStatus.OK, figure, "application/json")
             if figure is not None:
                 return _response(HTTPStatus.ACCEPTED, "the figure is being made; ask again")
-        recording = find_recording(path, self.live.recordings)
+        recording = find_recording(path, self.live.writer.files)
         if recording is not None:
             data, content, name = recording
             named = {"Content-Disposition": f'attachment; filename="{name}"'}
