@@ -20,7 +20,7 @@ from motionkit.control.path import shape_path
 from motionkit.control.script import parse_types
 from motionkit.control.synthesize import SynthesisOptions, synthesize
 from motionkit.errors import MotionkitError
-from motionkit.finish import finish, root_height
+from motionkit.finish import feet, finish, root_height
 from motionkit.finish.finish import Unfinished
 from motionkit.metrics.flight import flights
 from motionkit.metrics.foot_sliding import sliding_over_ground
@@ -70,6 +70,11 @@ def without(name: str) -> Callable[[Unfinished], Motion]:
         place, function, instead = {
             "out of the ground": (finish, "above_ground", lambda motion: motion),
             "foot locking": (finish, "lock_feet", lambda motion, contacts: motion),
+            "hips that come down": (
+                feet,
+                "_hip_drop",
+                lambda motion, positions, shifts: np.zeros((len(motion), 3)),
+            ),
             "gliding bodies come down": (root_height, "_glide", lambda positions: np.zeros(len(positions))),
             "free fall": (root_height, "_free_fall", lambda positions, fps, size: np.zeros(len(positions))),
         }[name]
@@ -89,6 +94,7 @@ WAYS: dict[str, Callable[[Unfinished], Motion]] = {
             "root held by feet",
             "limit of acceleration",
             "foot locking",
+            "hips that come down",
             "gliding bodies come down",
             "free fall",
         )
@@ -99,15 +105,15 @@ WAYS: dict[str, Callable[[Unfinished], Motion]] = {
 def measured(motion: Motion, most: float | None) -> tuple[float, ...]:
     """The columns of one motion."""
     positions = motion_kinematics(motion)[1]
-    feet = foot_positions(positions)
+    soles = foot_positions(positions)
     try:
-        skate = foot_skate_ratio(feet, STANDING).value
+        skate = foot_skate_ratio(soles, STANDING).value
     except MotionkitError:  # no toe stands
         skate = 0.0
     acceleration = ground_acceleration(motion.root_positions, motion.fps)
     errors = [abs(flight.error) for flight in flights(positions, ~touching(positions))]
     return (
-        sliding_over_ground(feet).value or 0.0,
+        sliding_over_ground(soles).value or 0.0,
         skate or 0.0,
         hover_share(positions).value or 0.0,
         float(positions[..., 1].min()),

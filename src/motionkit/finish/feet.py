@@ -1,7 +1,8 @@
 """Foot locking for whole motions: feet stay in place during contacts, by two-bone IK with eased transitions.
 
 Works on the canonical joints. While a foot is in contact, its toe is held in one place at the height of a standing
-one, and the knee bends to reach it. Live characters do it frame by frame (inference).
+one; the knee bends to reach it, and the hips come down where the leg is too short. Live characters have foot locking
+frame by frame, in C (inference).
 """
 
 from __future__ import annotations
@@ -14,7 +15,9 @@ from motionkit.arrays import Array, length, lower_median, peak_smoothed, smooths
 from motionkit.motion.contacts import CONTACT_HEIGHTS
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.leg_ik import (
+    ANKLES,
     HIPS,
+    KNEES,
     LEG_JOINTS,
     LOCK,
     TOE,
@@ -48,7 +51,7 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
             only: of a body upside down they may be predicted before a foot is there, which would be torn down.
 
     Returns:
-        The motion with changed leg rotations.
+        The motion with changed leg rotations and root positions.
     """
     if len(motion) < 2:
         return motion
@@ -62,13 +65,15 @@ def lock_feet(motion: Motion, contacts: Array) -> Motion:
     if not moved.any():
         return motion
     pitch, ankle_shifts = pitched_feet(positions, shifts)
-    rotations = motion.local_rotations.copy()
+    drop = _hip_drop(motion, positions, ankle_shifts)
+    rotations, positions = motion.local_rotations.copy(), positions + drop[:, None]
+    moved |= (drop != 0.0).any(axis=1)
     turned, world = rotations[moved], quat_to_matrix(turns[moved])
-    move_feet(turned, positions[moved], world, pitch[moved], ankle_shifts[moved])
+    move_feet(turned, positions[moved], world, pitch[moved], (ankle_shifts - drop[:, None])[moved])
     legs = LEG_JOINTS[:3].ravel()
     turned[:, legs] = quat_normalize(turned[:, legs])
     rotations[moved] = turned
-    return replace(motion, local_rotations=rotations)
+    return replace(motion, local_rotations=rotations, root_positions=motion.root_positions + drop)
 
 
 def _near_floor(positions: Array) -> Array:
@@ -192,3 +197,21 @@ def _faded(shifts: list[Array], spans: list[Span], shape: tuple[int, int], ease:
 def _easing(frames: int, ease: int) -> Array:
     """The first frames of a share that falls to 0 in `ease` frames."""
     return smoothstep(1.0 - np.arange(1, frames + 1) / ease)
+
+
+def _hip_drop(motion: Motion, positions: Array, shifts: Array) -> Array:
+    """How far the root moves (T, 3), smoothly, towards ankles that the legs do not reach.
+
+    Without it a leg that is stretched while its foot is held snaps back: one leap of a knee in 460 roll-outs.
+    """
+    need = np.zeros_like(motion.root_positions)
+    for side in range(2):
+        hip, ankle = positions[:, HIPS[side]], positions[:, ANKLES[side]]
+        whole = np.linalg.norm(motion.skeleton.offsets[[KNEES[side], ANKLES[side]]], axis=-1).sum()
+        reach = ankle + shifts[:, side] - hip
+        distance = length(reach)
+        # A leg that was straight before stays straight; the hips only move by what the lock adds.
+        missing = np.maximum(distance - np.maximum(LOCK.max_reach * whole, length(ankle - hip)), 0.0)
+        move = reach / np.maximum(distance, 1e-6)[:, None] * missing[:, None]
+        need = np.where((missing > length(need))[:, None], move, need)
+    return peak_smoothed(length(need), need, _frames(LOCK.ease_frames, motion.fps))
