@@ -182,9 +182,9 @@ def test_the_predicted_trajectory_is_fed_back(paper_model: MotionModel) -> None:
         own = paper_model.trajectory_scaling.denormalize(state.network.trajectory)
         state.step(Controls.of_types(weights))
         assert np.allclose(
-            state._controls[:, columns], paper_model.trajectory_scaling.normalize(own), atol=1e-5
+            state.controls.vectors[:, columns], paper_model.trajectory_scaling.normalize(own), atol=1e-5
         )
-    assert np.abs(state._controls[:, columns]).max() > 0.0
+    assert np.abs(state.controls.vectors[:, columns]).max() > 0.0
 
 
 def test_a_trajectory_that_is_given_comes_first(paper_model: MotionModel) -> None:
@@ -192,7 +192,7 @@ def test_a_trajectory_that_is_given_comes_first(paper_model: MotionModel) -> Non
     weights = np.eye(len(paper_model.types), dtype=np.float32)[:1]
     wanted = np.full((1, 24), 7.0, np.float32)
     state.step(replace(Controls.of_types(weights), trajectory=wanted).with_mask(1.0))
-    shown = state._controls[:, paper_model.controls.trajectory]
+    shown = state.controls.vectors[:, paper_model.controls.trajectory]
     assert np.allclose(shown, paper_model.trajectory_scaling.normalize(wanted), atol=1e-5)
 
 
@@ -200,7 +200,7 @@ def test_initial_frames_are_shown_the_way_they_went(paper_model: MotionModel) ->
     """The controls of initial frames are computed from their motion (paper section 5.2)."""
     state = started(paper_model)
     start = paper_model.types[paper_model.type_names[0]].start_poses[0]
-    ways = state._recorded_trajectories(start.features[None])[0]
+    ways = state.controls.recorded_trajectories(start.features[None])[0]
     from motionkit.features.control import future_trajectory
 
     frames = np.arange(len(start.features) - 10)  # whose first sample ahead is still recorded

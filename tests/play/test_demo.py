@@ -32,6 +32,7 @@ from motionkit.metrics.body import body_of
 from motionkit.metrics.detectors import DETECTORS, detection_windows
 from motionkit.models.bundled import load_bundled_model
 from motionkit.models.config import Variant
+from motionkit.models.motion_type import MotionKind
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
@@ -141,12 +142,7 @@ def stored_weights(weights: StepWeights) -> StepWeights:
     )
 
 
-STATE = (
-    "_x",
-    "_before",
-    "_contacts",
-    "_ground",
-)  # of a RolloutState, as x, before, contacts and place of the page's
+STATE = ("x", "before", "contacts", "ground")  # of a frame, as x, before, contacts and place of the page's
 IN_THE_PAGE = """([noise, states, asked]) => {
   const { world } = motionkit.link, { body } = world.characters.values().next().value;
   const floats = (text) => new Float32Array(Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0)).buffer);
@@ -185,12 +181,12 @@ def in_numpy(noise: Floats, script: list[Controls]) -> tuple[Array, Array]:
     stream.state.noise_state._draw = lambda out: np.copyto(out, next(rows))  # type: ignore[method-assign]
     kind = model_first_type(model)
     start = stream.model.types[kind].start_poses[0]
-    stream.state.start(start.features[None], start.contacts[None], stream._weights(kind))
+    stream.state.start(start.features[None], start.contacts[None], model.type_weights(kind)[None])
     states, frames = [], []
     for asked in script:
-        states.append(np.concatenate([getattr(stream.state, name)[0] for name in STATE]))
+        states.append(np.concatenate([getattr(stream.state.frame, name)[0] for name in STATE]))
         shown = stream.step(asked)
-        parts = (stream.state.normalised[0], shown.contacts[0], shown.positions[0].ravel())
+        parts = (stream.state.frame.x[0], shown.contacts[0], shown.positions[0].ravel())
         frames.append(np.concatenate(parts))
     return np.stack(states), np.stack(frames)
 
@@ -241,7 +237,7 @@ def test_every_type_with_recordings_has_tracks_and_seeds_differ() -> None:
     model = load_bundled_model()
     for name, kind in model.types.items():
         tracks = type_tracks(model, name)
-        assert bool(tracks) == (bool(kind.reference_clips) and not kind.stands)
+        assert bool(tracks) == (bool(kind.reference_clips) and kind.kind is not MotionKind.STANCE)
         poses = {track.poses[:60].tobytes() for track in tracks}
         assert len(poses) >= min(len(tracks), 2)
         assert all(bool(track.performance) == kind.kind.phased for track in tracks)
