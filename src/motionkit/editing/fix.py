@@ -155,8 +155,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
 
 
 def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
-    """The rig's motion, with legs turned and root moved in the world as the canonical body was, from before to after.
-    """
+    """The rig's motion, legs turned and root moved in the world like the canonical body from before to after."""
     old, _ = motion_kinematics(before)
     new, _ = motion_kinematics(after)
     turns: dict[int, Array] = {}
@@ -172,11 +171,11 @@ def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> M
 
 
 def turned_in_world(motion: Motion, turns: dict[int, Array]) -> Motion:
-    """The motion with some joints turned by world rotations (T, 4); descendants follow unless they are turned
-    themselves.
+    """The motion with some joints turned by world rotations (T, 4); their descendants follow.
 
     Args:
-        turns: joint index to the rotation that multiplies its global rotation.
+        turns: joint index to the rotation by which its global rotation is multiplied; the other joints keep theirs
+            relative to their parents.
     """
     rotations, _ = motion_kinematics(motion)
     local = motion.local_rotations.copy()

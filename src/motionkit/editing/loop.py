@@ -255,9 +255,7 @@ def _allowed(upright: Upright, every: Array, least: int) -> Array:
 
 
 def _reach(apart: Array) -> Array:
-    """Largest difference (N, N) from the first frame that is reached on the way to the second, given differences (N,
-    N).
-    """
+    """Largest difference (N, N) from the first of two frames, over all frames up to the second."""
     return np.asarray(np.maximum.accumulate(np.triu(apart), axis=1))
 
 
@@ -386,8 +384,7 @@ def _closed_values(values: Array, share: Array, fade: Array) -> Array:
 
 
 def _closed_way(track: Array, heading: Array, straight: Array, fade: Array, fps: float) -> Array:
-    """The root's ground track (T, 2) for a new heading: the same steps in the heading frame, and equal first and last
-    steps.
+    """The ground track (T, 2) for new headings: the same steps in the heading frame, with equal first and last step.
 
     A track that hardly travels ends at its start.
     """

@@ -24,7 +24,7 @@ from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.upright import Upright, relative_rotation
 
 ROOT = "Root"  # name of the bone on the floor
-SMOOTHING_SECONDS = 0.25  # s, Gaussian smoothing of the ground track; the sway of single steps stays with the hips
+SMOOTHING_SECONDS = 0.25  # s, smoothing of the ground track; the sway of steps stays with the hips
 
 
 def ground_track(upright: Upright, cyclic: bool = False) -> Array:

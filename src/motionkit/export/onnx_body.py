@@ -185,8 +185,7 @@ def _expmap_to_quat(g: Graph, expmaps: str, count: int) -> str:
 
 
 def _sixd_to_quat(g: Graph, features: str, start: int, first: str) -> str:
-    """Write the quaternion (1, 4) of a rotation matrix whose first two columns, not yet orthonormal, start at `start`.
-    """
+    """Write the quaternion (1, 4) of a matrix, given by two columns from `start` on that may not be orthonormal."""
     third = g.add("MatMul", _products(g, features, start, start + 3), MINUS)
     # Normalize the third and the first column; the second is their cross product.
     pair = g.add("Concat", third, first, axis=0)

@@ -282,8 +282,7 @@ def export_onnx(model: MotionModel, path: str | Path, character: str = "default"
 
 
 def _checked(model: MotionModel, graph: bytes, character: str) -> ExportCheck | None:
-    """The result of check_export; None without onnxruntime. Raises ModelError if joints differ by more than TOLERANCE.
-    """
+    """Run check_export; None without onnxruntime. Raises ModelError if joints differ by more than TOLERANCE."""
     try:
         import onnxruntime
     except ImportError:

@@ -1,5 +1,4 @@
-"""Packs a model into the one file that a web page runs (web/src/demo): memory of the C kernels, and what surrounds
-them.
+"""Packs a model into one file for a web page (web/src/demo): memory of the C kernels, types and tracks.
 
 The file has 4 bytes for the length of a JSON header, the header, and deflated arrays. Two steps make the arrays
 smaller. Poses and ground tracks are stored by column, as differences between frames in units of STEP. The low bytes of

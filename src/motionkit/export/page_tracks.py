@@ -106,8 +106,7 @@ def _frames(kind: MotionType, fps: float, clip: int) -> int:
 
 
 def _step(ground: Array, at: int) -> Array:
-    """Movement from a frame to the next in the heading frame: x, z and turn (3,). The last step is repeated at the end.
-    """
+    """Step from a frame to the next in the heading frame: x, z and turn (3,). The last frame repeats a step."""
     at = min(at, len(ground) - 2)
     turn = ground[at + 1, 2] - ground[at, 2]
     return np.append(rotate_ground(-ground[at, 2], ground[at + 1, :2] - ground[at, :2]), turn)
