@@ -59,7 +59,7 @@ class Rigs:
     def read(
         self, source: Path, target: Rig | None, scale: float | None
     ) -> tuple[Motion, RetargetReport, Rig | None]:
-        """The motion of SOURCE, the report on it, and its rig if a bone map was needed."""
+        """The motion of SOURCE, the report on it, and its rig if the options give one."""
         from motionkit.rig.on_rig import read_motion, read_on_any_rig, read_rig
 
         if self.source_rig is not None or self.source_map is not None:

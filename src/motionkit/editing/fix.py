@@ -35,7 +35,7 @@ MEASURED: dict[str, str] = {
     "skate-ratio": "share of standing toes that slide",
     "jerk": "jerk",
 }
-FAR_OFF = 15.0  # cm; the floor is found again without toes if it is further off, because toe heights are only estimated
+FAR_OFF = 15.0  # cm; without toes the floor is uncertain, so it is moved only if it is further off than this
 
 
 @dataclass(frozen=True)

@@ -65,7 +65,7 @@ class Piece:
 
     @cached_property
     def table(self) -> Array:
-        """Rows (N, 7) along the piece, interpolated smoothly: share, half width, half depth, shift, middle (3,)."""
+        """Rows (N, 6) along the piece, interpolated smoothly: share, half width, half depth, middle (3,)."""
         shares = np.linspace(0.0, 1.0, _SAMPLES)
         _, depth, along = self.axes
         heights = (self.path - self.path[0]) @ along / self.length

@@ -131,7 +131,7 @@ class Framing:
         places, reached = (
             [],
             np.zeros(len(bodies[0])),
-        )  # the next motion must be beyond this line, at every time
+        )  # where the previous body ends along the row, at every time
         for body, hip in zip(bodies, hips, strict=True):
             along = body @ row
             shift = float((reached - along.min(axis=1)).max()) + GAP
