@@ -20,7 +20,7 @@ from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import uninterrupted
 
 MAX_TEXT_BYTES = 64 * 2**20  # bytes, about 67 MB; limit of a label table, a path or a JSON file
-MAX_JSON_DEPTH = 50
+MAX_JSON_DEPTH = 50  # nested lists and objects; deeper ones could exhaust the stack of Python
 MAX_JSON_NODES = 2_000_000  # lists and objects; each takes about a hundred bytes of memory
 MAX_JSON_DIGITS = 40  # digits of an integer; saved states of random generators have 39
 

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 SHOWN_SECONDS = 5.0  # seconds shown of each type, on page and sheet
 ROLL_OUT_SECONDS = 6.0  # seconds of the roll-outs that choose the reference gains
 TRAVELS = 100.0  # cm from start to end; a motion that travels less is not turned
-SHOWN_SKIPS = 8
+SHOWN_SKIPS = 8  # unusable files that are listed by name
 NEVER = 1e6  # minutes between scores; longer than any run, so that scoring is off
 DATASET, MODEL, RUN = "dataset", "model.safetensors", "model.run"
 PAGE, SHEET, VERDICT = "motions.html", "motions.png", "verdict.md"

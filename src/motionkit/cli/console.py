@@ -13,7 +13,7 @@ from rich.text import Text
 from motionkit.names import visible
 
 _BESIDE_THE_BAR = 40  # columns reserved for description, count and time
-_WIDEST_BAR = 40
+_WIDEST_BAR = 40  # columns
 
 
 class PlainConsole(Console):

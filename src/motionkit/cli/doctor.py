@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.data.diagnosis import ClipFacts, Diagnosis
 
-SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES = 60, 8, 8
+SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES = 60, 8, 8  # lines of each kind; --json lists all
 NO_LIMIT = 1000  # columns, if the output is not a terminal
 
 

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessReport
 
 LAYOUT_CHOICES = ("sixd-root-1", "expmap-root-1")
-SHOWN_SKIPS = 20
+SHOWN_SKIPS = 20  # skipped files that are listed by name
 
 
 @click.command("preprocess")

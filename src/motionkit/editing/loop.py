@@ -54,7 +54,7 @@ STILL = 0.05  # cm; a clip with a smaller median difference does not move
 PACE_SHARE, PACE = 0.1, 10.0
 # Among lengths this close to the requested one, as a share or in seconds, the most similar ends win.
 WISH_SHARE, WISH_SECONDS = 0.05, 0.1
-FADE_SECONDS = 0.25
+FADE_SECONDS = 0.25  # s, time on each side of the seam in which the difference of velocities fades
 STANDING_SPEED = 25.0  # cm/s; a slower cycle ends at the place where it began
 FAR_FROM_WISH = 0.1  # share of a requested length; a larger deviation is reported
 LOOP_SECONDS = 8.0  # s, default length of the motion to search for a cycle

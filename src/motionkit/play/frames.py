@@ -29,8 +29,8 @@ RECORD = np.dtype(
         ("rotations", "<f4", 4 * JOINT_COUNT),
     ]
 )
-PERFORMING, FOLLOWING, RECORDING = 1, 2, 4
-TOUCHES_ABOVE = 0.5
+PERFORMING, FOLLOWING, RECORDING = 1, 2, 4  # bits of the flags of a character
+TOUCHES_ABOVE = 0.5  # probability above which a foot joint counts as in contact
 
 
 @dataclass(frozen=True, eq=False)

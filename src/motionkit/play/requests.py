@@ -19,9 +19,9 @@ from motionkit.play.recording import FORMATS
 MAX_SPEED = 1000.0  # cm/s
 ROUND_OFF = 0.01  # cm/s, excess allowed for rounding, as when a client turns a velocity of MAX_SPEED
 MAX_PLACE = 1e6  # cm from the origin
-MAX_COUNT = 2**32 - 1
+MAX_COUNT = 2**32 - 1  # largest whole number; 32 bits in binary frames
 MAX_NAME = 100  # letters in the name of a type or body
-MAX_TEMPERATURE = 2.0
+MAX_TEMPERATURE = 2.0  # standard deviations
 MAX_SECONDS = 60.0  # length of a performance
 MAX_STOPS = 100  # stops on a path
 

@@ -48,13 +48,13 @@ from motionkit.view.viewer import page_asset
 
 SOCKET_PATH = "/live"
 CLOSE_SECONDS = 1.0  # s, time for clients to disconnect when the server stops
-WAITING_BYTES = 8192
+WAITING_BYTES = 8192  # unsent bytes in the buffers of a socket
 TOKEN_SECONDS = 10.0  # s, time for a TCP client to send the token
 WAITING_ROOM = 4  # most open TCP connections, as a multiple of the client limit
-CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013
+CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013  # WebSocket close codes (RFC 6455)
 
 
-LONGEST_METHOD = 20
+LONGEST_METHOD = 20  # letters of an HTTP method
 _METHOD = re.compile(rb"[A-Z]{1,%d}(?= |$)" % LONGEST_METHOD)
 
 

@@ -50,7 +50,7 @@ _NECK = ((0.0, 0.070, 0.066, -0.012), (0.25, 0.052, 0.055, -0.008), (0.55, 0.047
 _HEAD = ((-0.6, 0.054, 0.068, 0.018), (-0.3, 0.065, 0.083, 0.010), (0.0, 0.072, 0.092, 0.003),
          (0.25, 0.075, 0.095, -0.001), (0.45, 0.074, 0.093, -0.003))  # fmt: skip
 _HEAD_CAPS = 0.80, 0.80
-_HEAD_HALF = 0.118
+_HEAD_HALF = 0.118  # m, half height of the head
 # Share of the distance from mid hips to mid shoulders; then as above.
 _TORSO = ((-0.08, 0.110, 0.078, -0.012), (-0.03, 0.138, 0.096, -0.012),
           (0.06, 0.154, 0.104, -0.010), (0.18, 0.146, 0.098, -0.005),
@@ -149,7 +149,7 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
 
 
 def check_bones(motion: Motion) -> None:
-    """Raise SkeletonError if all bones of a human rig have length zero; such other rigs are drawn as a ball."""
+    """Raise SkeletonError if all bones of a human rig have length zero; other rigs are then drawn as a ball."""
     between = motion.skeleton.offsets if motion.local_positions is None else motion.local_positions
     if between[..., 1:, :].any():
         return

@@ -31,13 +31,13 @@ if TYPE_CHECKING:
     from PIL import Image
 
 ZOOM = 2  # drawing scale before the picture is reduced
-MARGIN = 16
+MARGIN = 16  # pixels, like the following sizes
 TITLE_HEIGHT = 30
 FIGURE_HEIGHT = 240
 PLOT_HEIGHT = 240
 PATH_WIDTH = 380
 POSES_PER_ROW = 16
-MAX_POSES = 480
+MAX_POSES = 480  # stick figures per clip; more would make the picture too large
 OVERLAP = 1.6  # width of the widest pose as a share of its cell; neighbours are usually narrower
 
 Color = tuple[int, int, int]

@@ -17,10 +17,10 @@ from motionkit.view.picture import Scenery
 if TYPE_CHECKING:
     from PIL import Image
 
-GIF_FPS, GIF_WIDTH, GIF_COLORS = 20, 480, 96
-FILM_FPS, FILM_WIDTH = 30, 960
-MAX_SECONDS = 600.0
-MAX_WIDTH = 3840
+GIF_FPS, GIF_WIDTH, GIF_COLORS = 20, 480, 96  # frames per second, pixels, colours of the palette
+FILM_FPS, FILM_WIDTH = 30, 960  # frames per second, pixels
+MAX_SECONDS = 600.0  # length of a film
+MAX_WIDTH = 3840  # pixels
 MAX_GIF_PIXELS = 500_000_000  # total of all frames, which Pillow keeps in memory
 Progress = Callable[[int, int], None]
 

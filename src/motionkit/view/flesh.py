@@ -23,7 +23,7 @@ GRIP = 0.016  # m, distance over which skin weights blend between pieces
 DYE = 0.009  # m, the same for tints
 SMOOTHINGS = 4  # passes that average the weights over neighbouring points
 INFLUENCES = 4  # most joints per point
-MAX_CELLS = 2_000_000  # of the grid; a rig whose legs are small for its body gets a coarser grid
+MAX_CELLS = 2_000_000  # most grid cells; a rig with very short legs for its body gets a coarser grid
 _SAMPLES = 48  # points per profile
 Chain = Sequence[tuple[float, float, int]]
 

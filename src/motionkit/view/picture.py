@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 ZOOM = 2  # drawing scale before the picture is reduced
 GRID_REACH = 9  # lines on each side of the camera's target
-SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)
+SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)  # RGB, 0 to 255
 SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116), (168, 115, 222), (221, 85, 103), (43, 167, 172))
 SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm(
     [1.7, 5.6, 2.2]

@@ -27,7 +27,7 @@ NEAREST, FARTHEST = 4.0, 400.0  # m, range of camera distances to try
 STEP = 1.03  # factor between distances
 APART = 0.95  # m between bodies in a row
 EDGE = 0.05  # free margin on every side, as a share of the picture
-LINE_WIDTH = 4
+LINE_WIDTH = 4  # pixels
 
 
 class StrobePicture(Scenery):

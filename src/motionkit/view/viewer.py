@@ -12,7 +12,7 @@ from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
 from motionkit.view.figure_data import Shown, figure_data
 
-MAX_MOTIONS = 32
+MAX_MOTIONS = 32  # per page
 
 
 def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> str:

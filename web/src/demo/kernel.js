@@ -5,7 +5,7 @@
 
 import { stands } from "./springs.js";
 
-const PAGE = 65536;
+const PAGE = 65536; // bytes of a page of WebAssembly memory
 const NEITHER = () => 0;
 
 export class Kernel {

@@ -5,10 +5,10 @@ import { FirstSteps, Player, askedSpeed } from "./player.js";
 import { RUN_SPEED, TRAJECTORY, WALK_SPEED, stands, steeredType, turned } from "./springs.js";
 
 const SPACING = 2; // cm between points of a path
-const [AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [60, 20, 130, 10, 8]; // cm and cm/s
-const [SHARP, TURN_SPEED, BESIDE_TURN] = [-0.8, 30, 3];
+const [AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [60, 20, 130, 10, 8]; // cm searched ahead for the nearest point; cm/s at least, by default and at stops; cm before a stop
+const [SHARP, TURN_SPEED, BESIDE_TURN] = [-0.8, 30, 3]; // cosine of a sharp turn; cm/s in it; points on either side that show it
 const TOO_SLOW = 0.99; // share of a run's slowest recorded speed, below which the body walks
-const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
+const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5]; // cm/s² of a body; frames of a change of type; samples of its weights; frames per step of the prediction
 
 /** Evenly spaced points with their directions. */
 class Path {

@@ -4,9 +4,9 @@ import { free } from "./kernel.js";
 import { TRAJECTORY } from "./springs.js";
 
 const WIDTH = 24; // numbers per pose
-const AHEAD = [0, 10, 25]; // rows ahead of a frame (plus 5) whose poses are the reference
+const AHEAD = [0, 10, 25]; // rows ahead of a frame whose poses are its reference, each 5 frames further: 5, 15 and 30 frames
 const [FADE, PAUSE, FIRST_STEPS] = [30, 20, 45]; // frames: crossfade between tracks, pause between performances, first steps of a gait
-const [OTHER_SPEED, OWN_SHARE] = [60, 0.5]; // cm/s within which tracks are alternated; weight of the recorded trajectory
+const [OTHER_SPEED, OWN_SHARE] = [60, 0.5]; // tracks within this many cm/s of the best one take turns; weight of the recorded trajectory
 
 export class Player {
   /** @param {object} model result of readModel @param {number} choice same choice, same tracks @param {number} ownShare see OWN_SHARE */

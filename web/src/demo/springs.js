@@ -4,10 +4,12 @@ export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead of the prese
 export const STANDS_BELOW = 15; // cm/s; below this speed the character stands
 const GOES_FROM = 25; // cm/s; from this speed on, standing types are excluded if a gait exists
 // Largest angle between heading and a gait's usual one: beyond it, a walk hardly lifts its feet and a run slides.
-const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6];
+const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6]; // radians
 export const [RUN_SPEED, WALK_SPEED] = [200, 130]; // cm/s; gaits above RUN_SPEED are runs, walks are about WALK_SPEED
+// Cost per radian of turning, and per radian of walking backwards; smoothing of the measured velocity, per frame; cm from
+// a held position at which it is given up; share of the requested speed that may still be missing.
 const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
-const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
+const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02]; // s, for velocity, heading and position; weight of the body in the spring per frame
 
 /** The equivalent angle between -pi and pi. */
 export function nearestTurn(angle) {

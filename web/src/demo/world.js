@@ -7,8 +7,8 @@ import { Driver } from "./driver.js";
 import { steeredType } from "./springs.js";
 
 const BETWEEN = 120; // cm between start positions
-const TEMPERATURE = 0.05;
-const LIKELY = 0.5;
+const TEMPERATURE = 0.05; // standard deviations, default noise
+const LIKELY = 0.5; // probability above which a foot joint counts as in contact
 const JOINS_WITHIN = 30; // cm; a path that begins further away is extended by a line from the character
 const LONGEST_PATH = 50_000; // cm
 export const MOST = 20; // characters

@@ -13,7 +13,7 @@ export const THEMES = {
 const SUN = new Vector3(1.7, 5.6, 2.2);
 const TOO_SLOW = 70; // ms between pictures
 const BOLD = 5; // metres between bold lines
-const LEAST_SHARP = 0.45;
+const LEAST_SHARP = 0.45; // least resolution, as a share of the full one
 const SHADOW_REACH = 1.7; // metres around the hips within which a figure's shadow falls
 
 export class Stage {

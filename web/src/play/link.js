@@ -1,8 +1,8 @@
 // The connection to the server (docs/live.md): requests and events as JSON, frames as bytes.
 
-const HEADER = 24;
-const CHARACTER = 396;
-const KEPT = 30; // frames
+const HEADER = 24; // bytes of a binary frame before its characters
+const CHARACTER = 396; // bytes of each character
+const KEPT = 30; // frames kept for interpolation
 const DRIFT = 0.0005; // seconds per frame by which the clock offset may grow, until a frame arrives early
 const AGAIN = 1000; // ms before a lost connection is retried
 

@@ -13,16 +13,16 @@ const LETTERS = {
   cartwheel: "c", kicking: "k", punching: "u", "jumping-b": "j", backflip: "b", "dance-salsa": "x", handspring: "h",
   "dive-roll": "r", duck: "z", "martial-arts": "m", "jumping-l": "j",
 };
-const WALK = 130;
+const WALK = 130; // cm/s, default walk
 const RUN = 330; // cm/s, if the model has no run
-const FASTEST_WALK = 200; // cm/s
+const FASTEST_WALK = 200; // cm/s; faster gaits count as runs
 const SLOWEST = 40; // cm/s, smallest speed of a stick
 const TURNED = 0.03; // radians of change before a new direction is sent
 const PATH_STEP = 0.08; // metres between points of a drawn path
 const REST = 700; // ms for which the hand must rest to add a stop to a drawn path
 const STOP = 2; // seconds of a stop
 const SPARE = 1.25; // factor on the time between wishes, which leaves part of the server's message limit to other requests
-const EYE = 0.8;
+const EYE = 0.8; // metres, height of the camera target
 const $ = (id) => document.getElementById(id);
 
 export class Play {

@@ -2,7 +2,7 @@
 
 import { CONTACT_COLORS, SLIDE_COLOR } from "../lib/marks.js";
 
-const LEFT = 92;
+const LEFT = 92; // pixels, like the following sizes
 const RIGHT = 14;
 const BAND = 17;
 const STRIPE = 9;
