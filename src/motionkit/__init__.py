@@ -1,6 +1,6 @@
 """motionkit: BVH recordings in, a controllable real-time motion model, BVH out.
 
-`import motionkit as mk` imports nothing else: each name below brings its module when it is first used.
+`import motionkit as mk` imports nothing else: each name below imports its module on first use.
 """
 
 from __future__ import annotations
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     from motionkit.view.notebook import show
     from motionkit.view.write import write_view
 
-# Public name to the module that has it, with its name there where that differs. No public name may be that of a room:
-# Python binds motionkit.metrics to the room as soon as anything imports it.
+# Public name -> module that defines it, followed by its name there if that differs. No public name may equal a
+# package's name: Python binds motionkit.metrics to the package as soon as anything imports it.
 _HOMES = {
     "evaluate": "lab.scoreboard.board",
     "follow_path": "api",

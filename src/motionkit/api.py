@@ -1,6 +1,6 @@
-"""The functions behind `import motionkit as mk` that are more than a room's own: the command line's steps, as calls.
+"""Public functions of `import motionkit as mk` that combine several packages: the steps of the command line as calls.
 
-Their defaults are those of the commands; a test compares the two.
+Defaults are those of the commands; a test compares them.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from typing_extensions import Unpack  # a part of typing from Python 3.11 on
+    from typing_extensions import Unpack  # in typing from Python 3.11 on
 
     from motionkit.control.follow import FollowResult
     from motionkit.control.path import Path2D
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def read_bvh(path: str | Path, scale: float = 1.0, fps: float | None = None) -> Motion:
-    """The motion in a BVH file, on the file's own joints and in its own unit.
+    """Read a BVH file; the motion keeps the file's joints and unit.
 
     Args:
         scale: multiplies every length.
@@ -43,13 +43,13 @@ def read_bvh(path: str | Path, scale: float = 1.0, fps: float | None = None) -> 
 
 
 def read_canonical(path: str | Path, scale: float | None = None, fps: float | None = None) -> Motion:
-    """The motion in a BVH file of any human rig, on the 23 canonical joints, in cm, at the file's own rate.
+    """Read a BVH file of any human rig as a motion on the 23 canonical joints, in cm, at the file's frame rate.
 
     Args:
-        scale: centimetres per file unit; guessed from the length of the legs by default.
+        scale: centimetres per file unit; by default estimated from the length of the legs.
         fps: the true frame rate, where the file's header is wrong.
 
-    Raises BvhError for a file that cannot be read, SkeletonError for a rig that is not a human one.
+    Raises BvhError for a file that cannot be read, SkeletonError for a rig that is not human.
     """
     from motionkit.rig.canonical import load_canonical
 
@@ -57,14 +57,14 @@ def read_canonical(path: str | Path, scale: float | None = None, fps: float | No
 
 
 def read_rig(path: str | Path, map: str | Path | None = None) -> Rig:
-    """The rig of a BVH, GLB or VRM file, to give to retarget.
+    """Read the rig of a BVH, GLB or VRM file, for use with retarget.
 
     Args:
         path: the file.
-        map: a bone map (JSON); by default joints are found by names and shape.
+        map: a bone map (JSON); by default joints are recognized by name and shape.
 
     Raises:
-        MotionkitError: for a file or a map that cannot be read, or a rig that is not a human one.
+        MotionkitError: a file or a map cannot be read, or the rig is not human.
     """
     from motionkit.rig import on_rig
 
@@ -74,19 +74,19 @@ def read_rig(path: str | Path, map: str | Path | None = None) -> Rig:
 def retarget(
     motion: Motion | str | Path, rig: Rig | str | Path, *, ik: bool = True, clip: str | Path | None = None
 ) -> Clip:
-    """A motion on a user's rig, for mk.write; a .bvh file gets the rig's own hierarchy and channels.
+    """Retarget a motion to a user's rig; mk.write saves the result. A .bvh file keeps the rig's hierarchy and channels.
 
     Args:
-        motion: on the 23 canonical joints in cm, the floor at height zero, or a BVH file of any human rig.
-        rig: from read_rig, or its file.
-        ik: put the feet of the rig on the floor and hold them where those of the motion stand.
-        clip: BVH file of the rig, whose other joints (fingers, props) move as they do there; at rest by default.
+        motion: on the 23 canonical joints in cm, the floor at height zero; or a BVH file of any human rig.
+        rig: result of read_rig, or a file.
+        ik: keep the rig's feet on the floor, and hold them while those of the motion are in contact.
+        clip: BVH file of the rig that animates its other joints (fingers, props); by default they keep their rest pose.
 
     Returns:
         The clip; its `motion` is on the rig's skeleton, in the rig's unit and axes.
 
     Raises:
-        MotionkitError: for a file that cannot be read, or a rig that is not a human one.
+        MotionkitError: a file cannot be read, or a rig is not human.
     """
     from motionkit.export.clip import Clip
     from motionkit.finish.on_rig import on_rig
@@ -103,26 +103,26 @@ def synthesize(types: str | Sequence[str], **options: Unpack[SynthesisWords]) ->
     """Synthesize motion types one after another; the same seed gives the same motion.
 
     Args:
-        types: motion types in order, such as "running,cartwheel" or "running:4,cartwheel:3" (seconds); a list of
-            such texts gives the characters of count different types, in turn.
+        types: motion types in order, such as "running,cartwheel" or "running:4,cartwheel:3" (seconds). A list of such
+            texts is assigned to the characters in turn.
         model: the bundled model by default.
-        seconds: length of the whole motion; by default 4 s for each type, one performance for types such as flips.
-        count: how many motions, made in one batch, 1 by default; motion i has the seed seed + i.
+        seconds: length of the whole motion; by default 4 s per type, and one performance of types such as flips.
+        count: number of motions, 1 by default, made in one batch; motion i has the seed seed + i.
         seed: 0 by default.
-        noise: how frames are drawn from the predicted distribution; by default correlated in time at temperature
-            0.05, for models of tptn-paper independently at full sigma.
-        reference: "auto", or "none" for the network without its reference recordings.
-        character: the body to move; several names with commas are taken in turn; "default" by default.
-        init: a BVH file, or a canonical motion in cm, to start from.
-        ik: hold feet still while they touch the floor, True by default.
-        fps: rate of the motions; the model's 60 by default.
-        keys: poses to meet (docs/keys.md), a JSON file or Key records.
+        noise: how frames are sampled from the predicted distribution. By default noise is correlated in time, at
+            temperature 0.05; models of tptn-paper sample frames independently, at full sigma.
+        reference: "auto", or "none" to run the network without its reference recordings.
+        character: body of the character, "default" by default; several names, separated by commas, are used in turn.
+        init: start pose: a BVH file, or a canonical motion in cm.
+        ik: lock feet during contacts, True by default.
+        fps: frame rate of the motions; by default the model's, 60.
+        keys: key poses to reach (docs/keys.md): a JSON file or Key records.
 
     Returns:
         The motions; `motion` is the first one.
 
     Raises:
-        ControlError: for an unknown type or character, too many frames, or keys that cannot be met.
+        ControlError: an unknown type or character, too many frames, or keys that cannot be reached.
     """
     from motionkit.requests import synthesis_request
 
@@ -132,15 +132,15 @@ def synthesize(types: str | Sequence[str], **options: Unpack[SynthesisWords]) ->
 def loop(
     types: str, *, seconds: float | None = None, **options: Unpack[MotionWords]
 ) -> tuple[SynthesisResult, list[Loop]]:
-    """Synthesize a gait or a dance and close its best cycle, from the origin, facing +Z: `motionkit synthesize --loop`.
+    """Synthesize a gait or a dance and close its best cycle. It begins at the origin, facing +Z (`synthesize --loop`).
 
     Args:
         types: one motion type, such as "walking".
-        seconds: length to look for; that of the shortest good cycle by default.
+        seconds: length of the cycle; by default that of the shortest good one.
         options: as in synthesize.
 
     Returns:
-        The result with the cycle as its motion, and the cycle with its seam (mk.make_loop).
+        The result, whose motion is the cycle; and the cycle with its seam (mk.make_loop).
 
     Raises:
         MotionkitError: the motion never repeats.
@@ -152,23 +152,23 @@ def loop(
 
 
 def follow_path(path: Path2D | str | Path, **options: Unpack[PathWords]) -> FollowResult:
-    """Let a character follow a path on the ground; the same seed gives the same motion.
+    """Make a character follow a path on the ground; the same seed gives the same motion.
 
     Args:
         path: a path, a JSON or CSV file, or a named shape: line, circle, figure-eight, square, pentagram, u-turn.
-        types: for a named shape: types that share its length, such as "running,cartwheel,running"; the model's walk
-            by default.
+        types: for a named shape: types for equal parts of its length, such as "running,cartwheel,running"; by default
+            the model's walk.
         size: for a named shape: length, radius or side in metres.
-        speed: for a named shape: metres per second; each type's own by default.
-        strict: refuse speeds at which a gait does not look right, by its recordings; without it the nearest is taken.
+        speed: for a named shape: metres per second; by default the speed of each type.
+        strict: refuse speeds outside the range of a gait's recordings; without it, speeds are limited to that range.
         model, seed, noise, reference, character, init, ik, fps: as in synthesize.
 
     Returns:
         The motion, its distance from the path in cm, and whether it reached the end.
 
     Raises:
-        ControlError: for an unknown type, shape or character, a path that cannot be read, or, if strict, its speed;
-            for types, size or speed beside a path that has its own.
+        ControlError: an unknown type, shape or character; a path that cannot be read; with strict, a speed outside the
+            range; types, size or speed for a path that is not a named shape.
     """
     from motionkit.requests import path_request
 
@@ -181,7 +181,7 @@ def quickstart(
     options: QuickstartOptions | None = None,
     watcher: Watcher | None = None,
 ) -> QuickstartResult:
-    """Train a model on a folder of clips, show its types and judge each; arguments as in first_model.quickstart."""
+    """Train a model on a folder of clips, show its types and judge each; arguments as for first_model.quickstart."""
     from motionkit import first_model
 
     return first_model.quickstart(data, output, options, watcher)
@@ -196,18 +196,19 @@ def measure(
     given: int = 0,
     settings: MetricSettings | None = None,
 ) -> MetricReport:
-    """The metrics of a motion, alone or beside its ground truth (docs/metrics.md defines each).
+    """Compute the metrics of a motion, alone or against its ground truth (docs/metrics.md defines them).
 
     Args:
         motion: on the 23 canonical joints in cm, or a BVH file of any rig.
-        reference: the ground truth, likewise.
+        reference: the ground truth, in either form.
         skip: frames at 60 fps to leave out at the start of both.
-        align_start: turn and move the motion to start as the reference does.
-        given: frames at 60 fps at the start of the reference alone, which the motion continues.
+        align_start: turn and move the motion so that it starts like the reference.
+        given: frames at 60 fps at the start of the reference that the motion does not contain, because it continues
+            them.
         settings: thresholds; the documented definitions by default.
 
     Raises:
-        MotionkitError: for a file that cannot be used, or fewer than two common frames.
+        MotionkitError: a file cannot be used, or there are fewer than two common frames.
     """
     from motionkit.metrics.report import evaluate_motion
 
@@ -227,19 +228,19 @@ def preprocess(
     *,
     references: str | Path = "bundled",
 ) -> PreprocessReport:
-    """Make a dataset folder from BVH files, atomically.
+    """Make a dataset folder from BVH files. It is written atomically.
 
     Args:
         folders: folders (or files) to read.
-        output: dataset folder to write; an old dataset there is replaced, other files in it are kept.
-        options: the defaults if None.
-        progress: called with a stage name, the number of files done and of all files.
-        references: the model that training is to begin from, whose reference rotations the features are relative to;
-            "own" for the mean rotations of the data. options.reference_rotations takes precedence.
+        output: dataset folder to write; replaces an old dataset there and keeps other files.
+        options: defaults if None.
+        progress: called with the stage, the number of files done and the number of all files.
+        references: model that training will start from: features use its reference rotations. "own" uses the mean
+            rotations of the data. options.reference_rotations takes precedence.
 
     Raises:
-        DatasetError: no file is usable, a file is inside output, or, with strict, a file is unusable.
-        ModelError: references is no model, or one of another layout.
+        DatasetError: no file is usable, a file is inside output, or, with strict, any file is unusable.
+        ModelError: references is not a model, or has another layout.
     """
     from motionkit.data import preprocess as room
     from motionkit.data.options import PreprocessOptions

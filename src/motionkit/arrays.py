@@ -1,4 +1,4 @@
-"""Array types, and a few array functions that numpy lacks."""
+"""Array types, and array functions that numpy lacks."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def normalized(vectors: Array, eps: float = 1e-12) -> Array:
 
 
 def smoothstep(x: Array) -> Array:
-    """Shares that rise from 0 at 0 to 1 at 1, without speed at both ends; x (...) is between 0 and 1."""
+    """Smooth step from 0 to 1 for x (...) between 0 and 1; the slope is zero at both ends."""
     return x * x * (3.0 - 2.0 * x)
 
 
@@ -34,7 +34,7 @@ def lerp(a: Array, b: Array, share: Array | float) -> Array:
 
 
 def smoothed(values: Array, half: int) -> Array:
-    """Values (T, k) averaged over `half` frames to both sides, the nearer the more."""
+    """Values (T, k), each averaged over `half` frames on both sides; near frames weigh more (Hann window)."""
     kernel = np.hanning(2 * half + 3)[1:-1]
     kernel = (kernel / kernel.sum()).astype(values.dtype)
     padded = np.pad(values, ((half, half), (0, 0)), mode="edge")
@@ -42,9 +42,9 @@ def smoothed(values: Array, half: int) -> Array:
 
 
 def peak_smoothed(size: Array, values: Array, half: int) -> Array:
-    """Each of values (T, k) replaced by the one of largest size (T,) within `half` frames, then smoothed as widely.
+    """Values (T, k), each replaced by the one of largest size (T,) within `half` frames, then smoothed as widely.
 
-    The result is thus never smaller than needed.
+    The result is never smaller than the values.
     """
     around = sliding_window_view(np.pad(size, half, constant_values=-1.0), 2 * half + 1)
     largest = values[around.argmax(axis=-1) + np.arange(len(size)) - half]
@@ -67,21 +67,21 @@ def cross(a: Array, b: Array) -> Array:
 
 def distances_between(a: Array, b: Array) -> Array:
     """Euclidean distances (N, M) between the rows of a (N, D) and of b (M, D)."""
-    a, b = a.astype(np.float64), b.astype(np.float64)  # close rows: small differences of large squares
+    a, b = a.astype(np.float64), b.astype(np.float64)  # exact for close rows
     squares = np.square(a).sum(axis=1)[:, None] + np.square(b).sum(axis=1) - 2.0 * (a @ b.T)
     return np.sqrt(np.maximum(squares, 0.0))
 
 
 def row_products(x: Floats, weights: Floats) -> Floats:
-    """Rows x (..., B, N) times weights (..., N, M): (..., B, M), each row by a product of its own.
+    """Rows x (..., B, N) times weights (..., N, M): (..., B, M), with one matrix product per row.
 
-    One product of all rows would add up in another order for another number of rows or threads.
+    A single product could add up in another order when the number of rows or threads changes.
     """
     return np.matmul(x[..., None, :], weights[..., None, :, :])[..., 0, :]
 
 
 def spans(flags: Array) -> list[tuple[int, int]]:
-    """Stretches (start, end) of a sequence in which flags (T,) are true; ends are exclusive."""
+    """Ranges (start, end) in which flags (T,) are true; ends are exclusive."""
     edges = np.diff(np.pad(flags.astype(np.int8), 1))
     starts, ends = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
     return list(zip(starts.tolist(), ends.tolist(), strict=True))

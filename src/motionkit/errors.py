@@ -6,7 +6,7 @@ from pathlib import Path
 
 
 class MotionkitError(Exception):
-    """An error in a user's file or request; its message is one line."""
+    """An error in a user's file or request, as a one-line message."""
 
 
 class BvhError(MotionkitError):

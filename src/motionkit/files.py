@@ -19,10 +19,10 @@ from typing import IO, Any, BinaryIO
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import uninterrupted
 
-MAX_TEXT_BYTES = 64 * 2**20  # size of a label table, a path or a JSON file
-MAX_JSON_DEPTH = 50
+MAX_TEXT_BYTES = 64 * 2**20  # bytes, about 67 MB; limit of a label table, a path or a JSON file
+MAX_JSON_DEPTH = 50  # nested lists and objects; deeper ones could exhaust the stack of Python
 MAX_JSON_NODES = 2_000_000  # lists and objects; each takes about a hundred bytes of memory
-MAX_JSON_DIGITS = 40  # digits of an integer; states of random generators have 39
+MAX_JSON_DIGITS = 40  # digits of an integer; saved states of random generators have 39
 
 
 @contextmanager
@@ -38,7 +38,7 @@ def atomic_write(path: str | Path, mode: str = "w") -> Iterator[IO]:
     _check_place(path)
     temporary = ""
     try:
-        target = Path(os.path.realpath(path))  # write through a link, do not replace it
+        target = Path(os.path.realpath(path))  # follow a link instead of replacing it
         target.parent.mkdir(parents=True, exist_ok=True)
         with uninterrupted():
             handle, temporary = tempfile.mkstemp(prefix=f".{target.name[:40]}.", dir=target.parent)
@@ -68,9 +68,9 @@ def _mode(path: Path) -> int:
 def _check_place(path: Path) -> None:
     if path.is_dir():
         raise MotionkitError(f"{path}: is a folder, expected a file to write")
-    if path.is_file() and not os.access(path, os.W_OK):  # a rename would not ask
+    if path.is_file() and not os.access(path, os.W_OK):  # a rename would ignore the file's permissions
         raise MotionkitError(f"{path}: is write-protected; choose another output")
-    if path.exists() and not path.is_file():  # a rename would replace a device by a file
+    if path.exists() and not path.is_file():  # a rename would replace a device with a file
         raise MotionkitError(f"{path}: is not a regular file, expected a file to write")
     above = next(folder for folder in path.absolute().parents if os.path.lexists(folder))
     if not above.is_dir():
@@ -81,7 +81,7 @@ def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | N
     """Check, before any work, that the outputs can be written and overwrite no input.
 
     Args:
-        outputs: files to write; a file that is written twice is listed twice.
+        outputs: files to write; a file listed twice would be written twice.
         inputs: files to read; None entries are ignored.
 
     Raises:
@@ -101,7 +101,7 @@ def check_outputs(outputs: Iterable[str | Path], inputs: Iterable[str | Path | N
 
 
 def _identity(path: Path) -> object:
-    """A key that is equal for two paths to the same file, even one that does not exist yet."""
+    """A key that is equal for two paths to the same file, even if it does not exist yet."""
     try:
         status = path.stat()
         return status.st_dev, status.st_ino
@@ -115,8 +115,8 @@ def _identity(path: Path) -> object:
 def files_below(folder: str | Path, ending: str) -> list[Path]:
     """All files below a folder whose names end in `ending` (in any case), sorted.
 
-    Links to folders are followed. A folder that is reached several times, or from inside itself, is listed
-    once: under its real path if that is below the folder, else under the first link.
+    Links to folders are followed. A folder that can be reached in several ways is listed once: by its real path if that
+    is below the folder, else by the first link.
 
     Raises:
         MotionkitError: a folder cannot be listed.
@@ -156,12 +156,12 @@ def open_regular(
 ) -> Iterator[BinaryIO]:
     """Open a regular file of at most limit bytes for reading.
 
-    Pipes and devices are refused, because reading them might never end; links to files are followed.
+    Pipes and devices are refused, because reading them might never end. Links to files are followed.
 
     Args:
         path: file to open.
         limit: maximum size in bytes.
-        what: the expected kind of file, for the message: "a BVH file".
+        what: kind of file for the message, such as "a BVH file".
         error: exception class to raise; its message names the path.
     """
     # Without O_NONBLOCK, opening a pipe waits for a writer.
@@ -188,7 +188,7 @@ def open_regular(
 def check_regular(
     path: str | Path, limit: int, what: str = "a file", error: type[MotionkitError] = MotionkitError
 ) -> int:
-    """Size in bytes of a file that another library will open by name; raises as open_regular does."""
+    """Size in bytes of a file that another library will open by name; raises like open_regular."""
     with open_regular(path, limit, what, error) as file:
         return os.fstat(file.fileno()).st_size
 
@@ -196,13 +196,13 @@ def check_regular(
 def read_bytes(
     path: str | Path, limit: int, what: str = "a file", error: type[MotionkitError] = MotionkitError
 ) -> bytes:
-    """All bytes of a regular file; raises as open_regular does."""
+    """All bytes of a regular file; raises like open_regular."""
     with open_regular(path, limit, what, error) as file:
         try:
             data = file.read(limit + 1)
         except OSError as fault:
             raise error(f"{path}: cannot be read ({fault.strerror or fault})") from None
-    if len(data) > limit:  # it grew after open_regular checked it
+    if len(data) > limit:  # the file grew after open_regular checked it
         raise error(f"{path}: expected {what} of at most {_size(limit)}")
     return data
 
@@ -213,7 +213,7 @@ def read_text(
     error: type[MotionkitError] = MotionkitError,
     limit: int = MAX_TEXT_BYTES,
 ) -> str:
-    """The text of a regular UTF-8 file, without a byte order mark; raises as open_regular does."""
+    """The text of a regular UTF-8 file, without a byte order mark; raises like open_regular."""
     data = read_bytes(path, limit, what, error)
     try:
         return data.decode("utf-8-sig")
@@ -231,7 +231,7 @@ def _size(count: int) -> str:
 
 # ---- JSON ----
 
-# Matches brackets, and whole strings so that brackets inside them are not counted.
+# Matches brackets. Also matches whole strings, so that brackets inside them are skipped.
 _JSON_BRACKETS = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"?|[\[{\]}]', re.DOTALL)
 
 
@@ -241,19 +241,19 @@ def read_json(
     error: type[MotionkitError] = MotionkitError,
     limit: int = MAX_TEXT_BYTES,
 ) -> Any:
-    """The value in a JSON file; raises error, naming the file, as read_text and parse_json do."""
+    """The value in a JSON file; raises like read_text and parse_json, with the file's name in the message."""
     return parse_json(read_text(path, what, error, limit), path, error)
 
 
 def is_number(value: object, low: float, high: float, whole: bool = False) -> bool:
-    """Whether a value of a JSON document is a number in a range; whole numbers only, if asked for."""
+    """Whether a JSON value is a number from low to high; with whole=True, an integer."""
     if isinstance(value, bool) or not isinstance(value, (int, float)):
         return False
     return low <= value <= high and (isinstance(value, int) or not whole)
 
 
 def parse_json(text: str, where: str | Path, error: type[MotionkitError] = MotionkitError) -> Any:
-    """The value of a JSON text of bounded depth, whose numbers are all finite.
+    """The value of a JSON text; depth is limited and numbers must be finite.
 
     Args:
         text: the JSON.
@@ -298,10 +298,10 @@ _DEVICES = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³]|conin\$|c
 
 
 def safe_name(name: str, longest: int = 80) -> str:
-    """A file name that is valid on every file system, for a file named after a motion type or a joint.
+    """A file name that is valid on every file system, made from the name of a motion type or a joint.
 
-    A valid name is returned unchanged. Otherwise invalid characters become underscores and a short hash of
-    the name is appended, so that different names stay different.
+    Valid names are returned unchanged. Otherwise invalid characters become underscores, and a short hash of the name is
+    appended, so that different names stay different.
 
     Args:
         name: any text.
@@ -310,7 +310,7 @@ def safe_name(name: str, longest: int = 80) -> str:
     safe = _UNSAFE.sub("_", name).strip(". ") or "_"
     if _DEVICES.fullmatch(
         safe.split(".")[0].strip()
-    ):  # on Windows a device name opens the device, with any ending
+    ):  # Windows opens the device instead of a file, whatever the ending
         safe = f"_{safe}"
     fits = len(safe.encode()) <= longest
     if safe == name and fits:
@@ -320,6 +320,6 @@ def safe_name(name: str, longest: int = 80) -> str:
 
 
 def write_json(path: Path, facts: dict[str, Any]) -> None:
-    """Write plain values as JSON, whole or not at all."""
+    """Write plain values as a JSON file, atomically."""
     with atomic_write(path, "w") as out:
         out.write(json.dumps(facts, indent=1) + "\n")

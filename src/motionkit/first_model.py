@@ -1,4 +1,4 @@
-"""A folder of clips to a model, pictures of it and a plain verdict: the library call behind `motionkit quickstart`."""
+"""Trains a first model on a folder of clips and judges it: the library call behind `motionkit quickstart`."""
 
 from __future__ import annotations
 
@@ -24,25 +24,25 @@ if TYPE_CHECKING:
     from motionkit.training.trainer import TrainEvent
     from motionkit.training.verdict.types import TypeVerdict
 
-SHOWN_SECONDS = 5.0  # of each type, on page and sheet
-ROLL_OUT_SECONDS = 6.0  # of those that find the reference gains
-TRAVELS = 100.0  # cm from beginning to end; what goes less far stays as it is
-SHOWN_SKIPS = 8
-NEVER = 1e6  # minutes between scores
+SHOWN_SECONDS = 5.0  # seconds shown of each type, on page and sheet
+ROLL_OUT_SECONDS = 6.0  # seconds of the roll-outs that choose the reference gains
+TRAVELS = 100.0  # cm from start to end; a motion that travels less is not turned
+SHOWN_SKIPS = 8  # unusable files that are listed by name
+NEVER = 1e6  # minutes between scores; longer than any run, so that scoring is off
 DATASET, MODEL, RUN = "dataset", "model.safetensors", "model.run"
 PAGE, SHEET, VERDICT = "motions.html", "motions.png", "verdict.md"
 
 
 @dataclass(frozen=True)
 class QuickstartOptions:
-    """How to train a first model, and what becomes of an earlier one.
+    """How to train a first model, and how to treat an earlier one.
 
     Attributes:
         minutes, steps: length of the training; 5 minutes by default.
-        add: also keep the types of the bundled model.
-        mirror: also learn from the mirror image of each clip.
-        force: replace what an earlier quickstart has made.
-        resume: go on with the dataset, the checkpoint or the model that an earlier quickstart has made.
+        add: keep the types of the bundled model, too.
+        mirror: train on mirror images of the clips, too.
+        force: replace the results of an earlier quickstart.
+        resume: continue with the dataset, checkpoint or model of an earlier quickstart.
         device: "auto", "cpu" or "cuda".
         seed: the same seed gives the same model.
     """
@@ -63,12 +63,12 @@ def _unwatched(options: TrainOptions, samples: Path) -> AbstractContextManager[A
 
 @dataclass(frozen=True)
 class Watcher:
-    """Who is told what a quickstart does; nobody by default.
+    """Callbacks of a quickstart; by default they do nothing.
 
     Attributes:
-        tell: called with each remark, one line.
-        progress: called with the name of a stage, what is done of it, and the whole.
-        training: gives a context for training with some options, whose value is called with each event.
+        tell: called with each message, one line.
+        progress: called with the stage, the amount done and the total.
+        training: called with the training options; returns a context whose value is called with each event.
     """
 
     tell: Callable[[str], None] = lambda line: None
@@ -91,8 +91,8 @@ class QuickstartStopped(KeyboardInterrupt):
     """Ctrl-C, or SIGTERM in the command.
 
     Attributes:
-        resumes: whether resume=True goes on from here; else nothing was begun.
-        told: whether training has said so.
+        resumes: whether resume=True continues from here; False if nothing was begun.
+        told: whether training has reported the stop already.
     """
 
     def __init__(self, resumes: bool, told: bool) -> None:
@@ -101,7 +101,7 @@ class QuickstartStopped(KeyboardInterrupt):
 
 
 class _TrainingStopped(KeyboardInterrupt):
-    """Ctrl-C ended training, which has said so."""
+    """Ctrl-C ended training, which has reported it already."""
 
 
 def quickstart(
@@ -110,19 +110,20 @@ def quickstart(
     options: QuickstartOptions | None = None,
     watcher: Watcher | None = None,
 ) -> QuickstartResult:
-    """Train a model on the clips in a folder, show each of its types, and say whether it works. Needs torch.
+    """Train a model on the clips in a folder, show each of its types, and judge whether it works. Needs torch.
 
     Args:
-        data: folder of BVH files; types are folder and file names, or those of a labels.csv.
-        output: folder to write to; by default that of the data with -model added to its name.
+        data: folder of BVH files; types come from folder and file names, or from a labels.csv.
+        output: folder to write to; by default the data folder's name with -model appended.
 
     Returns:
-        What was made: beside the model stand the dataset, motions.html, motions.png (with Pillow) and verdict.md.
+        The model and its results; beside the model are the dataset, motions.html, motions.png (with Pillow) and
+            verdict.md.
 
     Raises:
-        OverwriteError: a model is there already and neither force nor resume is set, output is inside data, or a run
-            that was begun without add cannot go on with it.
-        MotionkitError: without torch, or where no type can be learnt.
+        OverwriteError: a model exists and neither force nor resume is set; output is inside data; or a run that was
+            begun without add is resumed with it.
+        MotionkitError: torch is not installed, or no type can be learnt.
         QuickstartStopped: Ctrl-C.
     """
     data, options, watcher = Path(data), options or QuickstartOptions(), watcher or Watcher()
@@ -150,21 +151,21 @@ def quickstart(
     return QuickstartResult(target / MODEL, tuple(pictures), tuple(verdicts))
 
 
-# ---- what an earlier quickstart has made ----
+# ---- results of an earlier quickstart ----
 
 
 def output_folder(data: Path) -> Path:
-    """The folder that a quickstart writes to by default."""
+    """The default output folder of a quickstart."""
     return data.resolve().with_name(f"{data.resolve().name}-model")
 
 
 def begun(target: Path) -> Path | None:
-    """The model or the checkpoint of an earlier quickstart."""
+    """The model, else the checkpoint, of an earlier quickstart; None if neither exists."""
     return next((path for path in (target / MODEL, _checkpoint(target)) if path.exists()), None)
 
 
 def _check(data: Path, target: Path, options: QuickstartOptions) -> None:
-    """Refuse what cannot be made, before the clips are read."""
+    """Raise for invalid options, before any clip is read."""
     if target.resolve().is_relative_to(data.resolve()):
         where = "the folder of the clips" if target.resolve() == data.resolve() else f"inside {data}"
         raise OverwriteError(f"{target}: is {where}; give a folder beside it")
@@ -174,7 +175,7 @@ def _check(data: Path, target: Path, options: QuickstartOptions) -> None:
         raise OverwriteError(f"{begun(target)}: exists; go on with it by resume, or overwrite it by force")
     if find_spec("torch") is None:
         raise MotionkitError("training needs torch: pip install 'motionkit[train]'")
-    if options.device != "auto":  # torch takes seconds to import
+    if options.device != "auto":  # importing torch takes seconds
         from motionkit.training.processes import resolve_device
 
         resolve_device(options.device)
@@ -188,7 +189,7 @@ def _checkpoint(target: Path) -> Path:
 
 
 def _made_dataset(target: Path) -> Dataset | None:
-    """The dataset, if it is whole."""
+    """The dataset, or None if it is incomplete."""
     try:
         return Dataset(target / DATASET)
     except DatasetError:
@@ -196,7 +197,7 @@ def _made_dataset(target: Path) -> Dataset | None:
 
 
 def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
-    """Remark on files that are newer than the dataset, which is left as it is."""
+    """Report files that are newer than the dataset; the dataset stays as it is."""
     made = (target / DATASET / MANIFEST).stat().st_mtime
     newer = [path for path in files_below(data, ".bvh") if path.stat().st_mtime > made]
     if newer:
@@ -207,7 +208,7 @@ def _tell_changed(data: Path, target: Path, watcher: Watcher) -> None:
 
 
 def _whole_model(path: Path, options: TrainOptions) -> MotionModel | None:
-    """The model, if its training has come to the end that the options ask for, and was scored as the last thing."""
+    """The model if training has finished as the options ask and its final scores exist; else None."""
     from motionkit.models.checkpoint import load_model
 
     if not path.exists():
@@ -221,7 +222,7 @@ def _whole_model(path: Path, options: TrainOptions) -> MotionModel | None:
 
 
 def _clear(target: Path) -> None:
-    """Remove what an earlier quickstart has made, so that nothing is taken for a result of this one."""
+    """Remove the results of an earlier quickstart, so that they are not taken for new ones."""
     _remove_results(target)
     for path in (target / MODEL, _checkpoint(target), target / RUN / "log.jsonl"):
         path.unlink(missing_ok=True)
@@ -229,7 +230,7 @@ def _clear(target: Path) -> None:
 
 
 def _remove_results(target: Path) -> None:
-    """Remove page, sheet and verdict, which belong to one model."""
+    """Remove page, sheet and verdict."""
     for name in (VERDICT, SHEET, PAGE):
         (target / name).unlink(missing_ok=True)
 
@@ -238,7 +239,7 @@ def _remove_results(target: Path) -> None:
 
 
 def _look(data: Path, watcher: Watcher) -> None:
-    """Tell the warnings of doctor. Raises MotionkitError if there is no type that can be learnt."""
+    """Report the warnings of doctor. Raises MotionkitError if no type can be learnt."""
     from motionkit.data.diagnosis import diagnose
 
     found = diagnose([data], None, lambda done, total: watcher.progress("looking", done, total))
@@ -262,7 +263,7 @@ def _preprocess(data: Path, folder: Path, mirror: bool, watcher: Watcher) -> Dat
     from motionkit.data.preprocess import preprocess
     from motionkit.models.bundled import reference_rotations
 
-    # A folder of some dozen clips has none to spare: every type is judged by what it has learned from.
+    # A folder of a few dozen clips can spare none: each type is judged on its training clips.
     options = PreprocessOptions(mirror=mirror, held_out=())
     options = replace(options, reference_rotations=reference_rotations("bundled", options.layout))
     report = preprocess([data], folder, options, watcher.progress)
@@ -273,7 +274,7 @@ def _preprocess(data: Path, folder: Path, mirror: bool, watcher: Watcher) -> Dat
 
 
 def _training_options(target: Path, options: QuickstartOptions) -> TrainOptions:
-    """The options of a run; those that a run to be resumed began with, but for its length where one is given."""
+    """Training options; a resumed run keeps its own, except a length that is given anew."""
     from motionkit.training.presets import FINE_TUNE_MINUTES, KEPT_SHARE, fine_tune_options
     from motionkit.training.run_state import run_options
 
@@ -294,7 +295,7 @@ def _training_options(target: Path, options: QuickstartOptions) -> TrainOptions:
         minutes=minutes,
         seed=seed,
         kept_share=kept_share,
-        score_minutes=NEVER,  # the verdict comes afterwards; roll-outs at the end find the reference gains
+        score_minutes=NEVER,  # the verdict scores the model afterwards; final roll-outs choose the reference gains
         score_seconds=ROLL_OUT_SECONDS,
     )
 
@@ -302,7 +303,7 @@ def _training_options(target: Path, options: QuickstartOptions) -> TrainOptions:
 def _train(
     dataset: Dataset, target: Path, options: TrainOptions, device: str, watcher: Watcher
 ) -> MotionModel:
-    """The trained model; goes on from a checkpoint. Raises KeyboardInterrupt if it is stopped."""
+    """Train a model, from a checkpoint if there is one. Raises KeyboardInterrupt if stopped."""
     from motionkit.models.checkpoint import load_model
     from motionkit.training.trainer import train
 
@@ -319,7 +320,7 @@ def _train(
 
 
 def _show(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) -> list[Path]:
-    """Write a page and a sheet of every type of the dataset."""
+    """Write a page and a sheet that show every type of the dataset."""
     from motionkit.requests import synthesis_request
     from motionkit.view.write import write_view
 
@@ -336,7 +337,7 @@ def _show(model: MotionModel, dataset: Dataset, folder: Path, watcher: Watcher) 
 
 
 def _straight_ahead(motion: Motion) -> Motion:
-    """The motion turned so that it goes along z: on a page side by side, figures then stand near each other."""
+    """The motion turned so that it travels along z, which keeps figures close together on a page."""
     x, _, z = (motion.root_positions[-1] - motion.root_positions[0]).tolist()
     return motion.turned(-math.atan2(x, z)) if math.hypot(x, z) > TRAVELS else motion
 

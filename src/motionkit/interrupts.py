@@ -1,4 +1,4 @@
-"""Puts Ctrl-C and SIGTERM off for the few instructions that create something which must be removed again."""
+"""Delays Ctrl-C and SIGTERM while temporary files are created, so that they can always be removed."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _postponed: int | None = None
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """A block that the command line's signal handler does not interrupt; a signal is handled at its end.
+    """Delay the command line's signal handler until the end of a block.
 
-    Masking the signal would not do: the system may deliver it to another thread, and Python still runs the handler in
+    Masking the signal would not help: the system may deliver it to another thread, and Python still runs the handler in
     the main thread.
     """
     global _depth, _postponed
@@ -30,7 +30,7 @@ def uninterrupted() -> Iterator[None]:
 
 
 def postpone(number: int) -> bool:
-    """For signal handlers: whether a block of `uninterrupted` is running, which then handles the signal at its end."""
+    """For signal handlers: whether an `uninterrupted` block is running; it then handles the signal at its end."""
     global _postponed
     if _depth == 0:
         return False

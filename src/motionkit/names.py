@@ -1,17 +1,17 @@
-"""Words as users write and read them: one form of each letter, no control characters on a terminal, plurals, times."""
+"""Text for users: Unicode normal form, safe terminal output, plurals, durations."""
 
 from __future__ import annotations
 
 import re
 import unicodedata
 
-# Characters that a terminal acts on instead of showing them: control characters, changes of text direction, line
-# and paragraph separators; and lone surrogates, which stand for undecodable bytes.
+# Characters that control a terminal: control characters, changes of text direction, line and paragraph separators. Also
+# lone surrogates, which stand for undecodable bytes.
 _UNSEEN = re.compile(r"[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 
 
 def visible(text: object) -> str:
-    r"""The text as one printable line: the escape character becomes \x1b, a line end \n."""
+    r"""The text as one printable line: control characters are escaped, a line end as \n."""
     return _UNSEEN.sub(_escaped, str(text))
 
 
@@ -23,25 +23,25 @@ def _escaped(found: re.Match[str]) -> str:
 
 
 def nfc(name: str) -> str:
-    """The name in Unicode's composed form (NFC), in which names are kept and looked up.
+    """The name in Unicode's composed form (NFC), in which names are stored and looked up.
 
-    macOS takes folder names apart: its "ü" can be a "u" with a combining mark, which looks the same.
+    macOS decomposes folder names: its "ü" can be "u" with a combining mark, which looks the same.
     """
     return unicodedata.normalize("NFC", name)
 
 
 def counted(number: int, word: str) -> str:
-    """Return a number with its word: "1 run", "2 runs"."""
+    """A number with its noun: "1 run", "2 runs"."""
     return f"{number} {word}{'' if number == 1 else 's'}"
 
 
 def duration(seconds: float) -> str:
-    """Seconds in words: "40 s", "4 min", "2.5 h"."""
+    """A duration in words: "40 s", "4 min", "2.5 h"."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
 
 
 def about(name: str, text: str) -> str:
-    """A text on a file, with the file's name in front where the text lacks it."""
+    """A message about a file, prefixed with the file's name unless it contains it."""
     return text if name in text else f"{name}: {text}"

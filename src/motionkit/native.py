@@ -1,4 +1,4 @@
-"""The shared libraries that setup.py builds: loading them, and the threads that call them."""
+"""Loads the shared libraries that setup.py builds, and provides threads for calls to them."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ LIBRARY_ENDING = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so") 
 
 
 def load_library(path: Path, version_name: str, version: int) -> ctypes.CDLL:
-    """A library built by setup.py.
+    """Load a library built by setup.py.
 
-    Raises MotionkitError where there is none of this version: nothing was installed, the file is damaged, or the source
-    has changed since.
+    Raises MotionkitError if no library of this version exists: it was not built, it is damaged, or the source has
+    changed since.
     """
     built = path.with_name(path.name + LIBRARY_ENDING)
     if not built.is_file():
         raise _unusable(built, "is missing")
     try:
         library = ctypes.CDLL(str(built)) if _is_whole(built) else None
-    except OSError:  # for another machine, or no library at all
+    except OSError:  # built for another machine, or not a library
         library = None
     if library is None:
         raise _unusable(built, "is damaged, or for another system")
@@ -43,10 +43,10 @@ def _unusable(built: Path, fault: str) -> MotionkitError:
 
 
 def _is_whole(path: Path) -> bool:
-    """Whether an ELF file goes on to its end: the loader maps one that was cut short, and dies of SIGBUS.
+    """Whether an ELF file is complete; the loader would crash with SIGBUS on a truncated one.
 
-    Its table of sections comes last, and the names of the sections are in one of the type 3. Other formats
-    are left to their loaders.
+    The section table is at the end of the file, with the section names in an entry of type 3. Other formats are not
+    checked.
     """
     data = path.read_bytes()
     if data[:6] != b"\x7fELF\x02\x01":  # 64 bits, little-endian
@@ -61,11 +61,11 @@ def _is_whole(path: Path) -> bool:
 
 
 def cores() -> int:
-    """The cores this process may use."""
+    """The number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @cache
 def workers(count: int) -> ThreadPoolExecutor:
-    """Threads for calls of libraries, which do not hold Python's lock."""
+    """A pool of threads for library calls, which release Python's lock."""
     return ThreadPoolExecutor(count, thread_name_prefix="motionkit")

@@ -1,6 +1,6 @@
-"""What mk.synthesize, mk.follow_path and their commands are asked for, checked and made ready before any frame is made.
+"""Checks and prepares the requests of mk.synthesize, mk.follow_path and their commands, before any frame is made.
 
-The keywords that both pass on to SynthesisOptions have their defaults there.
+Keywords that both pass on to SynthesisOptions have their defaults there.
 """
 
 from __future__ import annotations
@@ -67,9 +67,9 @@ class SynthesisRequest:
     """Motions to synthesize.
 
     Attributes:
-        model: with or without its reference recordings, as asked for.
-        plans: a list of types for each character, taken in turn.
-        options: how to synthesize.
+        model: its reference recordings are removed if the request says so.
+        plans: for each character a list of types; reused in turn.
+        options: synthesis options.
     """
 
     model: MotionModel
@@ -78,12 +78,12 @@ class SynthesisRequest:
 
     @property
     def name(self) -> str:
-        """A name for the file: the types."""
+        """A file name made from the types."""
         return "-".join(part.type for plan in self.plans for part in plan)[:80]
 
     @property
     def frames(self) -> int:
-        """Frames of the longest motion at the model's rate. Raises MotionkitError if one has fewer than 2."""
+        """Length of the longest motion in frames at the model's rate. Raises MotionkitError if one has fewer than 2."""
         lengths = [len(plan_types(self.model, plan).track) for plan in self.plans]
         if min(lengths) < 2:
             raise MotionkitError(f"expected at least 2 frames, {2.0 / self.model.fps:.2g} s, found 1")
@@ -94,14 +94,14 @@ class SynthesisRequest:
         return synthesize.synthesize(self.model, self.plans, self.options, progress)
 
     def longer(self, times: int) -> SynthesisRequest:
-        """The same, with so many times the seconds of each type."""
+        """The same request with the seconds of each type multiplied."""
         plans = [[replace(part, seconds=times * part.seconds) for part in plan] for plan in self.plans]
         return replace(self, plans=plans)
 
     def loops(
         self, seconds: float | None, progress: Callable[[int], None] | None = None
     ) -> tuple[SynthesisResult, list[Loop]]:
-        """Closed cycles of about so many seconds in place of the motions; raises as editing.loop.find_loops does."""
+        """Closed cycles of about the given length instead of motions; raises like editing.loop.find_loops."""
         from motionkit.editing.loop import find_loops
 
         return find_loops(lambda times: self.longer(times).run(progress), seconds)
@@ -116,10 +116,10 @@ def synthesis_request(
     reference: str = "auto",
     **options: Any,
 ) -> SynthesisRequest:
-    """The request behind mk.synthesize, whose arguments these are; options are fields of SynthesisOptions.
+    """The request of mk.synthesize, with the same arguments; options are fields of SynthesisOptions.
 
     Raises:
-        ControlError: for an unknown type, keys that cannot be met, or a file that holds none.
+        ControlError: an unknown type, keys that cannot be reached, or a file without keys.
     """
     model = (model or open_model()).with_reference(reference)
     texts = [types] if isinstance(types, str) else list(types)
@@ -135,7 +135,7 @@ def synthesis_request(
 
 @dataclass(frozen=True, eq=False)
 class PathRequest:
-    """A path for a character to follow, and how."""
+    """A path to follow, with the model and its options."""
 
     model: MotionModel
     path: Path2D
@@ -143,16 +143,16 @@ class PathRequest:
 
     @property
     def seconds(self) -> float:
-        """How long the path takes at the asked speeds."""
+        """Duration of the path at the requested speeds."""
         return plan_path(self.model, self.path).seconds
 
     def run(self, progress: Callable[[float], None] | None = None) -> FollowResult:
-        """Follow the path; progress is called with the share done."""
+        """Follow the path; progress is called with the fraction done."""
         return follow.follow_path(self.model, self.path, self.options, progress)
 
 
 def is_path_file(path: str | Path) -> bool:
-    """Whether a path is a file, rather than a named shape."""
+    """Whether a path is a file rather than a named shape."""
     return Path(path).suffix.lower() in PATH_ENDINGS or Path(path).is_file()
 
 
@@ -167,11 +167,11 @@ def path_request(
     reference: str = "auto",
     **options: Any,
 ) -> PathRequest:
-    """The request behind mk.follow_path, whose arguments these are; options are fields of SynthesisOptions.
+    """The request of mk.follow_path, with the same arguments; options are fields of SynthesisOptions.
 
     Raises:
-        ControlError: for a path that cannot be read, an unknown type or shape, a shape's options beside another path,
-            or, if strict, a speed at which a gait does not look right.
+        ControlError: a path that cannot be read; an unknown type or shape; options of named shapes for another path;
+            with strict, a speed outside the range of a gait's recordings.
     """
     model = (model or open_model()).with_reference(reference)
     if isinstance(path, Path2D) or is_path_file(path):

@@ -1,4 +1,4 @@
-"""Tables of plain values for people and programs."""
+"""Tables of plain values, for display and for JSON."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ class Table:
     rows: Sequence[tuple[Cell, ...]]
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values for JSON; each row is an object."""
+        """The table as plain values for JSON; each row is an object."""
         rows = [dict(zip(self.columns, row, strict=True)) for row in self.rows]
         return {"title": self.title, "rows": rows}
 
     def texts(self) -> list[tuple[str, ...]]:
-        """Return the rows as show() formats them."""
+        """The rows as text, formatted by show()."""
         return [tuple(map(show, row)) for row in self.rows]
 
     def markdown(self) -> list[str]:
-        """Return the lines of the table in Markdown, without its title."""
+        """The lines of the table in Markdown, without its title."""
         return list(map(_line, (self.columns, ["---"] * len(self.columns), *self.texts())))
 
 
@@ -36,7 +36,7 @@ def _line(cells: Sequence[str]) -> str:
 
 
 def show(value: Cell) -> str:
-    """Format a value for people: three digits; an empty string for None."""
+    """Format a value for display: three significant digits; an empty string for None."""
     if value is None:
         return ""
     if isinstance(value, bool):

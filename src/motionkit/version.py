@@ -1,3 +1,3 @@
-"""The release."""
+"""The version of the release."""
 
 __version__ = "0.2.0"

@@ -1,4 +1,4 @@
-"""Shared by the subcommands: options, records of their values, and output for people and for programs."""
+"""Shared parts of the subcommands: options, option records, and output for people and programs."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from motionkit.cli.console import PlainConsole
 
-STOPPED = 130  # exit code of a stopped command, the shells' convention for SIGINT
+STOPPED = 130  # exit code of a stopped command: 128 plus SIGINT, as in shells
 
 # ---- options ----
 
@@ -34,7 +34,7 @@ FOLDER: Any = click.Path(file_okay=False, path_type=Path)
 
 
 def option(*names: str, **more: Any) -> Callable:
-    """A click.option whose help shows the default, where it has one."""
+    """A click.option whose help shows the default, if there is one."""
     return click.option(*names, **({"show_default": "default" in more} | more))
 
 
@@ -44,7 +44,7 @@ def switch(names: str, text: str) -> Callable:
 
 
 def together(*decorators: Callable) -> Callable:
-    """Several options as one decorator, in the order of the help."""
+    """One decorator that adds several options, in the order of the help."""
 
     def decorate(function: Callable) -> Callable:
         for decorator in reversed(decorators):
@@ -55,7 +55,7 @@ def together(*decorators: Callable) -> Callable:
 
 
 def gathered(name: str, record: Callable[..., Any]) -> Callable:
-    """Let the options that a record has fields for arrive at the command as one argument; put it below them."""
+    """Pass options to the command as one record: those that the record has fields for. Put this below the options."""
     fields = tuple(inspect.signature(record).parameters)
 
     def decorate(function: Callable) -> Callable:
@@ -94,12 +94,12 @@ def labels_option(text: str) -> Callable:
 
 
 def print_json(value: Any) -> None:
-    """Write one JSON document to stdout; NaN and infinity become null."""
+    """Print a JSON document to stdout; NaN and infinity become null."""
     click.echo(json.dumps(plain(value), indent=2))
 
 
 def plain(value: Any) -> Any:
-    """Convert a value for JSON: NaN and infinity become None, tuples become lists, paths text."""
+    """A value for JSON: NaN and infinity become None, tuples become lists, paths become text."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
@@ -110,12 +110,12 @@ def plain(value: Any) -> Any:
 
 
 def say(text: str) -> None:
-    """Print one line of the result to stdout."""
+    """Print a line of the result to stdout."""
     click.echo(visible(text))
 
 
 def remark(text: str) -> None:
-    """Print one message to stderr."""
+    """Print a message to stderr."""
     click.echo(visible(text), err=True)
 
 
@@ -134,14 +134,14 @@ def stderr_console() -> PlainConsole:
 
 
 def progress_bar() -> Progress:
-    """A progress bar on stderr that erases itself at the end; it shows only on a terminal."""
+    """A progress bar on stderr, shown only on a terminal; it erases itself at the end."""
     from motionkit.cli.console import make_progress
 
     return make_progress(sys.stderr, disable=not sys.stderr.isatty())
 
 
 class Stages:
-    """Shows stages of work, one at a time, each on a bar that goes when the next stage begins, and at the end."""
+    """Shows the stages of a job on one progress bar each; a bar disappears when the next stage begins."""
 
     def __init__(self) -> None:
         self._stage = ""
@@ -154,7 +154,7 @@ class Stages:
         self.close()
 
     def __call__(self, stage: str, done: float, total: float | None = None) -> None:
-        """Show how much of a stage is done; total is None while it is unknown."""
+        """Show progress of a stage; total is None while unknown."""
         if stage != self._stage or self._bar is None:
             self.close()
             self._stage, self._bar = stage, progress_bar()
@@ -163,17 +163,17 @@ class Stages:
         self._bar.update(self._bar.task_ids[0], completed=done, total=total)
 
     def count(self, stage: str, total: float | None = None) -> Callable[..., None]:
-        """A function of what is done, and of the total if it is not known yet."""
+        """A callback for a stage that counts; it takes the amount done and, optionally, the total."""
         self(stage, 0, total)
         return lambda done, of=total: self(stage, done, of)
 
     def share(self, stage: str) -> Callable[[float], None]:
-        """A function of the share that is done, 0 to 1."""
+        """A callback for a stage that reports the fraction done, 0 to 1."""
         self(stage, 0, 100)
         return lambda share: self(stage, 100 * share, 100)
 
     def close(self) -> None:
-        """Take the bar away, for what is to be printed."""
+        """Remove the bar, so that text can be printed."""
         if self._bar is not None:
             self._bar.stop()
         self._bar = None

@@ -1,4 +1,4 @@
-"""Tables and progress bars on a terminal; user text is never read as markup or control codes."""
+"""Tables and progress bars on a terminal; text from users is never read as markup or control codes."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from rich.text import Text
 
 from motionkit.names import visible
 
-_BESIDE_THE_BAR = 40  # columns for description, count and time
-_WIDEST_BAR = 40
+_BESIDE_THE_BAR = 40  # columns reserved for description, count and time
+_WIDEST_BAR = 40  # columns
 
 
 class PlainConsole(Console):
@@ -30,10 +30,10 @@ class PlainConsole(Console):
 def make_table(
     columns: Sequence[str], rows: Iterable[Sequence[str]], left: Iterable[int] = (0,), **style: Any
 ) -> Table:
-    """A table of text; without a title it has no lines.
+    """A table of text; without a title it has no rules.
 
     Args:
-        left: numbers of the columns that begin at the left; others, which hold figures, end at the right.
+        left: indices of the left-aligned columns; the others, which hold numbers, are right-aligned.
     """
     usual = {} if "title" in style else {"box": None, "header_style": "bold", "pad_edge": False}
     table = Table(**(usual | style))
@@ -46,7 +46,7 @@ def make_table(
 
 
 class _Count(ProgressColumn):
-    """Steps done, and the total where it is known."""
+    """Steps done, and the total if known."""
 
     def render(self, task: Task) -> Text:
         total = "" if task.total is None else f"/{task.total:.0f}"
@@ -54,8 +54,8 @@ class _Count(ProgressColumn):
 
 
 def make_progress(file: IO[str], disable: bool) -> Progress:
-    """A progress bar with count and time left; it fits the terminal and erases itself at the end."""
-    console = PlainConsole(file, soft_wrap=False)  # lines that the terminal would wrap cannot be erased
+    """A progress bar with count and remaining time; it fits the terminal and erases itself at the end."""
+    console = PlainConsole(file, soft_wrap=False)  # lines that the terminal wraps could not be erased
     width = max(4, min(_WIDEST_BAR, console.width - _BESIDE_THE_BAR))
     return Progress(
         TextColumn("{task.description}", markup=False),

@@ -1,4 +1,4 @@
-"""`motionkit convert`: a motion file in another format."""
+"""`motionkit convert`: converts a motion file to another format."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`motionkit demo`: a folder with a page that runs a model in the browser."""
+"""`motionkit demo`: writes a folder with a page that runs a model in the browser."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`motionkit doctor`: looks at a folder of clips before training."""
+"""`motionkit doctor`: checks a folder of clips before training."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from motionkit.cli.console import PlainConsole
     from motionkit.data.diagnosis import ClipFacts, Diagnosis
 
-SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES = 60, 8, 8
-NO_LIMIT = 1000  # columns where nothing is shown to people, such as in a pipe
+SHOWN_CLIPS, SHOWN_SKIPS, SHOWN_NOTES = 60, 8, 8  # lines of each kind; --json lists all
+NO_LIMIT = 1000  # columns, if the output is not a terminal
 
 
 @click.command("doctor")
@@ -74,10 +74,10 @@ def _print(found: Diagnosis) -> None:
 
 
 def _lines(found: Diagnosis) -> Iterator[str]:
-    """What is to be said below the tables."""
+    """The lines below the tables."""
     from motionkit.data.labels import BEYOND_END
 
-    # What lies beyond the end of a clip is among the warnings.
+    # Label segments beyond the end of a clip are listed among the warnings already.
     notes = Counter(note for clip in found.clips for note in clip.notes if not note.startswith(BEYOND_END))
     for note, count in notes.most_common(SHOWN_NOTES):
         yield f"note: {note} ({counted(count, 'clip')})"
@@ -94,7 +94,7 @@ def _lines(found: Diagnosis) -> Iterator[str]:
 
 
 def _print_clips(clips: list[ClipFacts], out: PlainConsole) -> None:
-    """Print a row for each clip, and below what rigs there are."""
+    """Print a row for each clip, then a summary of the rigs."""
     from motionkit.cli.console import make_table
 
     rigs = list(dict.fromkeys(map(_rig, clips)))

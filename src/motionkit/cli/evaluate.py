@@ -1,4 +1,4 @@
-"""motionkit evaluate: the scoreboard of a model."""
+"""`motionkit evaluate`: the scoreboard of a model."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ class Asked:
     as_json: bool
 
     def measured(self, model: MotionModel) -> tuple[list[str], EvaluationSettings]:
-        """Return the sections to measure, and how much."""
+        """The sections to measure, and the evaluation settings."""
         from motionkit.errors import ControlError
         from motionkit.lab.scoreboard.settings import QUICK, QUICK_TYPES, EvaluationSettings
 
@@ -154,7 +154,7 @@ class Asked:
 
 
 def _one_by_one(bar: Progress) -> Callable[[str, float], None]:
-    """A function that shows the section being measured on a bar."""
+    """A callback that shows progress on a bar, one section after another."""
     tasks = {"reading": bar.add_task("reading", total=None)}
 
     def show(name: str, share: float) -> None:

@@ -1,4 +1,4 @@
-"""`motionkit export`: a model for game engines."""
+"""`motionkit export`: writes a model for game engines."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def command(path: Path, model_path: Path | None, character: str, as_json: bool) 
     from motionkit.files import check_outputs
     from motionkit.models.bundled import open_model
 
-    beside = metadata_path(path)  # before the model is read
+    beside = metadata_path(path)  # fails before the model is read
     check_outputs([path, beside], [model_path])
     if path.suffix.lower() != ".onnx":
         raise click.UsageError(f"--onnx {path}: expected a name that ends in .onnx")

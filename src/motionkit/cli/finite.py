@@ -1,4 +1,4 @@
-"""Types of options that take a number: click's own let nan and infinity through."""
+"""Number types of options that refuse nan and infinity, which click's own types accept."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import click
 
 
 class FiniteFloat(click.types.FloatParamType):
-    """A number that is neither nan nor infinite."""
+    """A finite number."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number: float = super().convert(value, param, ctx)
@@ -22,7 +22,7 @@ FINITE = FiniteFloat()
 
 
 class FiniteRange(click.FloatRange):
-    """A number within limits; infinity is refused on an open side too."""
+    """A finite number within limits."""
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number: float = super().convert(FINITE.convert(value, param, ctx), param, ctx)

@@ -1,4 +1,4 @@
-"""Tables that fit the terminal: no word or figure is broken, columns are left out instead."""
+"""Tables that fit the terminal: columns are omitted rather than words or numbers broken."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from motionkit.cli.common import remark, stdout_console
 
 
 def print_fitting(header: Sequence[str], rows: Sequence[Sequence[str]], spare: Sequence[int]) -> None:
-    """Print a table without breaking a word or a figure; what does not fit the terminal is left out.
+    """Print a table; omit columns if it is wider than the terminal. Words and numbers are never broken.
 
     Args:
-        spare: columns to leave out where there is no room, the first first.
+        spare: columns that may be omitted, in this order.
     """
     from rich.cells import cell_len
     from rich.table import Table
@@ -19,14 +19,14 @@ def print_fitting(header: Sequence[str], rows: Sequence[Sequence[str]], spare: S
     console, kept = stdout_console(), list(range(len(header)))
     texts = [[name, *(row[i] for row in rows)] for i, name in enumerate(header)]
     least = [max(cell_len(word) for text in column for word in text.split()) for column in texts]
-    room = console.width - 2 * len(header)  # two spaces behind each column
+    room = console.width - 2 * len(header)  # two spaces after each column
     for number in spare:
         if sum(least[i] for i in kept) > room:
             kept.remove(number)
             room += 2
     widths = {i: least[i] for i in kept}
     whole = {i: max(map(cell_len, texts[i])) for i in kept}
-    for _ in range(room - sum(widths.values())):  # one more for the column that lacks most
+    for _ in range(room - sum(widths.values())):  # widen the column that lacks most by one
         narrowest = max(kept, key=lambda i: whole[i] - widths[i])
         widths[narrowest] += whole[narrowest] > widths[narrowest]
     table = Table(box=None, pad_edge=False, padding=(0, 2, 0, 0))

@@ -1,4 +1,4 @@
-"""`motionkit fix`: a repaired clip, and what was measured before and after."""
+"""`motionkit fix`: repairs a clip and prints measurements before and after."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`motionkit follow-path`: a path on the ground to BVH."""
+"""`motionkit follow-path`: makes a character follow a path and writes the motion."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def command(path: str, types: str | None, making: Making, wanted: Wanted, **shap
 
 
 def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
-    """How the path was followed, for programs."""
+    """Facts about the result, for JSON."""
     parts = [
         {"type": part.type, "mean_cm": None if d is None else d[0], "max_cm": None if d is None else d[1]}
         for part, d in zip(request.path.parts, result.part_distances, strict=True)
@@ -94,7 +94,7 @@ def _facts(request: PathRequest, result: FollowResult) -> dict[str, Any]:
 
 
 def _lines(facts: dict[str, Any], fps: float, on: str) -> Iterator[str]:
-    """How the path was followed, for people."""
+    """The result in words."""
     end = "reached the end" if facts["finished"] else "did not reach the end"
     way = f"{facts['frames'] / fps:.1f} s along {facts['path_cm'] / 100:.1f} m"
     yield f"wrote {shown_name(facts['file'])}: {way}{on}, {end}"

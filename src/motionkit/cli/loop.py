@@ -1,4 +1,4 @@
-"""`motionkit loop`: the best cycle of a clip, closed."""
+"""`motionkit loop`: cuts the best cycle out of a clip and closes it."""
 
 from __future__ import annotations
 

@@ -18,8 +18,8 @@ from motionkit.cli.version import version_option
 from motionkit.errors import MotionkitError, OverwriteError
 from motionkit.interrupts import postpone
 
-# numpy's products are small here: threads of their own for each cost more than they save, and on a machine with other
-# work several times as much. torch has threads of its own. To be set before numpy is imported.
+# One thread for numpy: its products are small here, and several threads cost more than they save, most of all on a busy
+# machine. torch has its own threads. Set this before numpy is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Command name to the module under motionkit.cli that defines it as `command`.
@@ -53,7 +53,7 @@ class CommandGroup(click.Group):
     """Imports a subcommand only when it is used, so that `--help` is fast."""
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the subcommand; turns KeyboardInterrupt into Stopped, since click would print an empty line."""
+        """Run the subcommand; KeyboardInterrupt becomes Stopped, because click would print an empty line."""
         try:
             return super().invoke(ctx)
         except KeyboardInterrupt:
@@ -77,19 +77,19 @@ def cli() -> None:
     """
 
 
-# Seconds until a signal that arrived during an import is handled again.
+# Seconds until a signal that arrived during an import is tried again.
 _IMPORT_WAIT = 0.002
-# Seconds after a signal in which further signals are ignored, so that half-written files can be removed.
+# Seconds during which further signals are ignored, so that half-written files can be removed.
 _PATIENCE = 2.0
 _stopped_at = -_PATIENCE
 _told = False
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    """Treat SIGTERM as Ctrl-C, so that the command removes half-written files.
+    """Treat SIGTERM like Ctrl-C, so that the command removes half-written files.
 
-    The stop is put off in blocks of `uninterrupted` and during an import: compiled libraries (torch, PyGLM) crash
-    when their initialization is interrupted. "stopped" is printed at once in either case.
+    The stop waits for `uninterrupted` blocks and for imports: compiled libraries (torch, PyGLM) crash if their
+    initialization is interrupted. "stopped" is printed at once in both cases.
     """
     global _stopped_at
     if postpone(number):
@@ -103,9 +103,9 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def tell_stopped() -> None:
-    """Print "stopped" once, on a line of its own after the ^C that a terminal shows.
+    """Print "stopped" once, on a new line after the ^C that a terminal shows.
 
-    It bypasses Python's buffers, since a signal may have interrupted a write to them.
+    This bypasses Python's buffers, because a signal may have interrupted a write to them.
     """
     global _told
     if not _told:
@@ -125,14 +125,14 @@ def _importing(frame: FrameType | None) -> bool:
 def _catch_signals() -> None:
     global _stopped_at, _told
     _stopped_at, _told = -_PATIENCE, False
-    for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # SIGALRM: the timer of _stop
+    for name in ("SIGINT", "SIGTERM", "SIGALRM"):  # SIGALRM is the timer of _stop
         number = getattr(signal, name, None)
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _stop)
 
 
 def _show_any_text() -> None:
-    """Print characters that the terminal's encoding lacks as escapes, instead of failing."""
+    """Print characters that the terminal's encoding lacks as escapes instead of failing."""
     for stream in (sys.stdout, sys.stderr):
         if hasattr(stream, "reconfigure"):
             stream.reconfigure(errors="backslashreplace")
@@ -142,7 +142,7 @@ def _run() -> None:
     try:
         cli.main(standalone_mode=False)
     except Exception:
-        if _stopped_at >= 0.0:  # a library (safetensors) turned the interrupt into its own error
+        if _stopped_at >= 0.0:  # a library (safetensors) raised its own error for the interrupt
             raise KeyboardInterrupt from None
         raise
 

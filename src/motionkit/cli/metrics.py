@@ -1,4 +1,4 @@
-"""`motionkit metrics`: measures of a BVH file, alone or against its ground truth."""
+"""`motionkit metrics`: measures a BVH file, alone or against its ground truth."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from motionkit.metrics.pairs import PairResult
     from motionkit.metrics.report import MetricReport, MetricRow
 
-# Columns of the table of many pairs; the table of means, --csv and --json hold all metrics.
+# Columns of the table of pairs, with and without ground truth; other outputs have all metrics.
 _OF_EACH = {
     True: ("afs", "jerk", "ssim-window", "mpjpe", "path-mean"),
     False: ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean"),
@@ -64,7 +64,7 @@ def _settings(
 
 @dataclass(frozen=True)
 class Measuring:
-    """How files are read, compared and measured; those named generated are for the second of a pair."""
+    """How to read, compare and measure files; options named generated apply to the second file of a pair."""
 
     skip: int
     given: int
@@ -77,17 +77,17 @@ class Measuring:
 
     @property
     def rates(self) -> tuple[float | None, float | None]:
-        """Frame rates that are given for the two files."""
+        """Frame rates given for the two files."""
         return self.fps, self.generated_fps
 
     def check(self, paired: bool) -> None:
-        """Raise UsageError for an option on the second file where there is none."""
+        """Raise UsageError if an option for the second file is given without one."""
         for name in ("given", "align_start", "generated_scale", "generated_fps"):
             if getattr(self, name) and not paired:
                 raise click.UsageError(f"--{name.replace('_', '-')} needs a second file, GENERATED")
 
     def evaluate(self, truth: Path, made: Path | None) -> MetricReport:
-        """The metrics of a file or a pair."""
+        """The metrics of one file or of a pair."""
         from motionkit.metrics.report import evaluate_files
 
         scales = (self.scale, self.generated_scale)
@@ -95,7 +95,7 @@ class Measuring:
         return evaluate_files(truth, made, *how)
 
     def of_sets(self, measured: Sequence[PairResult]) -> tuple[MetricRow, ...]:
-        """The metrics of all pairs together."""
+        """The metrics of all pairs, compared as sets."""
         from motionkit.metrics.sets import set_metrics_of_files
 
         files = [(r.ground_truth, r.generated) for r in measured if r.report and r.generated]
@@ -227,7 +227,7 @@ def _tell_many(
     as_json: bool,
     as_csv: bool,
 ) -> None:
-    """Print all pairs, alone and as sets; raises MotionkitError at the end if any failed."""
+    """Print all pairs and the set metrics; raises MotionkitError at the end if any pair failed."""
     from motionkit.metrics.pairs import csv_text, pairs_as_dict
 
     if as_json:
@@ -249,7 +249,7 @@ def _tell_many(
 
 
 def _tables(measured: Sequence[PairResult], sets: Sequence[MetricRow]) -> Iterator[str | Table]:
-    """Some metrics of every pair, then the means of all metrics, then the metrics of both sets."""
+    """Selected metrics of every pair, then means of all metrics, then the set metrics."""
     from motionkit.cli.console import make_table
     from motionkit.metrics.pairs import mean_rows
 

@@ -1,4 +1,4 @@
-"""`motionkit mirror`: swap left and right in a BVH file or a folder of them."""
+"""`motionkit mirror`: swaps left and right in a BVH file or a folder of them."""
 
 from __future__ import annotations
 

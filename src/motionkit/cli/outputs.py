@@ -1,4 +1,4 @@
-"""What commands write and say: the place of -o, a page for --view, and the result in words or as JSON."""
+"""Output of commands: the file of -o, the page of --view, and results as text or JSON."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from motionkit.export.clip import Clip
     from motionkit.view.figure_data import Shown
 
-FORMATS = ("bvh", "glb", "vrma", "usda", "npz", "csv")  # those of export.formats, which takes long to import
+FORMATS = ("bvh", "glb", "vrma", "usda", "npz", "csv")  # as in export.formats, which is slow to import
 ENDINGS = f"{', '.join(f'.{name}' for name in FORMATS[:-1])} or .{FORMATS[-1]}"
 STDOUT = Path("-")
 
@@ -33,7 +33,7 @@ view_option = click.option(
 
 
 def checked_ending(context: click.Context, parameter: click.Parameter, value: Path | None) -> Path | None:
-    """Refuse an output whose ending no writer knows, before any work; "-" is standard output."""
+    """Refuse an output with an unknown ending, before any work; "-" is standard output."""
     if value is None or value == STDOUT:
         return value
     from motionkit.export.formats import check_ending
@@ -46,13 +46,13 @@ def checked_ending(context: click.Context, parameter: click.Parameter, value: Pa
 
 
 def output_option(text: str) -> Callable:
-    """The -o option of commands that write a motion to a file or as BVH to standard output."""
+    """The -o option of commands that write a motion, to a file or as BVH to standard output."""
     text = f"{text}. The ending chooses the format: {ENDINGS}; - writes BVH to standard output."
     return click.option("-o", "--output", type=PLACE, callback=checked_ending, help=text)
 
 
 def clip_output_option(word: str) -> Callable:
-    """The -o of a command that writes a changed clip, as CLIP-word.bvh in the current folder by default."""
+    """The -o option of commands that edit a clip; the default is CLIP-word.bvh in the current folder."""
     text = f"File to write: {ENDINGS}; CLIP-{word}.bvh by default."
     return click.option("-o", "--output", type=PLACE, callback=checked_ending, help=text)
 
@@ -60,10 +60,10 @@ def clip_output_option(word: str) -> Callable:
 def default_output(
     name: str, ending: str = ".bvh", files: Callable[[Path], Sequence[Path]] = lambda path: [path]
 ) -> Path:
-    """A name in the current folder that no file has yet.
+    """A file name in the current folder that is not taken yet.
 
     Args:
-        files: what will be written under a name; by default, one file of that name.
+        files: lists the files that a name stands for; by default, one file of that name.
     """
     name = safe_name(name, 120)
     path = Path(f"{name}{ending}")
@@ -75,7 +75,7 @@ def default_output(
 
 @contextmanager
 def naming(clip: Path, kind: type[MotionkitError] = SkeletonError) -> Iterator[None]:
-    """Name the file in a fault of its rig: the library knows only the motion, writers only the file to write."""
+    """Add the file's name to errors about its rig, because the library knows only the motion."""
     try:
         yield
     except kind as error:
@@ -84,14 +84,14 @@ def naming(clip: Path, kind: type[MotionkitError] = SkeletonError) -> Iterator[N
 
 @dataclass(frozen=True)
 class Wanted:
-    """The options -o, --view and --json, as they are given."""
+    """The options -o, --view and --json."""
 
     output: Path | None
     view: bool
     as_json: bool
 
     def check(self, count: int = 1) -> None:
-        """Raise UsageError for what cannot be combined with BVH on standard output."""
+        """Raise UsageError for options that BVH on standard output excludes."""
         others = {"--view": self.view, "--json": self.as_json, f"--count {count}": count > 1}
         for name in (name for name, given in others.items() if given and self.output == STDOUT):
             raise click.UsageError(f"{name} cannot be combined with -o -, which writes one motion")
@@ -102,7 +102,7 @@ class Wanted:
         """The files to write; several are numbered. Checks that they can be written and overwrite no input.
 
         Args:
-            name: of a file that -o does not name.
+            name: file name without -o.
             inputs: files to read; None entries are ignored.
             count: number of motions.
             also: other files to write.
@@ -127,12 +127,12 @@ class Wanted:
 
 @dataclass(frozen=True)
 class Outputs:
-    """Files that a command writes.
+    """The files that a command writes.
 
     Attributes:
-        files: of motions; "-" is standard output.
-        page: that plays them, with --view.
-        as_json: print the result as JSON, and open no browser.
+        files: motion files; "-" is standard output.
+        page: the page of --view, or None.
+        as_json: print JSON, and do not open a browser.
     """
 
     files: tuple[Path, ...]
@@ -141,16 +141,16 @@ class Outputs:
 
     @property
     def file(self) -> Path:
-        """The first file."""
+        """The first motion file."""
         return self.files[0]
 
     @property
     def console(self) -> PlainConsole:
-        """Where the result is told: stdout, or stderr if the motion goes to stdout."""
+        """The console for the result: stderr if the motion goes to stdout, else stdout."""
         return stderr_console() if STDOUT in self.files else stdout_console()
 
     def write(self, clip: Clip, number: int = 0) -> None:
-        """Write a motion to one of the files; nothing is written if it is invalid."""
+        """Write a motion to one of the files; an invalid motion leaves no file."""
         from motionkit.export.formats import write_motion
 
         if self.files[number] != STDOUT:
@@ -164,7 +164,7 @@ class Outputs:
         sys.stdout.buffer.flush()
 
     def show(self, shown: Callable[[], Sequence[Shown]]) -> None:
-        """With --view, write the page of what is shown, and open it."""
+        """With --view, write the page of the motions and open it."""
         if self.page is None:
             return
         from motionkit.view.viewer import write_viewer
@@ -174,7 +174,7 @@ class Outputs:
             open_in_browser(self.page.resolve().as_uri())
 
     def report(self, facts: dict[str, Any], lines: Iterable[Any]) -> None:
-        """Print the result: the facts with --json, else the lines and tables; and the page."""
+        """Print the result: the facts with --json, else the lines and tables; then the page."""
         if self.as_json:
             print_json(facts | ({"view": self.page} if self.page else {}))
             return
@@ -185,5 +185,5 @@ class Outputs:
 
 
 def shown_name(path: Path) -> str:
-    """The name of an output in messages."""
+    """The name of an output file in messages."""
     return "standard output" if path == STDOUT else str(path)

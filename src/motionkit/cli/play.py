@@ -1,4 +1,4 @@
-"""`motionkit play`: live characters for the browser, programs and game engines."""
+"""`motionkit play`: live characters for browsers, programs and game engines."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _target(context: click.Context, parameter: click.Parameter, value: str | Non
 
 
 class _VisibleLines(logging.Formatter):
-    """Escapes control characters: text from clients, even in a traceback, must not control the terminal."""
+    """Escapes control characters, because text from clients, even in a traceback, must not control the terminal."""
 
     def format(self, record: logging.LogRecord) -> str:
         return "\n".join(visible(line) for line in super().format(record).splitlines())
@@ -51,7 +51,7 @@ def _visible_log() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Listening:
-    """Where the server listens and sends, what its recordings are, and what is shown of it."""
+    """Addresses of the server and its outputs, the format of recordings, and what is printed."""
 
     host: str
     port: int
@@ -63,7 +63,7 @@ class Listening:
     as_json: bool
 
     def ready(self, addresses: Addresses) -> None:
-        """Print the addresses, and open the page."""
+        """Print the addresses and open the page."""
         if self.as_json:
             click.echo(json.dumps(asdict(addresses)))
         else:
@@ -163,5 +163,5 @@ def command(
         try:
             asyncio.run(PlayServer(session, options).run(listening.ready))
         except KeyboardInterrupt:
-            pass  # on systems without signal handlers for the event loop
+            pass  # systems without signal handlers in the event loop
     tell_stopped()

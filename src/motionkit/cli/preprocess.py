@@ -1,4 +1,4 @@
-"""`motionkit preprocess`: folders of BVH files to a dataset folder."""
+"""`motionkit preprocess`: makes a dataset folder from folders of BVH files."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from motionkit.data.preprocess import PreprocessReport
 
 LAYOUT_CHOICES = ("sixd-root-1", "expmap-root-1")
-SHOWN_SKIPS = 20
+SHOWN_SKIPS = 20  # skipped files that are listed by name
 
 
 @click.command("preprocess")
@@ -160,7 +160,7 @@ def _print(report: PreprocessReport) -> None:
 
 
 def _lines(report: PreprocessReport) -> Iterator[str]:
-    """What was mapped and cleaned, counted over the files."""
+    """What was mapped and cleaned, counted over all files."""
     yield f"types from {report.labels}" if report.labels else "types from folder and file names"
     used = [file for file in report.files if not file.skipped]
     units = Counter(file.mapping["scale_source"] for file in used)

@@ -1,4 +1,4 @@
-"""`motionkit quickstart`: a folder of clips to a model, a page, a sheet and a plain verdict."""
+"""`motionkit quickstart`: trains a model on a folder of clips, shows its types and judges them."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Asked:
-    """The options of a quickstart; all but the last are those of first_model.QuickstartOptions."""
+    """The options of a quickstart; all but the last are fields of first_model.QuickstartOptions."""
 
     minutes: float | None
     steps: int | None
@@ -47,7 +47,7 @@ class Asked:
     as_json: bool
 
     def again(self, data: Path, output: Path | None, way: str) -> str:
-        """The command that goes on from here."""
+        """The command that continues the run."""
         given: dict[str, object] = {
             "-o": output,
             "--minutes": self.minutes,
@@ -127,7 +127,7 @@ def command(data: Path, output: Path | None, asked: Asked) -> None:
 
 
 def _tell(result: QuickstartResult, as_json: bool) -> None:
-    """Print the verdicts, what was made, and what to try."""
+    """Print the verdicts, the files written, and what to try next."""
     from motionkit.first_model import VERDICT
 
     verdicts = result.verdicts

@@ -1,4 +1,4 @@
-"""`motionkit retarget`: motion of one rig on another."""
+"""`motionkit retarget`: puts the motion of one rig on another."""
 
 from __future__ import annotations
 
@@ -31,14 +31,14 @@ if TYPE_CHECKING:
     from motionkit.rig.retarget import RetargetReport
     from motionkit.rig.rig import Rig
 
-_SHOWN_OTHERS = 12  # joints without a canonical joint that are named
-_SURE = 0.9  # below this, or without one of these joints, a conversion shows the whole bone map
+_SHOWN_OTHERS = 12  # joints without a canonical joint that are listed
+_SURE = 0.9  # if any joint is less certain than this, or missing, the whole bone map is shown
 _EXPECTED = ("Hips", "Neck", "Head", "Arm", "Hand", "Leg", "Foot", "ToeBase")
 
 
 @dataclass(frozen=True)
 class Rigs:
-    """The files that say what the rigs of SOURCE and of the result are."""
+    """The files that describe the rigs of SOURCE and of the result."""
 
     rig_path: Path | None
     map_path: Path | None
@@ -49,17 +49,17 @@ class Rigs:
 
     @property
     def name(self) -> str:
-        """Of the rig, in the name of the file."""
+        """Name of the rig, for the file name."""
         return "canonical" if self.rig_path is None else self.rig_path.stem
 
     def open(self) -> RigChoice:
-        """Read the rig to write on."""
+        """Read the target rig."""
         return open_rig(self.rig_path, self.map_path, self.clip_path)
 
     def read(
         self, source: Path, target: Rig | None, scale: float | None
     ) -> tuple[Motion, RetargetReport, Rig | None]:
-        """The motion of SOURCE, what was found in it, and its rig where that had to be studied."""
+        """The motion of SOURCE, the report on it, and its rig if the options give one."""
         from motionkit.rig.on_rig import read_motion, read_on_any_rig, read_rig
 
         if self.source_rig is not None or self.source_map is not None:
@@ -68,7 +68,7 @@ class Rigs:
         return (*read_on_any_rig(source, target, scale), None)
 
     def save(self, rig: Rig | None, source: Path) -> list[str]:
-        """Write --save-map, the bone map of a rig, by default that of SOURCE; what is said of it."""
+        """Write the bone map of a rig to --save-map, by default that of SOURCE; returns the lines to print."""
         if self.save_map is None:
             return []
         from motionkit.rig.map_file import write_rig_map
@@ -159,7 +159,7 @@ def command(
 
 
 def _inspect(rigs: Rigs, as_json: bool) -> None:
-    """Show, and save, the bone map of a rig."""
+    """Show the bone map of a rig, and save it if asked."""
     if rigs.rig_path is None:
         raise click.UsageError("give SOURCE, a BVH file to retarget, or --rig, a rig to look at")
     from motionkit.files import check_outputs
@@ -177,7 +177,7 @@ def _inspect(rigs: Rigs, as_json: bool) -> None:
 
 
 def rig_told(rig: Rig) -> dict[str, Any]:
-    """A rig for programs: its joints with their canonical joints, and how they were found."""
+    """Facts about a rig for JSON: the canonical joint of each joint, and how it was found."""
     names = {joint: name for name, joint in rig.joints.places.items()}
     return {
         "file": rig.name,
@@ -192,7 +192,7 @@ def rig_told(rig: Rig) -> dict[str, Any]:
 
 
 def _rig_lines(rig: Rig) -> Iterator[str | Table]:
-    """The bone map of a rig in one line, or whole if a joint is unsure or missing."""
+    """The bone map of a rig in one line; the whole map if a joint is uncertain or missing."""
     joints = rig.joints
     ways = sorted({joints.found(name) for name in joints.places})
     guessed = not {"shape", "place"}.isdisjoint(ways)
@@ -209,7 +209,7 @@ def _rig_lines(rig: Rig) -> Iterator[str | Table]:
 
 
 def _whole_rig(rig: Rig) -> Iterator[str | Table]:
-    """The bone map of a rig."""
+    """The whole bone map of a rig."""
     from motionkit.cli.console import make_table
 
     rows = []

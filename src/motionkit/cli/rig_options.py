@@ -1,4 +1,4 @@
-"""Options of how a motion is written: on a user's rig, and with its root motion where engines expect it."""
+"""Options for the rig and the root motion of written motions."""
 
 from __future__ import annotations
 
@@ -51,13 +51,13 @@ root_options = together(
 
 @dataclass(frozen=True)
 class RootMotion:
-    """How the way over the ground is written: in place or not, carried by the hips or by a bone on the ground."""
+    """Where root motion is written: in place or not, on the hips or on a ground bone."""
 
     in_place: bool = False
     root: str = "hips"
 
     def applied(self, motion: Motion, cyclic: bool = False) -> Motion:
-        """The motion with its way as asked for; cyclic for one whose last frame is its first."""
+        """The motion with its root motion as requested; cyclic means that its last frame equals its first."""
         if not self.in_place and self.root == "hips":
             return motion
         from motionkit.editing.root_motion import in_place, with_ground_root
@@ -69,13 +69,13 @@ class RootMotion:
 
 @dataclass(frozen=True)
 class RigChoice:
-    """The rig that --rig, --map and --from ask for; without --rig, motion stays on the canonical joints.
+    """The rig of --rig, --map and --from; without --rig, motion stays on the canonical joints.
 
     Attributes:
         rig: the rig, or None.
-        clip: its motion from --from, or None.
+        clip: motion of the rig from --from, or None.
         files: the files that were read.
-        way: how the way over the ground is written.
+        way: how root motion is written.
     """
 
     rig: Rig | None = None
@@ -85,14 +85,13 @@ class RigChoice:
 
     @property
     def words(self) -> str:
-        """What stands behind a motion in messages: the rig it is on."""
+        """Text after a motion's name in messages: the rig it is on."""
         return "" if self.rig is None else f" on {self.rig.name}"
 
     def on_rig(self, motion: Motion, ik: bool, drawn: Unfinished | None = None) -> Motion:
-        """A motion on the canonical joints, put on the rig; ik holds the feet of the rig.
+        """A canonical motion on the rig; ik holds the feet of the rig.
 
-        drawn is what the motion was finished from: it is finished on the body of the rig instead, so that feet are
-        locked once.
+        drawn is the motion before finishing. It is finished on the rig's body instead, so that feet are locked once.
         """
         if self.rig is None:
             return motion
@@ -106,13 +105,13 @@ class RigChoice:
     def put(
         self, motion: Motion, ik: bool, cyclic: bool = False, drawn: Unfinished | None = None
     ) -> tuple[Motion, Motion]:
-        """What to write for a motion, and the motion that metrics measure: the same on the canonical joints.
+        """The motion to write, and the canonical motion for metrics.
 
         Args:
             motion: on the canonical joints.
             ik: hold the feet of the rig.
-            cyclic: the last frame of the motion is its first.
-            drawn: what the motion was finished from, if that is known.
+            cyclic: the last frame of the motion equals its first.
+            drawn: the motion before finishing, if known.
         """
         made = self.on_rig(motion, ik, drawn)
         if self.rig is None:
@@ -122,7 +121,7 @@ class RigChoice:
         return self.way.applied(made, cyclic), from_rig(made, self.rig)
 
     def clip_of(self, motion: Motion, name: str, types: Sequence[tuple[str, float]] = ()) -> Clip:
-        """What writers take for a motion from put; a BVH file gets the hierarchy and channels of the rig."""
+        """The clip to write for a motion from put; a BVH file gets the hierarchy and channels of the rig."""
         from motionkit.export.clip import Clip
 
         if self.rig is None:
@@ -131,7 +130,7 @@ class RigChoice:
 
 
 def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | None) -> RigChoice:
-    """Read what the options name; raises UsageError for --map or --from without --rig."""
+    """Read the rig of the options; raises UsageError for --map or --from without --rig."""
     for name, path in (("--map", map_path), ("--from", clip_path)):
         if path is not None and rig_path is None:
             raise click.UsageError(f"{name} needs --rig, the file of the rig")
@@ -147,7 +146,7 @@ def open_rig(rig_path: Path | None, map_path: Path | None, clip_path: Path | Non
 def open_written(
     rig_path: Path | None, map_path: Path | None, clip_path: Path | None, in_place: bool, root: str
 ) -> RigChoice:
-    """As open_rig, with the way over the ground; raises UsageError for a ground joint on a rig."""
+    """Like open_rig, with root motion; raises UsageError for a ground joint on a rig."""
     if rig_path is not None and root == "ground":
         raise click.UsageError("--root ground adds a joint; --rig keeps the joints of its file")
     return replace(open_rig(rig_path, map_path, clip_path), way=RootMotion(in_place, root))

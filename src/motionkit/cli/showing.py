@@ -1,4 +1,4 @@
-"""Opening a page in the browser, where there is one."""
+"""Opens pages in the browser, if there is one."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import webbrowser
 
 
 def open_in_browser(address: str) -> bool:
-    """Open an address in the user's browser; False without a desktop, in CI, or when there is no browser."""
+    """Open an address in the user's browser; False without a desktop, in CI, or without a browser."""
     if not has_desktop():
         return False
     try:
@@ -18,7 +18,7 @@ def open_in_browser(address: str) -> bool:
 
 
 def has_desktop() -> bool:
-    """Whether a window can appear: False over plain SSH and in CI."""
+    """Whether a window can open: False over plain SSH and in CI."""
     if os.environ.get("CI"):
         return False
     if sys.platform in ("win32", "darwin"):

@@ -1,4 +1,4 @@
-"""Options and output shared by synthesize and follow-path."""
+"""Options and output that synthesize and follow-path share."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from motionkit.motion.motion import Motion
 
 SHOWN_METRICS = ("bm-geodesic", "afs", "skate-ratio", "jerk", "penetration-mean")
-LONG_SECONDS = 900.0  # of motion; a command announces longer work before it begins
+LONG_SECONDS = 900.0  # seconds of motion; a command announces longer jobs before they begin
 
 
 noise_options = together(
@@ -56,7 +56,7 @@ reference_option = option(
 
 
 def make_noise(kind: str | None, temperature: float | None, model: MotionModel) -> Noise:
-    """The Noise of --noise and --temperature for a model."""
+    """The Noise for --noise and --temperature."""
     from motionkit.inference.noise import Noise, default_noise
 
     kind = kind or default_noise(model).kind
@@ -66,7 +66,7 @@ def make_noise(kind: str | None, temperature: float | None, model: MotionModel) 
 
 @dataclass(frozen=True)
 class Making:
-    """How a motion is made and written; choice is the rig and the root motion to write."""
+    """How to make and write a motion; choice holds the rig and the root motion."""
 
     model_path: Path | None
     seed: int
@@ -81,11 +81,11 @@ class Making:
 
     @property
     def inputs(self) -> tuple[Path | None, ...]:
-        """The files that are read."""
+        """The input files."""
         return (self.model_path, self.init, *self.choice.files)
 
     def words(self) -> dict[str, Any]:
-        """The keywords of mk.synthesize and mk.follow_path; opens the model."""
+        """Keywords for mk.synthesize and mk.follow_path; opens the model."""
         from motionkit.models.bundled import open_model
 
         model = open_model(self.model_path, self.reference)
@@ -123,7 +123,7 @@ synthesis_options: Callable = together(
 
 
 def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> None:
-    """Announce long work before it begins; raises ControlError if it is too large."""
+    """Announce a long job before it begins; raises ControlError if it is too large."""
     from motionkit.control.synthesize import check_size
 
     check_size(seconds, model_fps, options)
@@ -135,7 +135,7 @@ def announce(seconds: float, model_fps: float, options: SynthesisOptions) -> Non
 
 
 def motion_metrics(motion: Motion) -> dict[str, Any]:
-    """Measure a synthesized motion: metric id to value and unit."""
+    """Metrics of a synthesized motion: metric id to value and unit."""
     from motionkit.metrics.report import evaluate_motion
 
     report = evaluate_motion(motion)

@@ -1,4 +1,4 @@
-"""`motionkit synthesize`: motion types to BVH."""
+"""`motionkit synthesize`: synthesizes motion types and writes the motion."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def command(
 def _check(
     types: Sequence[str], count: int, loops: bool, keys_file: Path | None, making: Making, wanted: Wanted
 ) -> None:
-    """Raise UsageError for options that contradict each other."""
+    """Raise UsageError for contradictory options."""
     if not types:
         raise click.UsageError(
             "give --types, such as --types running,cartwheel; --list-types lists the model's types"
@@ -129,7 +129,7 @@ def _write(
     making: Making,
     show: Stages,
 ) -> tuple[list[dict[str, Any]], list[Shown]]:
-    """Write and measure the motions: what --json prints of each, beside its seam, and what --view shows."""
+    """Write and measure the motions; returns their facts for --json, with seams, and the motions for --view."""
     from motionkit.control.meet import arrival
     from motionkit.view.figure_data import Shown
 
@@ -156,7 +156,7 @@ def _write(
 
 
 def _lines(entry: dict[str, Any], on: str) -> Iterator[str]:
-    """What is said of one motion."""
+    """The lines printed for one motion."""
     facts, seam = entry["facts"], entry["seam"]
     kinds = ", ".join(f"{kind} {round(time, 2):g} s" for kind, time in facts["types"])
     yield f"wrote {shown_name(facts['file'])}: {kinds}; {facts['frames']} frames at {facts['fps']:g} fps{on}"

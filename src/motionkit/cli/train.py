@@ -1,4 +1,4 @@
-"""`motionkit train`: a dataset folder to a model file."""
+"""`motionkit train`: trains a model on a dataset folder."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from motionkit.training.budgets import BUDGETS
 if TYPE_CHECKING:
     from motionkit.training.options import TrainOptions
 
-BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training begins from, and the preset it has
+BUNDLED, BUNDLED_PRESET = "bundled", "tptn"  # the model that training starts from, and its preset
 PRESET_CHOICES = ("tptn", "tptn-paper", "ebtn", "fptn-r", "fptn-s", "5ptn", "tiny")
 
 
@@ -58,14 +58,14 @@ def _type_weights(context: click.Context, parameter: click.Parameter, text: str 
 
 @dataclass(frozen=True)
 class Beginning:
-    """What training begins from."""
+    """The model that training starts from."""
 
     init: str | None
     from_scratch: bool
     add: bool
 
     def of(self, preset: str) -> str | None:
-        """The model to begin from, None for random weights; raises UsageError for contradictions."""
+        """The initial model, None for random weights; raises UsageError for contradictory options."""
         if self.from_scratch and (self.init or self.add):
             other = "--init" if self.init else "--add"
             raise click.UsageError(f"--from-scratch cannot be combined with {other}")
@@ -81,7 +81,7 @@ class Beginning:
 
 @dataclass(frozen=True)
 class Run:
-    """What training writes, and whether it goes on."""
+    """Output files of training, and whether it resumes."""
 
     output: Path
     run_folder: Path | None
@@ -92,11 +92,11 @@ class Run:
 
     @property
     def folder(self) -> Path:
-        """The run folder: beside the model by default."""
+        """The run folder; by default beside the model."""
         return self.run_folder or self.output.with_suffix(".run")
 
     def check(self, inputs: list[str | Path | None]) -> None:
-        """Refuse, before any work, to overwrite an input, or an earlier run that is neither resumed nor given up."""
+        """Refuse, before any work, to overwrite an input, or an earlier run unless it is resumed or discarded."""
         check_preview(self.preview)
         check_outputs([self.output, *([self.preview] if self.preview else [])], inputs)
         if self.resume or self.force:
@@ -255,7 +255,7 @@ def command(
         print_json(summary)
         return
     word = "trained" if result.finished else "stopped"
-    # Without losses no step was made: the run had gone as far before.
+    # No losses mean that the resumed run had finished before.
     loss = f"loss {result.losses['total']:.2f}" if "total" in result.losses else "no step was left to make"
     say(f"{word} after {result.steps} steps, {result.seconds / 60:.1f} min; {loss}; wrote {result.model}")
     if not result.finished:
@@ -265,7 +265,7 @@ def command(
 def _options(
     preset: str, init: str | None, add: bool, score_minutes: float | None, changes: dict[str, Any]
 ) -> TrainOptions:
-    """The options of a run; changes are those of train_options."""
+    """The training options; changes are arguments of train_options."""
     import motionkit as mk
 
     make = mk.train_options if init is None else partial(mk.fine_tune_options, init=init)

@@ -1,4 +1,4 @@
-"""What `train` shows while it runs: a bar, losses, roll-out scores, and a preview that grows."""
+"""Output of `train` while it runs: a bar, losses, roll-out scores, and a growing preview."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
     from motionkit.view.preview import Preview
 
 PREVIEW_KINDS = (".html", ".png")
-_BAR = 30  # columns
+_BAR = 30  # width in columns
 
 
 def check_preview(path: Path | None) -> None:
-    """Raise UsageError for a preview that is no page and no sheet."""
+    """Raise UsageError for a preview that is neither a page nor a sheet."""
     if path is not None and path.suffix.lower() not in PREVIEW_KINDS:
         raise click.UsageError(f"--preview {path}: expected a file named .html or .png")
 
 
 class TrainingMonitor:
-    """Shows the events of a run: a bar on a terminal, plain lines elsewhere; score tables and previews in both."""
+    """Shows the events of a run: a bar on a terminal, plain lines elsewhere, score tables and previews in both."""
 
     def __init__(
         self,
@@ -42,10 +42,9 @@ class TrainingMonitor:
         warnings: Sequence[str] = (),
         losses: bool = True,
     ) -> None:
-        """warnings are printed when training begins, so that a run that cannot begin says only why.
+        """Warnings are printed when training begins, so that a run that cannot begin prints only its error.
 
-        losses=False leaves out the terms of the loss and the scores, which say little to someone who has not trained a
-        network.
+        losses=False hides losses and scores, which mean little to people new to training.
         """
         self.losses = losses
         self.quiet, self.steps, self.warnings = quiet, options.steps, list(warnings)
@@ -58,7 +57,7 @@ class TrainingMonitor:
         self.console = stderr_console()
         self.live: Live | None = None
         self.began: tuple[int, float] | None = (
-            None  # step and seconds of the first event: a run may be resumed
+            None  # step and seconds of the first event; not zero in a resumed run
         )
         self.prepared = -1
         self.stopping = ""
@@ -69,7 +68,7 @@ class TrainingMonitor:
 
             from motionkit.cli.console import PlainConsole
 
-            # Lines that the terminal would wrap cannot be erased.
+            # Lines that the terminal wraps could not be erased.
             self.console = PlainConsole(sys.stderr, soft_wrap=False)
             self.live = Live(console=self.console, refresh_per_second=4, transient=True)
             self.live.start()
@@ -104,7 +103,7 @@ class TrainingMonitor:
                 self.console.print(f"{self._way(event)}: {terms}" if self.losses else self._way(event))
 
     def _stop(self, event: TrainEvent) -> None:
-        """Say that a signal was heard. It may have interrupted a print, so this goes past Python's buffers."""
+        """Report a signal at once. It may have interrupted a print, so bypass Python's buffers."""
         self.stopping = event.text
         os.write(2, f"{os.linesep if self.live else ''}{event.text}{os.linesep}".encode())
 
@@ -117,12 +116,12 @@ class TrainingMonitor:
             self.console.print(f"making spliced transitions: {percent} %")
 
     def _way(self, event: TrainEvent) -> str:
-        """How far the run is, how fast it goes, and how long it will take."""
+        """Steps done, speed and remaining time."""
         total = f" of {self.steps}" if self.steps else ""
         step, seconds = self.began or (0, 0.0)
         left = event.seconds * (1.0 - event.share) / max(event.share, 1e-6)
         way = f"step {event.step}{total}, {event.share:.0%}"
-        if event.seconds <= seconds:  # nothing to tell the speed from yet
+        if event.seconds <= seconds:  # too early to measure the speed
             return way
         rate = (event.step - step) / (event.seconds - seconds)
         speed = f"{rate:.2f} steps/s" if rate < 10 else f"{rate:.0f} steps/s"
@@ -143,7 +142,7 @@ def _bar(share: float) -> str:
 
 
 def score_table(event: TrainEvent) -> Any:
-    """The scores of roll-outs as a table."""
+    """The roll-out scores as a table."""
     from motionkit.cli.console import make_table
 
     rows = [

@@ -1,4 +1,4 @@
-"""What `motionkit --version` says: the release, and what an installation computes with."""
+"""Text of `motionkit --version`: the release and what it computes with."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from motionkit.version import __version__
 
 
 def version_text() -> str:
-    """The release, the C kernels, torch and the bundled model, a line each; imports no torch."""
+    """The release, C kernels, torch and the bundled model, one line each; does not import torch."""
     return "\n".join(
         [
             f"motionkit, version {__version__}",
@@ -20,7 +20,7 @@ def version_text() -> str:
 
 
 def _kernels() -> str:
-    """Those of inference; that of training needs torch to be imported."""
+    """The inference kernels; checking those for training would need to import torch."""
     from motionkit.errors import MotionkitError
     from motionkit.inference.frame_kernel import frame_library
     from motionkit.inference.step_kernel import kernel_library

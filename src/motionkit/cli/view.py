@@ -1,4 +1,4 @@
-"""`motionkit view`: BVH and GLB files as a web page that plays them, a contact sheet, a GIF or a video."""
+"""`motionkit view`: shows BVH and GLB files as a web page, a contact sheet, a GIF or a video."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def command(
 
 
 def _read(clip: Path) -> Motion:
-    """The motion of a .glb file, or of a BVH file of any name."""
+    """Read the motion of a .glb file, or of a BVH file with any ending."""
     if clip.suffix.lower() == ".glb":
         from motionkit.export.formats import read_motion
 
@@ -113,7 +113,7 @@ def _read(clip: Path) -> Motion:
 
 
 def _names(clips: Sequence[Path]) -> list[str]:
-    """The name of each clip, with its folder's name in front where two clips share one."""
+    """A title for each clip, prefixed with its folder's name if two clips share a name."""
     stems = [clip.stem for clip in clips]
     return [
         f"{clip.absolute().parent.name}/{clip.stem}" if stems.count(clip.stem) > 1 else clip.stem

@@ -1,7 +1,7 @@
-"""Repairs a clip of any rig: glitches, trembling, floor and foot sliding; joints, lengths and unit stay as they are.
+"""Repairs a clip of any rig: glitches, jitter, floor and foot sliding. Joints, bone lengths and unit stay.
 
-Pops and trembling are mended on the rig's own joints. Floor and feet are those of the canonical joints, to which a
-human rig is retargeted with its own bone lengths; what foot locking turns there, the rig's joints turn in the world.
+Glitches and jitter are removed on the rig's own joints. Floor and feet are repaired on the canonical joints, with the
+rig's bone lengths; the rotations of foot locking are then applied to the rig's joints in world space.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from motionkit.rig.upright import Upright, relative_rotation
 
 LEG_PARTS = ("UpLeg", "Leg", "Foot", "ToeBase")
 SIDES = ("Left", "Right")
-# Metrics of the table, and what they are called there.
+# Metrics of the table, and their names there.
 MEASURED: dict[str, str] = {
     "floor-height": "height of standing feet",
     "penetration-max": "deepest below the floor",
@@ -35,7 +35,7 @@ MEASURED: dict[str, str] = {
     "skate-ratio": "share of standing toes that slide",
     "jerk": "jerk",
 }
-FAR_OFF = 15.0  # cm; a floor that is further off is seen without toes, whose height is guessed then
+FAR_OFF = 15.0  # cm; without toes the floor is uncertain, so it is moved only if it is further off than this
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Repairs:
 
 @dataclass(frozen=True)
 class Measurement:
-    """One row of the table: what was measured, before and after (None where it cannot be), and its unit."""
+    """One row of the table: measured quantity, values before and after (None if not measurable), unit."""
 
     name: str
     before: float | None
@@ -63,10 +63,10 @@ class Fixed:
     """A repaired motion.
 
     Attributes:
-        motion: on the same joints, in the same unit and with the same up axis.
-        table: what was measured before and after.
-        glitches: (frame, joint) of every mended pop and flip.
-        notes: what could not be done.
+        motion: the repaired motion, on the same joints, in the same unit and with the same up axis.
+        table: measurements before and after.
+        glitches: (frame, joint) of every repaired pop and flip.
+        notes: repairs that were not possible.
     """
 
     motion: Motion
@@ -76,7 +76,7 @@ class Fixed:
 
 
 def fix_motion(motion: Motion, repairs: Repairs | None = None) -> Fixed:
-    """Repair a motion of any rig; for rigs that are not human, floor and feet stay as they are.
+    """Repair a motion of any rig; the floor and feet of rigs that are not human are left unchanged.
 
     Raises:
         MotionkitError: the motion has fewer than two frames.
@@ -109,7 +109,7 @@ def _rig(motion: Motion) -> RigMap | None:
 
 
 def _limbs(motion: Motion, rig: RigMap | None) -> list[Limb]:
-    """Upper, middle and end joints of legs and arms that follow each other directly."""
+    """Upper, middle and end joints of the legs and arms whose joints directly follow each other."""
     out: list[Limb] = []
     for side in SIDES if rig is not None else ():
         for names in (("UpLeg", "Leg", "Foot"), ("Arm", "ForeArm", "Hand")):
@@ -123,7 +123,7 @@ def _limbs(motion: Motion, rig: RigMap | None) -> list[Limb]:
 
 
 def _steadied(motion: Motion) -> Motion:
-    """The motion without trembling."""
+    """The motion with jitter removed."""
     window = window_at(motion.fps)
     local = motion.local_positions
     return replace(
@@ -135,7 +135,7 @@ def _steadied(motion: Motion) -> Motion:
 
 
 def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple[Motion, tuple[str, ...]]:
-    """The motion with its floor at zero, feet locked while they touch it, and notes."""
+    """The motion with its floor at zero and feet locked during contacts, and notes."""
     upright = Upright(motion)
     canonical = upright.canonical
     if canonical is None or rig is None:
@@ -155,7 +155,7 @@ def _on_the_floor(motion: Motion, rig: RigMap | None, repairs: Repairs) -> tuple
 
 
 def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> Motion:
-    """Turn the legs of a rig in the world, and move its root, as the canonical body was from before to after."""
+    """The rig's motion, legs turned and root moved in the world like the canonical body from before to after."""
     old, _ = motion_kinematics(before)
     new, _ = motion_kinematics(after)
     turns: dict[int, Array] = {}
@@ -171,10 +171,11 @@ def _moved_like(motion: Motion, rig: RigMap, before: Motion, after: Motion) -> M
 
 
 def turned_in_world(motion: Motion, turns: dict[int, Array]) -> Motion:
-    """Turn some joints by rotations (T, 4) of the world; joints below them that are not named follow.
+    """The motion with some joints turned by world rotations (T, 4); their descendants follow.
 
     Args:
-        turns: joint index to what its global rotation is multiplied by.
+        turns: joint index to the rotation by which its global rotation is multiplied; the other joints keep theirs
+            relative to their parents.
     """
     rotations, _ = motion_kinematics(motion)
     local = motion.local_rotations.copy()
@@ -195,7 +196,7 @@ def _table(before: Upright, after: Upright, glitches: tuple[float, float]) -> tu
         return (*rows, Measurement(MEASURED["jerk"], values[0], values[1], "m/s^3"))
     try:
         reports = [evaluate_motion(each) for each in (before.canonical, after.canonical)]
-    except MotionkitError:  # a clip of a few frames can be repaired, but not measured
+    except MotionkitError:  # a clip of a few frames can be repaired but not measured
         return (*rows, *(Measurement(words, None, None, "") for words in MEASURED.values()))
     for name, words in MEASURED.items():
         pair = [next((row.motion for row in report.rows if row.id == name), None) for report in reports]
@@ -206,7 +207,7 @@ def _table(before: Upright, after: Upright, glitches: tuple[float, float]) -> tu
 
 
 def _jerk(motion: Motion) -> float | None:
-    """The jerk of a motion; None for one too short to have any."""
+    """The jerk of a motion; None if it is too short to have one."""
     try:
         return mean_jerk(motion_kinematics(motion)[1], motion.fps).value
     except MotionkitError:

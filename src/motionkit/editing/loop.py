@@ -1,8 +1,8 @@
-"""Loops: the best cycle of a clip, cut out and closed so that its last frame is its first, moved on.
+"""Loops: finds the best cycle of a clip, cuts it out and closes it, so that its last frame continues in its first.
 
-Two frames are ends of a cycle if poses, velocities and contacts are alike, seen from the root. What is left between
-them is spread over the whole clip, so that no frame shows it; the rest of the difference in velocity fades within
-a fraction of a second on both sides.
+Two frames are ends of a cycle if poses, velocities and contacts are similar in the root's frame. The remaining
+difference of poses is spread over the whole cycle, where it is invisible. The remaining difference of velocities fades
+within a fraction of a second on both sides.
 """
 
 from __future__ import annotations
@@ -34,42 +34,42 @@ from motionkit.rig.upright import Upright
 if TYPE_CHECKING:
     from motionkit.control.synthesize import SynthesisResult
 
-SHORTEST = 0.4  # s; half a step looks like a cycle to no one
-COARSE = 1200  # frames of the first search; the best are sought again at the full rate
-VELOCITY_SECONDS = 0.08  # weight of velocities: a difference of 1 cm/s counts as one of 0.08 cm
-CONTACT_CM = 6.0  # one foot joint in contact at one end only counts as so many cm
-MOST_TURN = np.deg2rad(30.0)  # what a cycle may turn; it is straightened over the cycle
-# The ends of a cycle differ by at most this share of the usual difference between two frames, within these limits, cm.
+SHORTEST = 0.4  # s, shortest cycle; half a step never looks like a cycle
+COARSE = 1200  # most frames in the first search; the second search refines the result at the full rate
+VELOCITY_SECONDS = 0.08  # s, weight of velocities: a difference of 1 cm/s counts as 0.08 cm
+CONTACT_CM = 6.0  # cm, cost of one foot joint that is in contact at one end only
+MOST_TURN = np.deg2rad(30.0)  # largest turn of a cycle; it is removed evenly over the cycle
+# Limit of the difference between the ends: this share of the median difference between any two frames, within
+# [LEAST_LIMIT, MOST_LIMIT] cm.
 MOST_SHARE, LEAST_LIMIT, MOST_LIMIT = 0.3, 2.5, 8.0
-# Of cycles whose ends are as alike as this factor times the best, or differ by less than so many cm, the shortest is
-# taken.
+# A cycle is good if its difference is below AS_GOOD times the best, or below GOOD cm. The shortest good cycle wins.
 AS_GOOD, GOOD = 1.25, 3.0
-LIVELY = 0.6  # a cycle moves at least this share of what the clip moves
-# Somewhere in a cycle the body is at least this share of the usual difference between two frames from its ends.
+LIVELY = 0.6  # least movement per frame in a cycle, as a share of the clip's mean: rules out pauses
+# Somewhere in a cycle the pose must differ from its ends by this share of the clip's median difference.
 LEAVES = 0.85
-# A clip whose frames usually differ by less than so many cm is one of standing, whose cycle takes at least so long.
+# A clip with a smaller median difference is calm (standing), and its cycles take at least CALM_SHORTEST.
 CALM, CALM_SHORTEST = 5.0, 2.0  # cm, s
-STILL = 0.05  # cm; a clip whose frames usually differ by less does not move
-# A cycle goes over the ground within this share of the clip's median speed, or so many cm/s, if one of them does.
+STILL = 0.05  # cm; a clip with a smaller median difference does not move
+# Cycles within this share of the clip's median speed, or this many cm/s, are preferred.
 PACE_SHARE, PACE = 0.1, 10.0
-# Within this share of the wished length, and within so many seconds, the most alike ends decide.
+# Among lengths this close to the requested one, as a share or in seconds, the most similar ends win.
 WISH_SHARE, WISH_SECONDS = 0.05, 0.1
-FADE_SECONDS = 0.25
-STANDING_SPEED = 25.0  # cm/s; a cycle that goes slower than this ends where it began
-FAR_FROM_WISH = 0.1  # share of a wished length by which a cycle may differ without a word
-LOOP_SECONDS = 8.0  # synthesized by default to find a cycle in
-LOOP_TRIES = (2, 4, 8)  # so many times as long, where nothing repeats
+FADE_SECONDS = 0.25  # s, time on each side of the seam in which the difference of velocities fades
+STANDING_SPEED = 25.0  # cm/s; a slower cycle ends at the place where it began
+FAR_FROM_WISH = 0.1  # share of a requested length; a larger deviation is reported
+LOOP_SECONDS = 8.0  # s, default length of the motion to search for a cycle
+LOOP_TRIES = (2, 4, 8)  # longer attempts, as multiples of that length, if nothing repeats
 
 
 @dataclass(frozen=True)
 class Seam:
-    """What a loop shows where it begins again, beside two frames that follow each other within it.
+    """The discontinuity where a loop repeats, compared with consecutive frames of the loop.
 
     Attributes:
-        distance: between the last frame and the first, cm, of the joint that moves most.
-        speed: difference of its velocities into the last and out of the first frame, cm/s.
-        frame_distance: largest distance between two following frames, cm.
-        frame_speed: largest difference of velocities between two following frames, cm/s.
+        distance: cm between the last frame and the first, for the joint that moves most.
+        speed: cm/s between its velocities into the last frame and out of the first.
+        frame_distance: largest distance between consecutive frames, cm.
+        frame_speed: largest difference of velocities between consecutive frames, cm/s.
     """
 
     distance: float
@@ -78,7 +78,7 @@ class Seam:
     frame_speed: float
 
     def sentence(self) -> str:
-        """The seam in one line."""
+        """The seam in words."""
         return (
             f"seam {self.distance:.2f} cm and {self.speed:.0f} cm/s; between two following frames up to "
             f"{self.frame_distance:.1f} cm and {self.frame_speed:.0f} cm/s"
@@ -99,10 +99,10 @@ class Loop:
     """A closed cycle.
 
     Attributes:
-        motion: the frames of the cycle; the last one is the first, moved on.
-        start, end: the frames of the clip it was made of, both included.
-        seam: what shows where it begins again.
-        difference: cm that the ends of the cycle differed by before, poses, velocities and contacts together.
+        motion: the frames of the cycle; the last one equals the first, apart from its place on the ground.
+        start, end: first and last frame of the cycle in the clip, both included.
+        seam: the discontinuity where the cycle repeats.
+        difference: cm between the ends of the cycle in the clip: poses, velocities and contacts combined.
     """
 
     motion: Motion
@@ -113,22 +113,22 @@ class Loop:
 
     @property
     def seconds(self) -> float:
-        """The length of the cycle."""
+        """Length of the cycle."""
         return (len(self.motion) - 1) / self.motion.fps
 
     def note(self, wish: float | None) -> str | None:
-        """What to say of a cycle that lasts much longer or shorter than wished, in seconds."""
+        """A remark on a cycle that is much longer or shorter than requested (in seconds), else None."""
         if wish is None or abs(self.seconds - wish) <= FAR_FROM_WISH * wish:
             return None
         return f"the cycle nearest to {wish:g} s lasts {self.seconds:.2f} s"
 
 
 def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = False) -> Loop:
-    """The best cycle of a motion of any rig, closed.
+    """Find the best cycle of a motion of any rig and close it.
 
     Args:
-        seconds: the length to look for; by default that of the shortest cycle that is as good as any other.
-        from_origin: whether it begins at the origin and faces +Z, rather than where the motion is in that frame.
+        seconds: length of the cycle; by default that of the shortest good one.
+        from_origin: move the cycle to the origin, facing +Z; without it, the cycle keeps its place.
 
     Raises:
         MotionkitError: the motion never repeats.
@@ -142,24 +142,24 @@ def make_loop(motion: Motion, seconds: float | None = None, from_origin: bool = 
 
 
 def loop_seconds(wish: float | None) -> float:
-    """How long to synthesize for a loop of a length: long enough for several cycles to choose from."""
+    """How many seconds to synthesize for a loop of a given length: enough for several cycles."""
     return LOOP_SECONDS if wish is None else max(LOOP_SECONDS, 2.0 * wish + 2.0)
 
 
 def find_loops(
     make: Callable[[int], SynthesisResult], seconds: float | None = None
 ) -> tuple[SynthesisResult, list[Loop]]:
-    """The best cycle of each motion that is synthesized, closed, from the origin.
+    """The best cycle of each synthesized motion, closed and moved to the origin.
 
     Args:
-        make: synthesizes so many times the usual length: once, and more where nothing repeats.
-        seconds: the length to look for, as in make_loop.
+        make: synthesizes the motions at a multiple of their usual length; called again with more if nothing repeats.
+        seconds: length of the cycle, as in make_loop.
 
     Returns:
-        The result with the cycles in place of the motions, and the cycles.
+        The result, whose motions are the cycles; and the cycles.
 
     Raises:
-        MotionkitError: the longest motions never repeat either.
+        MotionkitError: even the longest motions never repeat.
     """
     from motionkit.control.script import TypePart
 
@@ -180,7 +180,7 @@ def find_loops(
 
 
 def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int, float]:
-    """First and last frame of the best cycle, and the difference of its ends in cm.
+    """First and last frame of the best cycle, and the difference between them in cm.
 
     Raises:
         MotionkitError: the motion never repeats.
@@ -224,13 +224,13 @@ def find_cycle(upright: Upright, seconds: float | None = None) -> tuple[int, int
 
 
 def _rows(upright: Upright) -> Array:
-    """Poses, velocities and contacts (T, C), so scaled that their distance is a mean over joints in cm."""
+    """Poses, velocities and contacts (T, C), scaled so that the distance of two rows is a mean over joints in cm."""
     poses = upright.facing_positions.astype(np.float64)
     frames, joints = poses.shape[:2]
     track = upright.positions[:, 0, [0, 2]].astype(np.float64)
     way = rotate_ground(-upright.heading.astype(np.float64), np.gradient(track, axis=0)) * upright.motion.fps
     speeds = np.gradient(poses, axis=0) * upright.motion.fps
-    # Feet that slide and a root that stops are seen less by poses: the way's velocity counts for all joints.
+    # Poses hardly show sliding feet and a stopping root, so root velocity weighs as much as all joints together.
     parts = [
         poses.reshape(frames, -1) / np.sqrt(joints),
         VELOCITY_SECONDS * speeds.reshape(frames, -1) / np.sqrt(joints),
@@ -241,7 +241,7 @@ def _rows(upright: Upright) -> Array:
 
 
 def _allowed(upright: Upright, every: Array, least: int) -> Array:
-    """Which pairs of frames (N, N) may be ends: far enough apart, facing alike, with movement between them."""
+    """Which pairs of frames (N, N) may be ends: far enough apart, similar headings, and movement in between."""
     speeds = np.linalg.norm(np.gradient(upright.facing_positions.astype(np.float64), axis=0), axis=-1).mean(
         axis=1
     )
@@ -255,12 +255,12 @@ def _allowed(upright: Upright, every: Array, least: int) -> Array:
 
 
 def _reach(apart: Array) -> Array:
-    """How far (N, N) the frames from one to another get from the first, given the differences (N, N)."""
+    """Largest difference (N, N) from the first of two frames, over all frames up to the second."""
     return np.asarray(np.maximum.accumulate(np.triu(apart), axis=1))
 
 
 def _at_its_pace(upright: Upright, every: Array) -> Array:
-    """Which pairs of frames (N, N) have a way over the ground between them that is usual in the clip."""
+    """Which pairs of frames (N, N) enclose motion at about the clip's median speed."""
     fps = upright.motion.fps
     track = upright.positions[:, 0, [0, 2]].astype(np.float64)
     speeds = np.linalg.norm(np.gradient(track, axis=0), axis=1) * fps
@@ -273,7 +273,7 @@ def _at_its_pace(upright: Upright, every: Array) -> Array:
 
 
 def _shortest(apart: Array, every: Array, limit: float) -> tuple[int, int]:
-    """Indices of the ends of the shortest good cycle, given the differences (N, N) of all allowed pairs."""
+    """Indices of the ends of the shortest good cycle, given the differences (N, N); disallowed pairs are infinite."""
     lengths = every[None, :] - every[:, None]
     good = apart <= max(AS_GOOD * float(apart.min()), min(0.5 * limit, GOOD))
     near = good & (lengths <= 1.1 * lengths[good].min())
@@ -281,21 +281,21 @@ def _shortest(apart: Array, every: Array, limit: float) -> tuple[int, int]:
 
 
 def _nearest(apart: Array, every: Array, wish: float, fps: float, limit: float) -> tuple[int, int]:
-    """Indices of the ends of the cycle whose length is nearest to a wish in frames."""
+    """Indices of the ends of the cycle whose length is nearest to the requested one, in frames."""
     away = np.abs(every[None, :] - every[:, None] - wish)
     tolerance = max(min(WISH_SHARE * wish, WISH_SECONDS * fps), 0.5 * (every[1] - every[0]))
     best = float(apart.min())
-    # The first search may miss what comes within the limit at the full rate.
+    # The coarse search may miss a pair that would be within the limit at the full rate.
     usable = apart <= (limit if best <= limit else AS_GOOD * best)
     if not bool((usable & (away <= tolerance)).any()):
-        # The slope of a valley would be nearer to the wish than its bottom, and only less alike.
+        # Otherwise a pair on the slope beside a minimum would win for its length, though its ends differ more.
         usable &= _bottoms(apart)
     near = usable & (away <= away[usable].min() + tolerance)
     return _least(np.where(near, apart, np.inf))
 
 
 def _bottoms(values: Array) -> Array:
-    """Which values (N, M) none of the four beside them is below."""
+    """Which values (N, M) are local minima among their four neighbours."""
     wide = np.pad(values, 1, constant_values=np.inf)
     beside = wide[:-2, 1:-1], wide[2:, 1:-1], wide[1:-1, :-2], wide[1:-1, 2:]
     lowest: Array = np.minimum.reduce(beside)
@@ -308,7 +308,7 @@ def _least(values: Array) -> tuple[int, int]:
 
 
 def _refined(rows: Array, start: int, end: int, stride: int, least: int) -> tuple[int, int, float]:
-    """The best ends within a stride of those of the first search, whose length changes by at most a stride."""
+    """The best ends within one stride of the coarse result; the length changes by at most one stride."""
     starts = np.arange(max(0, start - stride), min(len(rows), start + stride + 1))
     ends = np.arange(max(0, end - stride), min(len(rows), end + stride + 1))
     apart = distances_between(rows[starts], rows[ends])
@@ -319,13 +319,13 @@ def _refined(rows: Array, start: int, end: int, stride: int, least: int) -> tupl
 
 
 def _closed(upright: Upright, start: int, end: int) -> Motion:
-    """The frames start to end (included), the last one made the first, moved on."""
+    """The frames start to end (included), changed so that the last one equals the first, apart from its place."""
     source = upright.motion.cut(start, end + 1)
     heading = upright.heading[start : end + 1].astype(np.float64)
     steps = end - start
     share = np.arange(steps + 1) / steps
     fade = _fades(steps, upright.motion.fps)
-    # Seen from the heading, so that where a cycle goes and faces does not matter.
+    # Work in the heading frame, so that the cycle's place and heading do not matter.
     facing = quat_from_yaw(-heading)
     rotations = source.local_rotations.astype(np.float64)
     rotations[:, 0] = quat_multiply(facing, rotations[:, 0])
@@ -353,7 +353,7 @@ def _closed(upright: Upright, start: int, end: int) -> Motion:
 
 
 def _fades(steps: int, fps: float) -> Array:
-    """What to add (T, 1) for each unit by which the step after the first frame exceeds that before the last."""
+    """Offset (T, 1) per unit by which the first step of a cycle exceeds its last step."""
     frames = np.arange(steps + 1.0)
     wide = max(2.0, min(FADE_SECONDS * fps, 0.4 * steps))
     out = np.zeros(steps + 1)
@@ -363,7 +363,7 @@ def _fades(steps: int, fps: float) -> Array:
 
 
 def _closed_rotations(rotations: Array, share: Array, fade: Array) -> Array:
-    """Rotations (T, J, 4) whose last frame is the first."""
+    """Rotations (T, J, 4), changed so that the last frame equals the first."""
     gap = quat_to_expmap(quat_multiply(rotations[0], quat_inverse(rotations[-1])))
     spread = (share - 0.5)[:, None, None] * gap
     out = quat_multiply(expmap_to_quat(spread), rotations)
@@ -375,7 +375,7 @@ def _closed_rotations(rotations: Array, share: Array, fade: Array) -> Array:
 
 
 def _closed_values(values: Array, share: Array, fade: Array) -> Array:
-    """Values (T, ...) whose last frame is the first."""
+    """Values (T, ...), changed so that the last frame equals the first."""
     shape = (len(values), *[1] * (values.ndim - 1))
     out = values + (share - 0.5).reshape(shape) * (values[0] - values[-1])
     out = out + fade.reshape(shape) * ((out[1] - out[0]) - (out[-1] - out[-2]))
@@ -384,9 +384,9 @@ def _closed_values(values: Array, share: Array, fade: Array) -> Array:
 
 
 def _closed_way(track: Array, heading: Array, straight: Array, fade: Array, fps: float) -> Array:
-    """The way (T, 2) with the same steps seen from a heading that turns otherwise, its first step like its last.
+    """The ground track (T, 2) for new headings: the same steps in the heading frame, with equal first and last step.
 
-    A way that hardly leads anywhere ends where it began.
+    A track that hardly travels ends at its start.
     """
     middle, now = 0.5 * (heading[1:] + heading[:-1]), 0.5 * (straight[1:] + straight[:-1])
     steps = rotate_ground(now - middle, np.diff(track, axis=0))
@@ -398,7 +398,7 @@ def _closed_way(track: Array, heading: Array, straight: Array, fade: Array, fps:
 
 
 def seam(motion: Motion) -> Seam:
-    """What a loop in cm shows where it begins again: its last frame beside the first, moved on."""
+    """The seam of a loop, in cm: its last frame compared with its first, moved to the last frame's place."""
     _, positions = motion_kinematics(motion)
     positions = positions.astype(np.float64)
     cycle = (positions[-1, 0] - positions[0, 0]) * np.array([1.0, 0.0, 1.0])

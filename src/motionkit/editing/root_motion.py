@@ -1,6 +1,6 @@
-"""Root motion: a clip in place, at the origin, or with a root bone on the floor that carries the way.
+"""Root motion: puts a clip in place, moves it to the origin, or adds a root bone on the floor.
 
-Engines move a character by the root bone of its clips, or by themselves while the clip plays in place.
+Engines move a character by the root bone of its clips, or move it themselves while the clip plays in place.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from motionkit.motion.skeleton import Skeleton
 from motionkit.rig.upright import Upright, relative_rotation
 
 ROOT = "Root"  # name of the bone on the floor
-SMOOTHING_SECONDS = 0.25  # of the way: steps sway about it, and the sway stays with the hips
+SMOOTHING_SECONDS = 0.25  # s, smoothing of the ground track; the sway of steps stays with the hips
 
 
 def ground_track(upright: Upright, cyclic: bool = False) -> Array:
-    """The way (T, 3) of a motion: smoothed x and z of the root in cm, and its heading in radians.
+    """The ground track (T, 3) of a motion: smoothed x and z of the root in cm, and its heading in radians.
 
     Args:
-        cyclic: the last frame is the first one, moved on; the way then has the same steps at both ends.
+        cyclic: the last frame equals the first, apart from its place; the track then has equal steps at both ends.
     """
     track = np.concatenate(
         [upright.positions[:, 0, [0, 2]].astype(np.float64), upright.heading[:, None].astype(np.float64)],
@@ -43,7 +43,7 @@ def ground_track(upright: Upright, cyclic: bool = False) -> Array:
 
 
 def _smoothed(values: Array, sigma: float, cyclic: bool) -> Array:
-    """Gaussian smoothing (T, C); beyond the ends values go on cyclically, or by point reflection."""
+    """Gaussian smoothing of values (T, C); they are extended cyclically or by point reflection."""
     frames = len(values)
     radius = min(math.ceil(3 * sigma), frames - 1)
     if radius < 1:
@@ -63,7 +63,7 @@ def _smoothed(values: Array, sigma: float, cyclic: bool) -> Array:
 
 
 def in_place(motion: Motion, cyclic: bool = False) -> Motion:
-    """The motion without its root motion over the ground; the hips keep their height, sway and turns."""
+    """The motion without its ground track; the hips keep their height, sway and turns."""
     upright = Upright.of(motion)
     way = ground_track(upright, cyclic)[:, :2]
     roots = upright.motion.root_positions.copy()
@@ -72,9 +72,9 @@ def in_place(motion: Motion, cyclic: bool = False) -> Motion:
 
 
 def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
-    """The motion moved and turned: its way begins at the origin, and on average it faces +Z.
+    """The motion moved and turned so that its track begins at the origin and its mean heading is +Z.
 
-    A rig that is not human has no heading, and is only moved.
+    A rig that is not human has no heading, so it is only moved.
     """
     upright = Upright.of(motion)
     source = upright.motion
@@ -89,7 +89,7 @@ def at_origin(motion: Motion, cyclic: bool = False) -> Motion:
 
 
 def with_ground_root(motion: Motion, cyclic: bool = False) -> Motion:
-    """The motion with a new root joint on the floor that has the path and the heading; the hips are its child.
+    """The motion with a new root joint on the floor, which has the track and heading; the hips become its child.
 
     Raises:
         SkeletonError: the rig has a joint called Root already.

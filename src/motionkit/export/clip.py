@@ -1,4 +1,4 @@
-"""What the writers of motion files take: a motion and what is known of it."""
+"""The input of all motion writers: a motion and its metadata."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 
-LARGEST = 1e7  # of a length in metres or centimetres in a file
+LARGEST = 1e7  # largest length in a file, in metres or centimetres
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +18,11 @@ class Clip:
     """A motion to write.
 
     Attributes:
-        motion: of any rig, unit and up axis.
-        name: what the file calls it.
+        motion: a motion of any rig, unit and up axis.
+        name: its name in the file.
         types: motion types and their seconds in sequence; empty if unknown.
-        channels: of each joint in the BVH file the motion was read from, to be kept in a BVH file; None for the usual.
-        hierarchy: the text of that file's hierarchy section, to be kept likewise; None for one made from the skeleton.
+        channels: channels of each joint in the source BVH file, kept when writing BVH; None for the default.
+        hierarchy: text of the source file's hierarchy section, likewise; None to make one from the skeleton.
     """
 
     motion: Motion
@@ -32,7 +32,7 @@ class Clip:
     hierarchy: str | None = None
 
     def with_motion(self, motion: Motion) -> Clip:
-        """The same with an edited motion; channels and hierarchy are kept if they hold it."""
+        """The clip with an edited motion; keeps channels and hierarchy if they fit it."""
         kept = self._holds(motion)
         same = kept and np.array_equal(motion.skeleton.offsets, self.motion.skeleton.offsets)
         return replace(
@@ -43,7 +43,7 @@ class Clip:
         )
 
     def _holds(self, motion: Motion) -> bool:
-        """Whether the channels can hold a motion: three rotations for each joint, and places for those that move."""
+        """Whether the channels can hold a motion: three rotations per joint, and translations for joints that move."""
         if self.channels is None or motion.skeleton.names != self.motion.skeleton.names:
             return False
         moving = set(motion.moving_joints())
@@ -53,7 +53,7 @@ class Clip:
 
 
 def check_numbers(path: object, motion: Motion) -> None:
-    """Raise MotionkitError for numbers that no file should hold, before a file is begun."""
+    """Raise MotionkitError for numbers that a file cannot hold, before writing begins."""
     places = [motion.root_positions, motion.skeleton.offsets]
     places += [] if motion.local_positions is None else [motion.local_positions]
     if len(motion) < 1:

@@ -12,7 +12,7 @@ from motionkit.rig.upright import in_metres
 from motionkit.view.body import make_body
 from motionkit.view.surface import SHADES, TINTS, Surface, point_normals
 
-SHIRT = np.array([79.0, 134.0, 232.0])  # a figure's own colour, 0 to 255
+SHIRT = np.array([79.0, 134.0, 232.0])  # default body colour, 0 to 255
 NAMES = {"body": "Shirt", "leg": "Trousers", "head": "Head", "hand": "Hands", "foot": "Shoes"}
 
 
@@ -22,10 +22,11 @@ class Figure:
 
     Attributes:
         motion: the motion.
-        rest: (J, 3) local translations of its rest pose, which stands on the floor; its rotations are identity.
-        inverse_binds: (J, 4, 4) from the world to each joint's space in the pose of the mesh; they act on columns.
+        rest: (J, 3) local translations of the rest pose, which stands on the floor; its rotations are identity.
+        inverse_binds: (J, 4, 4) matrices from the world to each joint's space in the pose of the mesh; they act on
+            columns.
         surface: the mesh.
-        normals: (V, 3) of its points.
+        normals: (V, 3) normals of its points.
     """
 
     motion: Motion
@@ -36,7 +37,7 @@ class Figure:
 
 
 def joint_translations(motion: Motion) -> Array:
-    """Local translations (T, J, 3) of all joints; the root's is its place in the world."""
+    """Local translations (T, J, 3) of all joints; the root's is its position in the world."""
     shape = (len(motion), len(motion.skeleton), 3)
     still = np.broadcast_to(motion.skeleton.offsets, shape)
     places = np.array(still if motion.local_positions is None else motion.local_positions, np.float32)
@@ -45,7 +46,7 @@ def joint_translations(motion: Motion) -> Array:
 
 
 def make_figure(motion: Motion) -> Figure:
-    """The figure of a motion of any rig and unit."""
+    """The body of a motion of any rig and unit, in metres."""
     motion = in_metres(motion).motion
     surface, pose = make_body(motion)
     rest = motion.skeleton.offsets.astype(np.float64)
@@ -60,7 +61,7 @@ def make_figure(motion: Motion) -> Figure:
 
 
 def skin_weights(surface: Surface) -> tuple[Array, Array]:
-    """Joints (V, 4) and weights (V, 4) of each point, each joint once; a joint without weight is joint 0."""
+    """Up to four joints (V, 4) per point, all different, and their weights (V, 4); unused entries are joint 0."""
     joints, weights = surface.joints.copy(), surface.weights.astype(np.float64)
     for later in range(1, joints.shape[1]):
         for earlier in range(later):
@@ -73,7 +74,7 @@ def skin_weights(surface: Surface) -> tuple[Array, Array]:
 
 
 def materials(surface: Surface) -> list[tuple[str, tuple[float, ...], Array]]:
-    """Name, linear colour and triangles (N,) of each part of a body; a triangle belongs to what it shows most of."""
+    """Name, linear colour and triangles (N,) of each part of the body; a triangle belongs to its most frequent part."""
     parts = surface.tints[surface.triangles].mean(axis=1).argmax(axis=1)
     out = []
     for tint, name in enumerate(TINTS):

@@ -1,6 +1,6 @@
-"""The one table of motion formats: which endings are written and read, and by what.
+"""The table of motion formats: file endings with their readers and writers.
 
-synthesize, follow-path, convert, the other commands that write a motion, and mk.write all go through it.
+mk.write and all commands that write a motion use it.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from motionkit.errors import MotionkitError
 from motionkit.export.clip import Clip, check_numbers
 from motionkit.motion.motion import Motion
 
-# Ending to the module of this room and the function in it.
+# Ending -> module of this package and function in it.
 WRITERS: dict[str, str] = {
     ".bvh": "formats:_write_bvh",
     ".glb": "glb:write_glb",
@@ -24,7 +24,7 @@ WRITERS: dict[str, str] = {
     ".csv": "tables:write_csv",
 }
 READERS: dict[str, str] = {".bvh": "formats:_read_bvh", ".glb": "formats:_read_glb"}
-# Endings that are often asked for, and what to do instead.
+# Endings of formats that are not written, and what to use instead.
 INSTEAD: dict[str, str] = {
     ".fbx": "motionkit writes no FBX; write a .glb, and Blender makes an FBX of it (docs/clips.md, FBX)",
     ".gltf": "motionkit writes binary glTF only: use .glb",
@@ -36,20 +36,20 @@ INSTEAD: dict[str, str] = {
 
 
 def check_ending(path: str | Path) -> None:
-    """Raise MotionkitError if the ending of a file to write is not one of WRITERS."""
+    """Raise MotionkitError unless a file to write has an ending in WRITERS."""
     _find(WRITERS, path, "written")
 
 
 def write_motion(path: str | Path, motion: Motion | Clip) -> None:
-    """Write a motion in the format that the ending of path names, atomically.
+    """Write a motion atomically; the file's ending chooses the format.
 
     Args:
         path: ends in .bvh, .glb, .vrma, .usda, .npz or .csv.
-        motion: of any rig; in a .bvh file it keeps its unit, in others lengths become metres or centimetres.
+        motion: a motion of any rig; a .bvh file keeps its unit, others use metres or centimetres.
 
     Raises:
-        MotionkitError: an unknown ending, a motion with numbers that are not finite, or a place that cannot be written.
-        SkeletonError: a .vrma of a rig that is not human.
+        MotionkitError: the ending is unknown, the motion is not finite, or the file cannot be written.
+        SkeletonError: a .vrma file for a rig that is not human.
     """
     write = _find(WRITERS, path, "written")
     clip = motion if isinstance(motion, Clip) else Clip(motion, Path(path).stem)
@@ -58,16 +58,16 @@ def write_motion(path: str | Path, motion: Motion | Clip) -> None:
 
 
 def read_motion(path: str | Path) -> Motion:
-    """The motion in a .bvh file, in its own unit, or of a skinned .glb file, in cm.
+    """Read the motion of a .bvh file, in its own unit, or of a skinned .glb file, in cm.
 
     Raises:
-        MotionkitError: another ending, or a file that cannot be read; the message names the file.
+        MotionkitError: the ending is unknown or the file cannot be read; the message names the file.
     """
     return read_clip(path).motion
 
 
 def read_clip(path: str | Path) -> Clip:
-    """The motion in a file with its name and, from a .bvh file, its channels; raises as read_motion does."""
+    """Read a motion with its name and, from a .bvh file, its channels; raises like read_motion."""
     clip: Clip = _find(READERS, path, "read")(path)
     return clip
 

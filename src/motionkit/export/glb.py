@@ -1,6 +1,6 @@
-"""Motions as binary glTF: a skeleton in a skin, the viewer's body, and one animation; metres, +Y up.
+"""Writes motions as binary glTF: a skeleton in a skin, a body mesh and one animation, in metres with +Y up.
 
-Importers make bones only of the joints of a skin, so all joints are in it.
+Importers make bones of skin joints only, so the skin has all joints.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def write_glb(path: str | Path, clip: Clip) -> None:
 
 
 def add_figure(document: GltfDocument, figure: Figure, name: str) -> list[int]:
-    """Add a scene of joints in a skin and the body; returns the joints' nodes."""
+    """Add a scene with the skinned joints and the body; returns the joints' nodes."""
     joints = add_joints(document, figure.motion, figure.rest)
     skin = _add_skin(document, figure, joints)
     body = document.add("nodes", {"name": "Body", "mesh": _add_mesh(document, figure), "skin": skin})
@@ -51,7 +51,7 @@ def add_joints(document: GltfDocument, motion: Motion, rest: Array) -> list[int]
 
 
 def add_animation(document: GltfDocument, clip: Clip, motion: Motion, joints: list[int]) -> None:
-    """Add the animation of a motion in metres: the rotations of all joints, the translations of those that move."""
+    """Add the animation of a motion in metres: rotations of all joints, translations of joints that move."""
     times = document.accessor((np.arange(len(motion)) / motion.fps).astype(np.float32), "SCALAR", bounds=True)
     extras = {"fps": motion.fps, "types": [[kind, seconds] for kind, seconds in clip.types]}
     animation: dict[str, Any] = {"name": clip.name, "channels": [], "samplers": [], "extras": extras}
@@ -72,7 +72,7 @@ def add_animation(document: GltfDocument, clip: Clip, motion: Motion, joints: li
 
 
 def _add_skin(document: GltfDocument, figure: Figure, joints: list[int]) -> int:
-    # Matrices lie in the buffer column after column.
+    # The buffer stores matrices column by column.
     columns = figure.inverse_binds.transpose(0, 2, 1).astype(np.float32)
     matrices = document.accessor(columns, "MAT4")
     skin = {"name": "Skeleton", "joints": joints, "skeleton": joints[0], "inverseBindMatrices": matrices}
@@ -80,7 +80,7 @@ def _add_skin(document: GltfDocument, figure: Figure, joints: list[int]) -> int:
 
 
 def _add_mesh(document: GltfDocument, figure: Figure) -> int:
-    """Add the body, a primitive for each of its materials; returns the index of the mesh."""
+    """Add the body with one primitive per material; returns the index of the mesh."""
     surface = figure.surface
     joints, weights = skin_weights(surface)
     attributes = {
@@ -105,5 +105,5 @@ def _xyzw(quat: Array) -> Array:
 
 
 def _numbers(values: Array) -> list[float]:
-    """Numbers as float32 holds them, without the digits that float64 adds; -0 becomes 0."""
+    """Numbers rounded to float32's digits; -0 becomes 0."""
     return [float(f"{value:.9g}") + 0.0 for value in values.astype(np.float32).tolist()]

@@ -1,7 +1,7 @@
-"""The pose of a frame as ONNX nodes: ground, rotations, root and joints, as inference/frame_kernel.c has them.
+"""The pose of a frame as ONNX nodes: ground, rotations, root and joints, as in inference/frame_kernel.c.
 
-Most values here are a handful of numbers, and a node on them costs the same whatever it does. Products with
-constants therefore replace sums, signs and permutations of columns.
+Most values here are a handful of numbers, so the number of nodes decides the time. Products with constants therefore
+replace sums, signs and permutations of columns.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ for _p, _q, _result, _sign in (
     (0, 3, 3, 1), (3, 0, 3, 1), (1, 2, 3, 1), (2, 1, 3, -1),
 ):  # fmt: skip
     _PRODUCT[_p, _q, _result] = _sign
-# From p to the matrix that multiplies a q in a row from the right: (4, 4 x 4).
+# Matrix (4, 4 x 4) by which p is multiplied to get the matrix for a following q (as a row, from the right).
 LEFT = _PRODUCT.reshape(4, 16)
 
 # The nine entries of a rotation matrix from the sixteen products of quaternion components.
@@ -44,7 +44,7 @@ for _axis in range(3):
     _to_matrix[1 + _j, 1 + _k, _j, _k] = _to_matrix[1 + _j, 1 + _k, _k, _j] = 2
     _to_matrix[0, 1 + _i, _k, _j], _to_matrix[0, 1 + _i, _j, _k] = 2, -2
 TO_MATRIX = _to_matrix.reshape(16, 9)
-# The other way: 4 q q^T is linear in the matrix, with the identity added.
+# The inverse map: 4 q q^T is linear in the rotation matrix plus the identity.
 FROM_MATRIX = np.zeros((9, 16), np.float32)
 FROM_CONSTANT = np.diag(np.ones(4, np.float32)).reshape(16)
 for _c, _signs in enumerate(((1, 1, 1), (1, -1, -1), (-1, 1, -1), (-1, -1, 1))):
@@ -60,15 +60,15 @@ for _axis in range(3):
 
 
 def _ancestors(steps: int) -> NDArray[np.intp]:
-    """For every joint the ancestor so many steps up, JOINT_COUNT (an identity) where there is none."""
+    """The ancestor of every joint the given number of steps up; JOINT_COUNT (an identity) if there is none."""
     out = list(range(JOINT_COUNT))
     for _ in range(steps):
         out = [JOINT_COUNT if j in (0, JOINT_COUNT) else PARENTS[j] for j in out]
     return np.array([*out, JOINT_COUNT])
 
 
-# Chains of up to eight joints are multiplied in three rounds, each of which doubles the length of what has been
-# multiplied, for all joints at once.
+# Chains of up to eight joints are multiplied in three rounds for all joints at once; each round doubles the length of
+# the multiplied parts.
 ROUNDS = tuple(_ancestors(steps) for steps in (1, 2, 4))
 
 
@@ -80,7 +80,7 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     skeleton = model.character(character)
     share = np.float32(model.body_scale(character))
     height = layout.root_height
-    # Split the features into the needed columns, in their order, and the rest between them.
+    # Split the features into the needed columns and the rest between them.
     joints, root = blocks["joint_rotations"], blocks["root_rotation"]
     ends = [blocks["root_yaw_velocity"].stop, root.start, root.start + 3, joints.start, joints.stop]
     ends += [height, height + 1, FEATURE_COUNT]
@@ -110,13 +110,13 @@ def write_body(g: Graph, model: MotionModel, features: str, character: str) -> N
     whole = g.reshape(g.add("Concat", local, np.eye(4).reshape(1, 16), axis=0), JOINT_COUNT + 1, 4, 4)
     for ancestors in ROUNDS:
         whole = g.add("MatMul", g.gather(whole, ancestors, axis=0), whole)
-    # Gather x, y and z from the last column of each transform: a slice over three axes is slow in runtimes.
+    # Gather x, y and z from the last column of each transform: runtimes are slow at slices over three axes.
     at_last = 16 * np.arange(JOINT_COUNT)[:, None] + [3, 7, 11]
     last = g.gather(g.reshape(whole, 1, -1), at_last.reshape(-1), axis=1)
     columns = foot_columns(layout.version)[:, 1]
     rise = _write_rise(g, features, (height, columns), last, share)
     place = g.add("Gemm", rise, up, place, out="root_positions")
-    # The root is added last, which keeps precision far from the origin.
+    # Adding the root last keeps precision far from the origin.
     g.add("Add", g.reshape(last, 1, JOINT_COUNT, 3), place, out="positions")
 
 
@@ -131,7 +131,7 @@ def _write_rise(
         share: size of the body divided by that of the canonical body.
     """
     root, feet = heights
-    # Height of each foot joint above its standing height: from the features, and from the rotations without the root.
+    # Height of each foot joint above its contact height: from the features, and from the rotations without the root.
     of_features, of_positions = np.zeros((FEATURE_COUNT, 8)), np.zeros((3 * JOINT_COUNT, 8))
     of_features[feet, np.arange(4)] = of_features[root, 4:] = 1.0
     of_positions[3 * np.array(FOOT_JOINTS) + 1, 4 + np.arange(4)] = 1.0 / share
@@ -139,7 +139,7 @@ def _write_rise(
     above = g.reshape(g.add("Gemm", positions, of_positions, above), 2, 4)
     lowest = g.add("ReduceMin", above, axes=[1], keepdims=1)
     lowest = g.add("Max", lowest, [[-height_correction.DEEPEST], [-1e9]])
-    # The missing height, how low the feet are, and how far they are too deep.
+    # The missing height, the lowness of the feet, and the excess depth.
     of_lowest = [[1.0, 0.0, 0.0], [-1.0, -1.0 / height_correction.REACH, -1.0]]
     measures = g.add("Gemm", lowest, of_lowest, [0.0, 1.0, -height_correction.DEEPEST], transA=1)
     measures = g.add("Max", measures, np.float32(0.0))
@@ -167,7 +167,7 @@ def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_veloci
     of_yaw[2] = [1.0, 1.0, 1.0, 1.0, 0.5, 0.0, 0.5, 0.0]
     plus = [QUARTER, QUARTER, 0.0, np.pi, QUARTER, 0.0, 0.0, 0.0]
     sines = g.add("Sin", g.add("Gemm", turned, of_yaw, plus))
-    # The first four, times velocity x, z, z, x, add to x, z, x, z.
+    # The first four columns, times velocity x, z, z, x, sum to the movement in x, z, x, z.
     moved = g.add("Mul", sines, g.gather(features, velocity + np.array([0, 1, 1, 0, 0, 0, 0, 0]), axis=1))
     onto = np.concatenate([np.eye(3)[[0, 1, 0, 1]] / fps, np.zeros((4, 3))])
     g.add("Gemm", moved, onto, turned, out="present_ground")
@@ -175,32 +175,32 @@ def _write_ground(g: Graph, fps: float, features: str, velocity: int, yaw_veloci
 
 
 def _expmap_to_quat(g: Graph, expmaps: str, count: int) -> str:
-    """Return quaternions (N, 4) of exponential maps (1, 3 N)."""
+    """Write quaternions (N, 4) of exponential maps (1, 3 N), and return their name."""
     expmaps = g.reshape(expmaps, count, 3)
     angle = g.add("ReduceL2", expmaps, axes=[1], keepdims=1)
     angle = g.add("Max", angle, np.float32(1e-12))
-    # cos a/2, and sin a/2 three times; then times 1 and the axis.
+    # cos a/2 once and sin a/2 three times; then multiply by 1 and the axis.
     sines = g.add("Sin", g.add("Gemm", angle, np.full((1, 4), 0.5), [QUARTER, 0.0, 0.0, 0.0]))
     return g.add("Mul", sines, g.add("Div", g.add("Concat", angle, expmaps, axis=1), angle))
 
 
 def _sixd_to_quat(g: Graph, features: str, start: int, first: str) -> str:
-    """Return the quaternion (1, 4) of a matrix; its first two columns, not yet orthonormal, start at column `start`."""
+    """Write the quaternion (1, 4) of a matrix, given by two columns from `start` on that may not be orthonormal."""
     third = g.add("MatMul", _products(g, features, start, start + 3), MINUS)
-    # Normalise the third and the first column; the second is third x first.
+    # Normalize the third and the first column; the second is their cross product.
     pair = g.add("Concat", third, first, axis=0)
     pair = g.reshape(g.add("Div", pair, g.add("ReduceL2", pair, axes=[1], keepdims=1)), 1, 6)
     # Four times the products of the quaternion's components are linear in the matrix.
     of_column = FROM_MATRIX.reshape(3, 3, 16)
     outer = g.add("Gemm", pair, np.concatenate([of_column[:, 2], of_column[:, 0]]), FROM_CONSTANT)
     outer = g.add("Gemm", _products(g, pair, 0, 3), MINUS @ of_column[:, 1], outer)
-    # Four rows, each the quaternion times one of its components; the largest is well conditioned.
+    # Each of the four rows is the quaternion times one of its components; the row of the largest is well conditioned.
     largest = g.add("ArgMax", g.gather(outer, [0, 5, 10, 15], axis=1), axis=1, keepdims=0)
     quat = g.gather(g.reshape(outer, 4, 4), largest, axis=0)
     return g.add("Div", quat, g.add("ReduceL2", quat, axes=[1], keepdims=1))
 
 
 def _products(g: Graph, columns: str, first: int, second: int) -> str:
-    """Return the six products (1, 6) in the cross product of two vectors that start at these columns."""
+    """Write the six products (1, 6) of a cross product; its two vectors start at these columns. Returns their name."""
     ahead = g.gather(columns, first + np.array(FORWARD), axis=1)
     return g.add("Mul", ahead, g.gather(columns, second + np.array(BACKWARD), axis=1))

@@ -1,8 +1,7 @@
-"""The step of a model as an ONNX graph for engines: controls and state in, a global pose and the next state out.
+"""One frame of a model as an ONNX graph for engines: controls and state in, global pose and next state out.
 
-The graph is written node by node from the packed weights (inference/step_weights.py). It includes normalisation,
-integration of the root and forward kinematics, with static shapes and a batch of one. docs/onnx.md explains how
-to drive it.
+The graph is built node by node from the packed weights (inference/step_weights.py). It includes normalization, root
+integration and forward kinematics, with static shapes and a batch of one. docs/onnx.md explains its use.
 """
 
 from __future__ import annotations
@@ -50,16 +49,16 @@ if TYPE_CHECKING:
 
 FORMAT_NAME = "motionkit-onnx-"
 FORMAT = f"{FORMAT_NAME}6"
-TOLERANCE = 0.5  # largest distance in cm between joints of the graph and of motionkit after ten seconds in closed loop
-CHECK_FRAMES = 600  # of the check before a graph is written
-REFERENCE_SECONDS = 12.0  # of reference clips per type in the metadata; the last clip is not cut
+TOLERANCE = 0.5  # cm, largest joint distance between graph and motionkit after ten seconds in closed loop
+CHECK_FRAMES = 600  # length of the check before a graph is written
+REFERENCE_SECONDS = 12.0  # least seconds of reference clips per type in the metadata; clips are kept whole
 
 
 def _listed(numbers: tuple[int, ...]) -> str:
     return f"{', '.join(map(str, numbers[:-1]))} and {numbers[-1]}"
 
 
-# Inputs besides the state, with shape and meaning.
+# Inputs besides the state: shape and meaning.
 CONTROLS: dict[str, tuple[tuple[int, ...], str]] = {
     "trajectory": (
         (1, TRAJECTORY_COUNT),
@@ -94,11 +93,11 @@ OUTPUTS: dict[str, tuple[tuple[int, ...], str]] = {
 
 
 def build_graph(model: MotionModel, character: str = "default") -> ModelProto:
-    """Return the graph of one step on a character's body, with its metadata.
+    """The ONNX graph of one frame for a character's body, with its metadata.
 
     Raises:
-        ModelError: if the model's weights cannot be packed.
-        ControlError: if the character is unknown.
+        ModelError: the model's weights cannot be packed.
+        ControlError: the character is unknown.
     """
     packed = pack(model.network)
     graph = Graph()
@@ -113,7 +112,7 @@ def build_graph(model: MotionModel, character: str = "default") -> ModelProto:
 
 
 def metadata(model: MotionModel, character: str = "default", starts: bool = True) -> dict[str, Any]:
-    """Return what an engine needs besides the graph; with starts also start poses and reference clips of each type."""
+    """What an engine needs besides the graph; `starts` adds start poses and reference clips of each type."""
     skeleton = model.character(character)
     shapes = state_shapes(pack(model.network))
     described = {
@@ -163,7 +162,7 @@ def metadata(model: MotionModel, character: str = "default", starts: bool = True
 
 
 def _start(model: MotionModel, kind: str, character: str) -> dict[str, list]:
-    """Return the first start pose of a type, on the character if the network is shown it."""
+    """The first start pose of a type, on the character's body if the network is given that body."""
     start = on_body(model, type_start(model, kind), model.moved_skeleton(character))
     return {
         "pose": _rounded(model.scaling.normalize(start.features[0]), 4),
@@ -172,7 +171,7 @@ def _start(model: MotionModel, kind: str, character: str) -> dict[str, list]:
 
 
 def _reference_clips(model: MotionModel, kind: str) -> list[dict[str, list]]:
-    """Return pose embeddings of a type's reference clips, and the ground track of those performed once."""
+    """Pose embeddings of a type's reference clips; performances also get their ground track."""
     out: list[dict[str, list]] = []
     frames = 0
     for reference_clip in model.types[kind].reference_clips:
@@ -197,13 +196,13 @@ def _rounded(values: Array, digits: int) -> list:
 
 @dataclass(frozen=True)
 class ExportCheck:
-    """Differences between the graph and motionkit, each in closed loop.
+    """Largest differences between the graph and motionkit when each runs in closed loop.
 
     Attributes:
-        frames: number of frames compared.
+        frames: number of compared frames.
         positions: largest distance of a joint in cm.
         features: largest difference of a normalised feature.
-        frames_per_second: speed of the graph alone in ONNX Runtime on one core.
+        frames_per_second: speed of the graph in ONNX Runtime on one core.
     """
 
     frames: int
@@ -213,11 +212,11 @@ class ExportCheck:
 
 
 def metadata_path(path: str | Path) -> Path:
-    """Return the path of a graph's metadata: the same name with .json.
+    """The path of a graph's metadata: the same name with .json.
 
     Raises:
-        OverwriteError: if that is the graph itself.
-        MotionkitError: if the name is empty, or a file that export did not write is in the way.
+        OverwriteError: that path is the graph itself.
+        MotionkitError: the name is empty, or the path is a file that export did not write.
     """
     path = Path(path)
     if not path.name:
@@ -244,13 +243,13 @@ def _is_metadata(path: Path) -> bool:
 
 @contextmanager
 def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
-    """Open two files for writing that appear together, so that a graph never stands beside other metadata."""
+    """Open two files for writing that appear together, so that graph and metadata always match."""
     placing = False
     try:
-        # The file opened last is put in place first.
+        # Files are put in place in reverse order of opening.
         with atomic_write(graph, "wb") as first, atomic_write(beside) as second:
             yield first, second
-            for file in (first, second):  # finds a full disk before anything is changed
+            for file in (first, second):  # a full disk is noticed before anything is replaced
                 file.flush()
                 os.fsync(file.fileno())
             placing = True
@@ -262,15 +261,15 @@ def _both(graph: Path, beside: Path) -> Iterator[tuple[IO, IO]]:
 
 
 def export_onnx(model: MotionModel, path: str | Path, character: str = "default") -> ExportCheck | None:
-    """Check the graph against motionkit, then write it and its metadata (the same name with .json).
+    """Check the graph against motionkit, then write the graph and its metadata (same name with .json).
 
     Returns:
         The result of the check; None without onnxruntime.
 
     Raises:
-        ModelError: if the model cannot be exported or does not move, or if the graph differs from motionkit.
-        ControlError: if the character is unknown.
-        MotionkitError: if a file cannot be written or another file is in the way. Existing files then stay unchanged.
+        ModelError: the model cannot be exported or does not move, or the graph differs from motionkit.
+        ControlError: the character is unknown.
+        MotionkitError: a file cannot be written, or another file is in the way. Existing files stay unchanged.
     """
     path = Path(path)
     beside = metadata_path(path)
@@ -298,14 +297,14 @@ def _checked(model: MotionModel, graph: bytes, character: str) -> ExportCheck | 
 
 
 class OnnxStep:
-    """The graph in ONNX Runtime for one character; it keeps the state between steps.
+    """The graph in ONNX Runtime for one character; keeps the state between frames.
 
-    Arrays are bound to the graph once, because new dictionaries of arrays in every step would cost more time than
-    parts of the network. The state has two buffers that alternate between input and output.
+    Arrays are bound to the graph once: new dictionaries of arrays in every frame would cost more time than parts of the
+    network. The state has two buffers, which alternate between input and output.
     """
 
     def __init__(self, graph: str | Path | bytes, threads: int = 1) -> None:
-        """graph is the file, or its bytes."""
+        """graph is a file, or its bytes."""
         import onnxruntime
 
         options = onnxruntime.SessionOptions()
@@ -334,11 +333,11 @@ class OnnxStep:
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """Controls and state of the next step; write into these arrays."""
+        """Controls and state of the next frame; write into these arrays."""
         return self._turns[0][0]
 
     def step(self) -> dict[str, np.ndarray]:
-        """Run one step on values and return its outputs. Later steps overwrite them."""
+        """Compute one frame from values and return its outputs. Later calls overwrite them."""
         _, made, binding = self._turns[0]
         self.session.run_with_iobinding(binding)
         self._turns.reverse()
@@ -346,10 +345,10 @@ class OnnxStep:
 
 
 def every_control(model: MotionModel, frames: int) -> list[Controls]:
-    """Controls of one character in which each control changes: what ways of making a frame are compared on.
+    """Controls of one character in which every control changes, to compare implementations of a frame.
 
-    Up to four types blend into each other: the first, one with a gait, a performance, one with references. Their
-    recordings give references and phases; trajectories, references and the root-slip correction come and go.
+    Up to four types blend into each other: the first, one with a gait, a performance, and one with references. Their
+    recordings give references and phases. Trajectories, references and the root-slip correction switch on and off.
     """
     first = model_first_type(model)
     others = {name: kind.kind for name, kind in model.types.items() if name != first}
@@ -366,7 +365,7 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
     for frame in range(frames):
         row = min(frame, len(played.phase) - 1)
         now = played.at(slice(row, row + 1))
-        # Where a performance asks for no trajectory of its own: in turns none, and a slow curve.
+        # Performances without their own trajectory: alternate between none and a slow curve.
         angle = 0.5 * np.sin(frame / 40.0)
         forward = np.array([np.sin(angle), np.cos(angle)], np.float32)
         curve = np.concatenate([np.outer(100.0 * steps, forward).ravel(), np.tile(forward, len(steps))])[None]
@@ -383,7 +382,7 @@ def every_control(model: MotionModel, frames: int) -> list[Controls]:
 
 
 def set_controls(graph: OnnxStep, asked: Controls, noise: Array) -> None:
-    """Give a graph the controls of one character, and noise (1, 276)."""
+    """Set the controls of one character and noise (1, 276) as the graph's inputs."""
     for name, values in vars(asked).items():
         if values is not None:
             graph.values[name][:] = values
@@ -391,7 +390,7 @@ def set_controls(graph: OnnxStep, asked: Controls, noise: Array) -> None:
 
 
 def _start_graph(graph: OnnxStep, model: MotionModel, start: Start, type_weights: Array) -> None:
-    """Prime a graph with the frames of a start, as RolloutState.start does."""
+    """Fill the state with the frames of a start pose, like RolloutState.start."""
     graph.values["type_weights"][:], graph.values["phase"][:] = type_weights, -1.0
     x = model.scaling.normalize(start.features)
     for t in range(x.shape[1]):
@@ -404,15 +403,15 @@ def _start_graph(graph: OnnxStep, model: MotionModel, start: Start, type_weights
 def check_export(
     model: MotionModel, graph_file: str | Path | bytes, character: str, frames: int
 ) -> ExportCheck:
-    """Run the graph and motionkit in closed loop, from the same start with the same noise and every control.
+    """Run the graph and motionkit in closed loop, with the same start, noise and controls.
 
-    Raises ModelError if the model does not move in motionkit either.
+    Raises ModelError if the model does not move in motionkit.
     """
     kind = model_first_type(model)
     start = on_body(model, type_start(model, kind), model.moved_skeleton(character))
     script = every_control(model, frames)
     state = RolloutState(model, 1, Noise())
-    state.network = NetworkStep(StepKernel(pack(model.network)), 1)  # in 32 bits, as the graph
+    state.network = NetworkStep(StepKernel(pack(model.network)), 1)  # float32, like the graph
     state.controls.set_skeletons([model.moved_skeleton(character)])
     state.start(start.features, start.contacts, script[0].type_weights)
     graph = OnnxStep(graph_file)
@@ -427,7 +426,7 @@ def check_export(
         made = graph.step()
         apart[frame] = np.linalg.norm(made["positions"] - positions, axis=-1).max()
         features[frame] = np.abs(made["present_pose"] - state.frame.x).max()
-    # Timed separately, because side by side each evicts the other's weights from the cache.
+    # Timed separately: side by side, each evicts the other's weights from the cache.
     began = time.perf_counter()
     for _ in range(frames):
         graph.step()

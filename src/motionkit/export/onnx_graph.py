@@ -1,4 +1,4 @@
-"""A writer of ONNX graphs: nodes and constants in the order in which they are added."""
+"""Builds ONNX graphs: nodes and constants in the order of calls."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Graph:
         self.constants: dict[str, TensorProto] = {}
 
     def constant(self, values: Any, dtype: Any = np.float32) -> str:
-        """Add a constant and return its name; small equal constants are stored once."""
+        """Add a constant and return its name; equal small constants are stored once."""
         array = np.array(values, dtype, order="C")
         for known, tensor in self.constants.items():
             if array.size < 64 and tensor.raw_data == array.tobytes() and tuple(tensor.dims) == array.shape:
@@ -42,20 +42,20 @@ class Graph:
         return name
 
     def add(self, kind: str, *inputs: Any, out: str | None = None, **attributes: Any) -> str:
-        """Add a node with one output and return the output's name. Arrays and numbers become constants."""
+        """Add a node with one output and return its name. Arrays and numbers become constants."""
         return self._node(kind, inputs, [out or f"n{len(self.nodes)}"], attributes)[0]
 
     def split(self, value: str, sizes: list[int], axis: int) -> list[str]:
-        """Split a value into pieces of these sizes along an axis."""
+        """Split a value along an axis into pieces of these sizes; returns their names."""
         outs = [f"n{len(self.nodes)}_{i}" for i in range(len(sizes))]
         return self._node("Split", (value, self.constant(sizes, np.int64)), outs, {"axis": axis})
 
     def reshape(self, value: str, *shape: int, out: str | None = None) -> str:
-        """Change the shape of a value."""
+        """Reshape a value; returns its name."""
         return self.add("Reshape", value, self.constant(shape, np.int64), out=out)
 
     def gather(self, value: Any, indices: Any, axis: int) -> str:
-        """Gather these indices along an axis; the result has the shape of the indices there."""
+        """Gather these indices along an axis, where the result has the shape of the indices; returns its name."""
         at = indices if isinstance(indices, str) else self.constant(indices, np.int64)
         return self.add("Gather", value, at, axis=axis)
 
@@ -71,7 +71,7 @@ class Graph:
         version: str,
         properties: dict[str, str],
     ) -> ModelProto:
-        """Return the checked model with names and shapes of its inputs and outputs."""
+        """The checked model, with names and shapes of inputs and outputs."""
         helper, kinds = self.onnx.helper, self.onnx.TensorProto
 
         def described(shapes: dict[str, tuple[int, ...]]) -> list:

@@ -1,12 +1,12 @@
-"""The network of one frame as ONNX nodes, written from the packed weights (inference/step_weights.py).
+"""The network of one frame as ONNX nodes, built from the packed weights (inference/step_weights.py).
 
-In a graph of one frame, time goes into reading the weights and into every node, however small. So constants are
-folded, and the rings of keys and values are not shifted: the next frame overwrites the oldest slot.
+A graph of one frame spends its time on reading weights and on the number of nodes. So constants are folded, and the
+rings of keys and values are not shifted: the next frame overwrites the oldest slot.
 
-One matrix product serves all parts. Their maps either stand side by side, (K, P N): each part's row is then
-multiplied by every map, and the results of the other parts are dropped. Or they are stacked, (P K, N), and each
-part's row is zero outside its own columns. The additional sums cost nothing, because loading the weights takes
-longer than using them. Runtimes are best at plain matrix products, and know no others in 8 bits.
+One matrix product serves all parts. Their maps are placed side by side, (K, P N): each part's row is multiplied by
+every map, and the results of other parts are dropped. Or the maps are stacked, (P K, N), and each part's row is zero
+outside its own columns. The additional sums are free, because loading the weights takes longer than using them.
+Runtimes are fastest at plain matrix products, and in 8 bits support no others.
 
 Shape legend: P parts, L layers, D width, H heads, E head width, F hidden, W window, C controls.
 """
@@ -29,9 +29,9 @@ INPUT_COUNT = FEATURE_COUNT + CONTACT_COUNT
 
 
 def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
-    """Return names and shapes of the state's inputs; present_name gives the outputs.
+    """Names and shapes of the state's inputs; present_name gives those of its outputs.
 
-    Keys and values follow the convention past_key_values.N.key, with the parts as the batch.
+    Keys and values follow the naming past_key_values.N.key; the batch axis holds the parts.
     """
     config, P = weights.config, len(weights.columns)
     ring = (P, config.heads, config.window, config.width // config.heads)
@@ -49,17 +49,17 @@ def state_shapes(weights: StepWeights) -> dict[str, tuple[int, ...]]:
 
 
 def present_name(name: str) -> str:
-    """Return the output name of a state: present.0.key for past_key_values.0.key."""
+    """The output name of a state: present.0.key for past_key_values.0.key."""
     return (
         name.replace("past_key_values", "present") if "." in name else f"present_{name.removeprefix('past_')}"
     )
 
 
 def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: Skeleton) -> str:
-    """Write the nodes from controls and state to the next state, without ground and rise.
+    """Write the nodes from controls and state to the next state, except ground and root-height correction.
 
     Args:
-        skeleton: the one that the network is shown.
+        skeleton: skeleton input of the network.
 
     Returns:
         The name of the unnormalised features (1, 276).
@@ -69,14 +69,14 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     step = _Step(g, weights)
     blocks = _control_blocks(step, model, skeleton)
     past = state_shapes(weights)["past_frames"][1]
-    # The oldest frame is dropped; before is the pose of the last one.
+    # Drop the oldest frame; `before` is the pose of the last one.
     stay = past - INPUT_COUNT
     older = [size for size in (INPUT_COUNT, stay - INPUT_COUNT) if size > 0] if stay else []
     pieces = g.split("past_frames", [*older, FEATURE_COUNT, CONTACT_COUNT], axis=1)
     before = pieces[-2]
     g.add("Concat", *(pieces[1:] if stay else []), "pose", "contacts", axis=1, out="present_frames")
     shallow = step.module(0, step.embed_frames(blocks[0][0]), blocks[0])
-    # One product of the shallow features serves the deep module and the contacts.
+    # One product of the shallow features serves both the deep module and the contacts.
     taken = g.add(
         "Gemm",
         shallow,
@@ -94,7 +94,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
     low, high = np.float32(config.head.log_sigma_min), np.float32(config.head.log_sigma_max)
     drawn = g.add("Mul", "noise", g.add("Exp", g.add("Clip", sigma, low, high)))
     terms = [mean, drawn, g.add("Mul", "pose", np.float32(config.head.head_leak))]
-    # At the first frame nothing has moved yet.
+    # The first frame has no movement yet.
     moved = g.add("Mul", g.add("Sub", "pose", before), g.add("Min", "frames_seen", np.float32(1.0)))
     if weights.momentum is not None:
         terms.append(g.add("Mul", moved, weights.momentum))
@@ -113,7 +113,7 @@ def write_network(g: Graph, model: MotionModel, weights: StepWeights, skeleton: 
 
 
 def _keep_rotation(g: Graph, model: MotionModel, drawn: str) -> str:
-    """Write a drawn pose (1, 276) whose root rotation, two matrix columns, is orthonormal, and return its name."""
+    """Write a sampled pose (1, 276) with an orthonormal root rotation (two matrix columns), and return its name."""
     start = feature_layout(model.config.layout).blocks["root_rotation"].start
     before, first, second, rest = g.split(drawn, [start, 3, 3, FEATURE_COUNT - start - 6], axis=1)
     root = slice(start, start + 6)
@@ -132,15 +132,15 @@ def _keep_rotation(g: Graph, model: MotionModel, drawn: str) -> str:
 
 
 def _unit(g: Graph, vector: str) -> str:
-    """Write a vector (1, 3) divided by its length, and return its name."""
+    """Write a vector (1, 3) scaled to length 1, and return its name."""
     return g.add("Div", vector, g.add("ReduceL2", vector, axes=[1], keepdims=1))
 
 
 def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list[list[str]]:
-    """Write what the controls add to the input (P, D) of each layer of both modules, and return the names.
+    """Write the controls' addition to the input (P, D) of each layer of both modules, and return the names.
 
-    The skeleton is constant. Scales and offsets of the other signals are folded into the map: a signal (s - m) / d
-    with mask g becomes g s on the map divided by d, and g on the constant rest.
+    The skeleton is constant. Scales and offsets of the other signals are folded into the map: for a signal (s - m) / d
+    with mask g, the map divided by d takes g s, and the constant rest takes g.
     """
     g, weights = step.g, step.weights
     layout, scaling, references = model.controls, model.trajectory_scaling, model.reference_map
@@ -154,9 +154,9 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
     reference = embed[layout.reference]
     seen = g.add("MatMul", "pose", references.matrix / references.gains)
     differences = g.add("Mul", g.add("Sub", "reference", seen), "reference_gain")
-    # The sine and, a quarter turn ahead, the cosine.
+    # Sine and cosine (a quarter turn ahead).
     turns = g.add("Gemm", "phase", np.full((1, 2), 2.0 * np.pi), [0.0, 0.5 * np.pi])
-    # One for phases of zero and above, else zero: a steep ramp, which is cheaper than a comparison.
+    # 1 for phases of at least zero, else 0: a steep ramp is cheaper than a comparison.
     has_phase = g.add("Gemm", "phase", [[1e6]], [1.0])
     has_phase = g.add("Clip", has_phase, np.float32(0.0), np.float32(1.0))
     turns = g.add("Mul", g.add("Sin", turns), has_phase)
@@ -191,18 +191,18 @@ def _control_blocks(step: _Step, model: MotionModel, skeleton: Skeleton) -> list
 
 
 class _Step:
-    """The modules of one frame."""
+    """The two modules for one frame."""
 
     def __init__(self, g: Graph, weights: StepWeights) -> None:
         self.g, self.weights, self.config = g, weights, weights.config
         config, P, W = self.config, len(weights.columns), weights.config.window
-        # Frames are counted up to 2 W - 2 and then from W - 1 again. The count shows which slots of the rings are
-        # still empty and which is the oldest.
+        # Frames are counted up to 2 W - 2, and from W - 1 again. The count tells which slots of the rings are empty,
+        # and which is the oldest.
         counts = np.arange(2 * W - 1)
         count = g.add("Cast", "frames_seen", to=g.onnx.TensorProto.INT64)
         g.add("Gather", np.append(counts[1:], W - 1), count, axis=0, out="present_frames_seen")
         count = g.add("Squeeze", count)
-        # The tables are contiguous for each count.
+        # For each count, the table is contiguous.
         part, head = np.ogrid[:P, : config.heads]
         slot = np.stack(np.broadcast_arrays(part, head, counts[:, None, None] % W), axis=-1)[:, :, :, None]
         self.slot = g.gather(g.constant(slot, np.int64), count, axis=0)  # (P, H, 1, 3)
@@ -213,15 +213,15 @@ class _Step:
         self.biases = g.split(g.gather(bias, count, axis=0), [P] * (2 * config.layers), axis=0)
 
     def embed_frames(self, controls: str) -> str:
-        """Write the first convolution, over the last frames and the current one, plus the controls: (P, D)."""
+        """Write the first convolution over past and current frames, plus the controls: (P, D)."""
         g, columns, config = self.g, self.weights.columns, self.config
-        # At least two frames are kept, more than a kernel of one needs. The 1 at the end multiplies the biases.
+        # The state keeps at least two frames, even for a kernel of one. The final 1 multiplies the biases.
         frames = max(config.kernel, 2)
         recent = g.add("Concat", "past_frames", "pose", "contacts", g.constant([[1.0]]), axis=1)
         first = INPUT_COUNT * (frames - config.kernel + np.arange(config.kernel))
         places, maps = [], []
         for p, mine in enumerate(columns):
-            used = mine < INPUT_COUNT  # short parts are padded
+            used = mine < INPUT_COUNT  # shorter parts are padded
             places.append(np.append((first[:, None] + mine[used]).reshape(-1), INPUT_COUNT * frames))
             taps = self.weights.shallow.embed[p].reshape(config.kernel, len(mine), -1)[:, used]
             bias = self.weights.shallow.embed_bias[p][None]
@@ -231,7 +231,7 @@ class _Step:
         return g.add("Gemm", seen, np.concatenate(maps), controls)
 
     def module(self, index: int, x: str, controls: list[str]) -> str:
-        """Write a module: features (1, P D), without their factor sqrt(D), from the input (P, D) of its first layer."""
+        """Write a module: features (1, P D), without their factor sqrt(D), from its first layer's input (P, D)."""
         g, config = self.g, self.config
         weights = (self.weights.shallow, self.weights.deep)[index]
         P, D, H = len(self.weights.columns), config.width, config.heads
@@ -246,24 +246,24 @@ class _Step:
         return g.reshape(self._norm(x), 1, P * D)
 
     def _hidden(self, x: str, weight: Floats, bias: Floats) -> str:
-        """Write the hidden layer with bias (P, F): rows (P, P F), each zero outside its own columns."""
+        """Write the hidden layer with bias, (P, F), as rows (P, P F) that are zero outside their own columns."""
         P, F = bias.shape
-        # A bias far below zero has the effect of the mask.
+        # A bias far below zero acts as a mask, because ReLU follows.
         biases = np.where(_own(P, F) > 0.0, bias.reshape(1, -1), np.float32(-1e9))
         return self.g.add("Relu", self.g.add("Gemm", x, weight, biases))
 
     def own_columns(self, rows: str, count: int, width: int) -> str:
-        """Reshape to rows (count, count width), each zero outside its own columns."""
+        """Reshape to rows (count, count width) that are zero outside their own columns."""
         return self.g.add("Mul", self.g.reshape(rows, 1, count * width), _own(count, width))
 
     def _add_product(self, x: str, y: str, weight: Floats, *more: str) -> str:
-        """Add rows y times a matrix, and more, to x."""
+        """Add the product of rows y with a matrix, and more, to x."""
         if not more:
             return self.g.add("Gemm", y, weight, x)
         return self.g.add("Sum", x, self.g.add("MatMul", y, weight), *more)
 
     def _attend(self, layer: int, query: str, key: str, value: str) -> str:
-        """Write key and value into the ring of a layer, and attention (P, H, 1, E) over it."""
+        """Write key and value into a layer's ring, and attention (P, H, 1, E) over the ring."""
         past = f"past_key_values.{layer}"
         keys, values = (
             self.g.add("ScatterND", f"{past}.{name}", self.slot, new, out=present_name(f"{past}.{name}"))
@@ -275,7 +275,7 @@ class _Step:
 
     def _norm(self, x: str) -> str:
         D = self.config.width
-        # Some importers require the shift, though it is optional.
+        # Some importers require the shift, which is optional in ONNX.
         inputs = (x, np.full(D, D**-0.5), np.zeros(D))
         return self.g.add("LayerNormalization", *inputs, axis=-1, epsilon=NORM_EPS)
 
@@ -291,5 +291,5 @@ def _below(maps: Floats) -> Floats:
 
 
 def _own(count: int, width: int | list[int]) -> Floats:
-    """Return (count, count width) with ones in each row's own columns; width for all rows or for each."""
+    """A mask (count, count width) with ones in each row's own columns; width may differ by row."""
     return np.repeat(np.eye(count, dtype=np.float32), width, axis=1)

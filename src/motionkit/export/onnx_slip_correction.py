@@ -1,4 +1,4 @@
-"""The root-slip correction as ONNX nodes: standing feet hold the root, as in inference/slip_correction.py."""
+"""The root-slip correction as ONNX nodes, as in inference/slip_correction.py."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from motionkit.motion.leg_ik import FOOT_SHARES, HOLD
 
 
 def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
-    """Write the correction of a sampled pose (1, 276) as present_pose, and return its name."""
+    """Write the corrected sampled pose (1, 276) as present_pose, and return its name."""
     blocks = feature_layout(model.config.layout).blocks
     yaw, xz = blocks["root_yaw_velocity"].start, blocks["root_xz_velocity"].start
     slip_corrections = model.presets("slip_correction")[:, None]
     share = g.add("MatMul", "type_weights", slip_corrections * np.float32(model.fps))
     share = g.add("Mul", share, "slip_correction")
     by = g.add("Mul", _standing_move(g, model, drawn, (yaw, xz)), share)
-    # The correction is a turn the other way and a step.
+    # The correction subtracts from the turn and adds to the step.
     columns = np.zeros((3, FEATURE_COUNT), np.float32)
     columns[[0, 1, 2], [yaw, xz, xz + 1]] = -1.0, 1.0, 1.0
     std = model.scaling.std
@@ -27,13 +27,13 @@ def hold_ground(g: Graph, model: MotionModel, drawn: str) -> str:
 
 
 def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[int, int]) -> str:
-    """Write what to subtract from the turn and to add to the step of the root (1, 3)."""
+    """Write the correction (1, 3): what to subtract from the root's turn and to add to its step."""
     x, y, z = slip_correction.foot_columns(model.config.layout).T
     yaw, xz = velocities
     mean, std = model.scaling.mean, model.scaling.std
     reaches, shares = np.array(slip_correction.REACHES), np.array(FOOT_SHARES)
-    # Everything that is linear in the frame, at once: foot positions without the turn, x and z; their lever arms, z and
-    # -x; how low the feet are; the turn, and the turn plus a quarter turn.
+    # All linear functions of the frame at once: foot positions x and z without the turn; their lever arms, z and -x;
+    # height terms of the feet; the turn, and the turn plus a quarter turn.
     of_frame, plus = np.zeros((FEATURE_COUNT, 22)), np.zeros(22)
     feet = np.arange(4)
     of_frame[x, feet] = of_frame[z, 4 + feet] = of_frame[z, 8 + feet] = 1.0
@@ -43,7 +43,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     plus[21] = 0.5 * np.pi
     unscaled = g.add("Gemm", drawn, std[:, None] * of_frame, mean @ of_frame + plus)
     here, low, turns = g.split(unscaled, [16, 4, 2], axis=1)
-    # Earlier foot positions in the current facing frame: sine and cosine times x, z, z and x.
+    # Previous foot positions in the current heading frame: sine and cosine times x, z, z and x.
     factors = np.zeros((2, 16))
     factors[0, 4:8], factors[0, 12:], factors[1, :4], factors[1, 8:12] = -1.0, 1.0, 1.0, 1.0
     at = np.concatenate([x, z, z, x])
@@ -64,7 +64,7 @@ def _standing_move(g: Graph, model: MotionModel, drawn: str, velocities: tuple[i
     means = g.add("Gemm", both, weight, transB=1)
     off = g.add("Sub", both, means)
     shared = g.add("Gemm", g.add("Mul", off, weight), off, transB=1)
-    # The turn of all feet about their centre, and their distance from it.
+    # The turn of all feet about their common centre, and their distance from it.
     of_shared = np.zeros((16, 2))
     of_shared[[2, 7], 0] = of_shared[[10, 15], 1] = 1.0
     turn = g.add("Gemm", g.reshape(shared, 1, 16), of_shared, np.array([0.0, slip_correction.STIFFNESS]))

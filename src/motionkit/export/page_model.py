@@ -1,9 +1,8 @@
-"""A model as the one file that a page in a browser runs (web/src/demo): the memory of the C kernels, and what is
-around them.
+"""Packs a model into one file for a web page (web/src/demo): memory of the C kernels, types and tracks.
 
-The file is a header in JSON, its length as 4 bytes before it, and arrays, deflated one by one. Before that the lower
-bytes of all their 16-bit words are put first, then the higher ones. Poses and places of tracks are columns of
-differences from frame to frame, in steps of STEP. Both make them smaller.
+The file has 4 bytes for the length of a JSON header, the header, and deflated arrays. Two steps make the arrays
+smaller. Poses and ground tracks are stored by column, as differences between frames in units of STEP. The low bytes of
+all 16-bit words come before the high bytes.
 """
 
 from __future__ import annotations
@@ -30,14 +29,14 @@ from motionkit.motion.bvh import bvh_hierarchy
 
 FORMAT = "motionkit-page-3"
 COLUMNS = {"poses": EMBEDDING_COUNT, "ground": 3}
-STEP = 2.0**-10  # of poses, whose numbers have about unit size, of cm and of radians
+STEP = 2.0**-10  # quantization step of poses (normalized), cm and radians
 
 
 def page_model(model: MotionModel) -> bytes:
-    """The file of a model, for characters with its default body.
+    """The file of a model, as bytes; characters have the model's default body.
 
     Raises:
-        ModelError: for a network that the C kernels cannot run.
+        ModelError: the C kernels cannot run the network.
     """
     image = kernel_image(model, Noise())
     arrays: dict[str, dict[str, Any]] = {}
@@ -64,7 +63,7 @@ def page_model(model: MotionModel) -> bytes:
 
 
 def _frame_arrays(model: MotionModel) -> dict[str, Array]:
-    """What a page needs around the kernels of a frame."""
+    """Arrays that a page needs besides the kernels' memory."""
     references = model.reference_map
     momentum = pack(model.network).momentum
     presets = [model.presets(name) for name in ("noise_scale", "velocity_blend", "slip_correction")]
@@ -81,7 +80,7 @@ def _frame_arrays(model: MotionModel) -> dict[str, Array]:
 
 def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
     layout, config = model.controls, model.config
-    assert isinstance(config, ModelConfig)  # the kernels run no other
+    assert isinstance(config, ModelConfig)  # other configs cannot run in the kernels
     return {
         "format": FORMAT,
         "fps": model.fps,
@@ -110,7 +109,7 @@ def _header(model: MotionModel, image: KernelImage) -> dict[str, Any]:
 
 
 def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str, Any]]:
-    """Every type with its tracks, which count on through the arrays in the same order."""
+    """Every type with its tracks; `from` counts through the arrays in the same order."""
     out, at = [], 0
     for name, kind in model.types.items():
         gait, entries = kind.gait, []
@@ -140,7 +139,7 @@ def _types(model: MotionModel, tracks: dict[str, list[Track]]) -> list[dict[str,
 
 
 def _end_to_end(tracks: list[Array]) -> list[Array]:
-    """Tracks (L, 3) over the ground, each from the place on where the one before ends: only ways count."""
+    """Tracks (L, 3), each moved to the end of the previous one; only steps within a track matter."""
     out: list[Array] = []
     for track in tracks:
         out.append(track + np.append(out[-1][-1, :2], 0.0) if out else track)
@@ -148,7 +147,7 @@ def _end_to_end(tracks: list[Array]) -> list[Array]:
 
 
 def _differences(tracks: list[Array], columns: int) -> bytes:
-    """Rows (L, columns) of tracks as whole numbers of steps: column by column what each differs from that before."""
+    """Rows (L, columns) of tracks, by column, as differences from the previous row in units of STEP."""
     rows = np.concatenate([np.zeros((0, columns)), *tracks])
     steps = np.diff(np.rint(rows.T / STEP), axis=1, prepend=0.0)
     assert steps.size == 0 or np.abs(steps).max() < 2**15
@@ -156,6 +155,6 @@ def _differences(tracks: list[Array], columns: int) -> bytes:
 
 
 def _sorted_bytes(data: bytes) -> bytes:
-    """The lower bytes of all words of 16 bits, then the higher ones."""
+    """The low bytes of all 16-bit words, then the high bytes."""
     rows = np.frombuffer(data + bytes(len(data) % 2), np.uint8).reshape(-1, 2)
     return rows.T.tobytes()

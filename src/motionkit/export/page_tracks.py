@@ -1,7 +1,7 @@
-"""What reference players would show of each type, made ready for a page: tracks that it only plays.
+"""Precomputed reference recordings of each type for a web page, which only plays them back.
 
-A track is what one player shows from its beginning on: the pose 5 frames ahead of each frame, the phase, and where the
-recordings go. It ends with a bridge, which leads back to its first frame, so that it may be played on and on.
+A track is the output of one reference player: for each frame the pose 5 frames ahead, the phase, and the root's
+position and heading. A bridge at its end blends back to its first frame, so that it can repeat.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import MotionKind, MotionType
 from motionkit.motion.rotations import rotate_ground
 
-SECONDS = 12.0  # of a track that is neither a performance nor strikes or jumps
-STRIKES_SECONDS = 5.0  # of a track of those
-STEPS_SECONDS = 1.5  # of the first steps of a gait
-TRACKS, STRIKE_TRACKS = 6, 12  # of a type: seeds differ by them
-AFTER_EVENT = 10  # frames that follow the last strike or jump
+SECONDS = 12.0  # s, length of most tracks
+STRIKES_SECONDS = 5.0  # s, length of tracks of strikes or jumps
+STEPS_SECONDS = 1.5  # s, length of a gait's first steps from standing
+TRACKS, STRIKE_TRACKS = 6, 12  # tracks per type, from which a seed chooses
+AFTER_EVENT = 10  # frames kept after the last strike or jump
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,12 +31,12 @@ class Track:
     """L frames of a type.
 
     Attributes:
-        poses: (L, 24) pose embeddings 5 frames ahead of each frame.
-        phases: (L,) negative outside of performances, strikes and jumps.
-        ground: (L, 3) root x, z (cm) and heading (radians) from the origin on.
-        bridge: frames at the end that lead back to the first.
-        performance: frames that it takes to be shown once, to shortly after the first strike or jump; 0 if it lasts.
-        speed: in cm/s, at which it is entered.
+        poses: (L, 24) pose embeddings, each 5 frames ahead.
+        phases: (L,) negative outside performances, strikes and jumps.
+        ground: (L, 3) root x, z (cm) and heading (radians), starting at the origin.
+        bridge: number of frames at the end that blend back to the first.
+        performance: frames to perform the type once, until shortly after the first strike or jump; 0 for lasting types.
+        speed: cm/s, at the first frame if the type has phases, else the mean.
     """
 
     poses: Array
@@ -51,7 +51,7 @@ class Track:
 
 
 def type_tracks(model: MotionModel, name: str) -> list[Track]:
-    """The tracks of a type, none where no recordings are shown; of gaits, their first steps."""
+    """The tracks of a type: of gaits their first steps; none if the type uses no recordings."""
     kind = model.types[name]
     if not kind.reference_clips or kind.kind is MotionKind.STANCE or not model.uses_references:
         return []
@@ -78,7 +78,7 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
         phases.append(asked.phase[0])
         steps.append(_step(player.clip.ground, max(player.at - 1, 0)))
     length = len(poses)
-    if kind.kind.phased and kind.kind is not MotionKind.PERFORMANCE:  # the last strike is whole
+    if kind.kind.phased and kind.kind is not MotionKind.PERFORMANCE:  # keep the last strike whole
         ends = np.flatnonzero(np.diff(np.array(phases) >= 0.0, append=False)) + 1 + AFTER_EVENT
         length = int(max(ends[ends <= length], default=length))
     bridge = PAUSE if kind.kind.phased else LONGEST_BLEND
@@ -97,7 +97,7 @@ def _track(model: MotionModel, name: str, choice: int) -> Track:
 
 
 def _frames(kind: MotionType, fps: float, clip: int) -> int:
-    """How long a track of a type is, without its bridge; a performance is one clip."""
+    """Length of a track without its bridge, in frames; a performance takes one clip."""
     if kind.kind is MotionKind.PERFORMANCE:
         return clip
     if kind.kind.steered:
@@ -106,14 +106,14 @@ def _frames(kind: MotionType, fps: float, clip: int) -> int:
 
 
 def _step(ground: Array, at: int) -> Array:
-    """Where a recording goes from a frame to the next, as its heading sees it: x, z and turn (3,); its last goes on."""
+    """Step from a frame to the next in the heading frame: x, z and turn (3,). The last frame repeats a step."""
     at = min(at, len(ground) - 2)
     turn = ground[at + 1, 2] - ground[at, 2]
     return np.append(rotate_ground(-ground[at, 2], ground[at + 1, :2] - ground[at, :2]), turn)
 
 
 def _walked(steps: Array) -> Array:
-    """Places x, z and headings (L, 3) from the origin on, of steps (L, 3) that lead from each to the next."""
+    """Positions x, z and headings (L, 3), integrated from steps (L, 3), starting at the origin."""
     out = np.zeros((len(steps) + 1, 3), np.float64)
     for n, (x, z, turn) in enumerate(steps):
         out[n + 1, :2] = out[n, :2] + rotate_ground(out[n, 2], np.array([x, z]))

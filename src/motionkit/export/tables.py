@@ -1,4 +1,4 @@
-"""Motions as arrays (.npz) and as a table (.csv): positions in cm, Y up; rotations; contacts and types."""
+"""Writes motions as arrays (.npz) and tables (.csv): positions in cm with Y up, rotations, contacts, types."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ CONTACT_NAMES = tuple(JOINT_NAMES[joint] for joint in FOOT_JOINTS)
 
 
 def write_npz(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as numpy arrays, atomically; docs/clips.md lists them."""
+    """Write a motion of any rig as numpy arrays, atomically; docs/clips.md lists the arrays."""
     motion = in_metres(clip.motion).motion.scaled(100.0)
     rotations, positions = motion_kinematics(motion)
     arrays: dict[str, Any] = {
@@ -47,7 +47,7 @@ def write_npz(path: str | Path, clip: Clip) -> None:
 
 
 def write_csv(path: str | Path, clip: Clip) -> None:
-    """Write a motion of any rig as a table with a row for each frame, atomically; docs/clips.md has the columns."""
+    """Write a motion of any rig as a table with one row per frame, atomically; docs/clips.md lists the columns."""
     motion = in_metres(clip.motion).motion.scaled(100.0)
     rotations, positions = motion_kinematics(motion)
     touching = contacts(clip.motion)
@@ -76,7 +76,7 @@ def contacts(motion: Motion) -> Array:
 
 
 def frame_types(clip: Clip) -> list[str]:
-    """The motion type of each frame, empty where it is unknown."""
+    """The motion type of each frame; empty if unknown."""
     out: list[str] = []
     end = 0.0
     for kind, seconds in clip.types:

@@ -1,6 +1,6 @@
-"""Motions as USD text (.usda) with UsdSkel: a skeleton, a skinned body and its animation; metres, +Y up.
+"""Writes motions as USD text (.usda) with UsdSkel: skeleton, skinned body and animation, in metres with +Y up.
 
-Translations, rotations and scales all have a sample at every frame: Blender reads no animation where they differ.
+Translations, rotations and scales must have samples at the same frames: otherwise Blender reads no animation.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def write_usda(path: str | Path, clip: Clip) -> None:
 
 
 def joint_paths(skeleton: Skeleton) -> list[str]:
-    """Each joint as the path of valid USD names from the root to it, no two alike."""
+    """For each joint a unique path of valid USD names, from the root to the joint."""
     names: list[str] = []
     for name in skeleton.names:
         word = re.sub(r"[^A-Za-z0-9_]", "_", name)
@@ -145,7 +145,7 @@ def _flat(values: Sequence[float]) -> str:
 
 
 def _matrix(matrix: Array) -> str:
-    """A matrix (4, 4) that acts on columns, as USD writes it: acting on rows."""
+    """A matrix (4, 4) that acts on columns as USD text; USD matrices act on rows."""
     return "(" + ", ".join(map(_tuple, matrix.T.tolist())) + ")"
 
 

@@ -1,7 +1,7 @@
-"""Motions as VRM animations (.vrma): binary glTF with VRMC_vrm_animation 1.0, for avatars of the VRM format.
+"""Writes motions as VRM animations (.vrma) for VRM avatars: binary glTF with VRMC_vrm_animation 1.0.
 
-The rest pose of the file is a T-pose that faces +Z with its soles on the floor. Players read rotations relative to
-it, the hips' translation relative to its height, and nothing else.
+The rest pose of the file is a T-pose that faces +Z with its soles on the floor. Players use rotations relative to it
+and the hips' translation relative to its height; they ignore everything else.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from motionkit.rig.upright import in_metres
 
 EXTENSION = "VRMC_vrm_animation"
 CM = 0.01
-# Canonical joint to the bone of a VRM humanoid. Neck1 has none: the neck points to the head instead.
+# Canonical joint -> bone of a VRM humanoid. Neck1 has none: the neck bone ends at the head.
 BONES: dict[str, str] = {
     "Hips": "hips", "LowerBack": "spine", "Spine": "chest", "Spine1": "upperChest", "Neck": "neck", "Head": "head",
 } | {
@@ -72,12 +72,12 @@ def write_vrma(path: str | Path, clip: Clip) -> None:
 
 
 def joints_kept() -> list[int]:
-    """The canonical joints that a VRM humanoid has, by index."""
+    """Indices of the canonical joints that a VRM humanoid has."""
     return [joint for joint, name in enumerate(JOINT_NAMES) if name in BONES]
 
 
 def humanoid_motion(motion: Motion) -> Motion:
-    """A canonical motion in cm on the bones of a VRM humanoid, in metres, whose rest pose is a T-pose."""
+    """A canonical motion in cm, converted to a VRM humanoid in metres whose rest pose is a T-pose."""
     poses = _t_pose()
     rotations, positions = motion_kinematics(motion)
     neck, head = JOINT_NAMES.index("Neck"), JOINT_NAMES.index("Head")
@@ -118,7 +118,7 @@ def humanoid_motion(motion: Motion) -> Motion:
 
 
 def hips_height(skeleton: Skeleton) -> float:
-    """Height of the hips above the soles in the T-pose of a humanoid skeleton, in its unit (m)."""
+    """Height of the hips above the soles in the T-pose of a humanoid skeleton, in the skeleton's unit."""
     places = skeleton.rest_positions()
     canonical = canonical_skeleton()
     ankle = STANDING_HEIGHTS[0] * CM * leg_length(skeleton) / (leg_length(canonical) * CM)
@@ -126,7 +126,7 @@ def hips_height(skeleton: Skeleton) -> float:
 
 
 def _t_pose() -> Array:
-    """Global rotations (23, 4) that bring the canonical rest pose into the T-pose: legs straight down."""
+    """Global rotations (23, 4) from the canonical rest pose to the T-pose with vertical legs."""
     poses = quat_identity((len(JOINT_NAMES),))
     rest = canonical_skeleton().offsets
     for side in ("Left", "Right"):
@@ -137,7 +137,7 @@ def _t_pose() -> Array:
 
 
 def _posed(skeleton: Skeleton, poses: Array) -> Array:
-    """Joint positions (23, 3) with global rotations (23, 4), the root at the origin."""
+    """Joint positions (23, 3) for global rotations (23, 4), with the root at the origin."""
     places = np.zeros_like(skeleton.offsets)
     for joint, parent in enumerate(PARENTS):
         if parent >= 0:

@@ -1,4 +1,4 @@
-"""One connected client: its queue of unsent messages, and its rate limit."""
+"""A connected client: its send queue and its rate limit."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from typing import Any
 from motionkit.play.limits import Limits, RateLimit
 from motionkit.play.requests import ProtocolError, Request
 
-STALL_SECONDS = 10.0  # a client that reads nothing for this long is closed
-MOST_EVENTS = 256  # most events that may wait in the queue
-BYTES_PER_UNIT = 2048  # a message costs one more for each of these
+STALL_SECONDS = 10.0  # a client that reads nothing for this long is disconnected
+MOST_EVENTS = 256  # most events in the queue
+BYTES_PER_UNIT = 2048  # message cost grows by one per this many bytes
 # Extra cost of expensive requests, in messages.
 COSTS = {"add": 20, "body": 20, "reset": 20, "path": 5, "record": 10}
 
@@ -23,7 +23,7 @@ class TooManyMessages(ProtocolError):
 
 
 class Client:
-    """The send queue of a client: every event in order, but only the newest frame."""
+    """The send queue of a client: all events in order, but only the newest frame."""
 
     def __init__(self, number: int, as_json: bool, limits: Limits, now: float, first_frame: int = 0) -> None:
         self.number, self.as_json, self.first_frame = number, as_json, first_frame
@@ -33,15 +33,15 @@ class Client:
         self._wake = asyncio.Event()
         self._ending = self._gone = False
         self.stalled = self.let_go = False
-        self.heard = now  # time of its last message
+        self.heard = now  # time of the last message
 
     def charge(self, size: int, now: float) -> None:
-        """Count a message of this many bytes; raises TooManyMessages."""
+        """Charge a message of this many bytes; raises TooManyMessages."""
         self.heard = now
         self._charge(1.0 + size / BYTES_PER_UNIT, now)
 
     def charge_work(self, request: Request, now: float) -> None:
-        """Count the extra cost of a request; raises TooManyMessages."""
+        """Charge the extra cost of a request; raises TooManyMessages."""
         self._charge(COSTS.get(request.do, 0), now)
 
     def _charge(self, cost: float, now: float) -> None:
@@ -57,17 +57,17 @@ class Client:
         self._wake.set()
 
     def show(self, frame: str | bytes) -> None:
-        """Queue a frame; it replaces an unsent older one."""
+        """Queue a frame; it replaces an unsent one."""
         self._frame = frame
         self._wake.set()
 
     def end(self, event: dict[str, Any]) -> None:
-        """Queue a last event; pump returns after it."""
+        """Queue the last event; pump returns after it."""
         self.tell(event)
         self._ending = True
 
     def dismiss(self, event: dict[str, Any]) -> None:
-        """Queue a last event and mark the connection to be closed after it."""
+        """Queue the last event, after which the connection will be closed."""
         self.let_go = True
         self.end(event)
 
@@ -79,8 +79,8 @@ class Client:
     async def pump(self, send: Callable[[str | bytes], Awaitable[None]]) -> None:
         """Send queued messages until the last event, until the client stalls, or until leave is called.
 
-        Cancelling the task is not enough to end it: before Python 3.12, wait_for can swallow a cancellation
-        that arrives at the moment the awaited send completes.
+        Cancelling the task does not suffice: before Python 3.12, wait_for can swallow a cancellation that arrives just
+        as the send completes.
         """
         while not self.stalled and not self._gone:
             await self._wake.wait()

@@ -1,4 +1,4 @@
-"""The folder of `motionkit demo`: a page that runs a model in the browser, for any file server."""
+"""Writes the folder of `motionkit demo`: a page that runs a model in the browser, for any file server."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from motionkit.view.viewer import fill_page, page_asset
 
 
 def write_demo(folder: str | Path, model: MotionModel) -> dict[str, int]:
-    """Write the page, the model and the kernels into a folder, which is made if need be; other files there stay.
+    """Write page, model and kernels into a folder; the folder is created if needed, and other files are kept.
 
     Returns:
-        The bytes of each file by name.
+        Size in bytes of each file, by name.
 
     Raises:
-        ModelError: for a network that the kernels cannot run.
+        ModelError: the kernels cannot run the network.
         MotionkitError: the folder cannot be written.
     """
     folder = Path(folder)

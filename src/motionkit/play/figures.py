@@ -1,4 +1,4 @@
-"""The figures of bodies for the page, made when a page first asks for one."""
+"""Body meshes for the page, made on first request."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from motionkit.motion.rotations import quat_identity
 from motionkit.motion.skeleton import Skeleton
 from motionkit.view.figure_data import CM, rig_data
 
-WAIT_SECONDS = 3.0  # for a figure; a connection may take ten to be answered
+WAIT_SECONDS = 3.0  # wait for a mesh; connections must be answered within ten seconds
 
 
 def standing_rig(skeleton: Skeleton) -> dict[str, Any]:
-    """The figure of a body (in cm), made from it at rest, for a page."""
+    """The rig and mesh of a body (in cm) in its rest pose, for the page."""
     turns = quat_identity((1, len(skeleton)))
     motion = Motion(skeleton, turns, np.zeros((1, 3), np.float32), 60.0)
     return rig_data(motion.scaled(CM))
 
 
 class Figures:
-    """Figures as JSON, each made once in a thread of its own, while frames go on: a mesh takes about half a second."""
+    """Body meshes as JSON. Each is made once, in its own thread, because it takes about half a second."""
 
     def __init__(self, bodies: Sequence[Skeleton]) -> None:
         self._bodies = bodies
@@ -33,7 +33,7 @@ class Figures:
         self._one = asyncio.Semaphore(1)
 
     def begin(self, number: int) -> asyncio.Task[bytes] | None:
-        """Begin a figure unless it was begun before; None if there is no such body."""
+        """Start a mesh unless it was started before; None if there is no such body."""
         if not 0 <= number < len(self._bodies):
             return None
         if number not in self._made:
@@ -41,7 +41,7 @@ class Figures:
         return self._made[number]
 
     async def get(self, number: int) -> bytes | None:
-        """The figure of a body by its place among all; nothing if it takes long, None if there is no such body."""
+        """The mesh of a body, by index; empty bytes if it is not ready in time, None if there is no such body."""
         task = self.begin(number)
         if task is None:
             return None

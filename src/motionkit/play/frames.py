@@ -1,4 +1,4 @@
-"""Frames of the session and their two encodings: binary for WebSocket, JSON for TCP (docs/live.md)."""
+"""Frames of the session in two encodings: binary for WebSocket, JSON for TCP (docs/live.md)."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ RECORD = np.dtype(
         ("rotations", "<f4", 4 * JOINT_COUNT),
     ]
 )
-PERFORMING, FOLLOWING, RECORDING = 1, 2, 4
-TOUCHES_ABOVE = 0.5
+PERFORMING, FOLLOWING, RECORDING = 1, 2, 4  # bits of the flags of a character
+TOUCHES_ABOVE = 0.5  # probability above which a foot joint counts as in contact
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,12 +38,12 @@ class Shown:
     """One character in one frame.
 
     Attributes:
-        id: identifies the character.
-        seq: sequence number of the newest request that this frame follows.
+        id: number of the character.
+        seq: sequence number of the newest request that affects this frame.
         type: index of the current motion type.
-        performing: whether the type is performed once.
-        following: covered share of the path, None without a path.
-        recording: whether the frame is recorded.
+        performing: whether the type is a performance in progress.
+        following: fraction of the path covered, None without a path.
+        recording: whether the frame is being recorded.
         contacts: (4,) probabilities: left foot, left toe, right foot, right toe.
         heading: radians.
         root: (3,) hip position in the world, cm.
@@ -66,7 +66,7 @@ class Shown:
 
 @dataclass(frozen=True, eq=False)
 class WorldFrame:
-    """One frame of the world.
+    """One frame of the session.
 
     Attributes:
         number: frame counter.
@@ -74,7 +74,7 @@ class WorldFrame:
         step_ms: time to compute all characters.
         fps: current frame rate.
         characters: all characters.
-        arrived: ids of characters that reached the end of their path.
+        arrived: ids of characters that reached the end of their path in this frame.
     """
 
     number: int
@@ -106,7 +106,7 @@ def frame_bytes(frame: WorldFrame) -> bytes:
     return header + records.tobytes()
 
 
-# What a frame's JSON also says of a character, such as its pose on a user's rig; nothing of others.
+# Additional fields of a character in JSON frames, such as its pose on a user's rig; may be empty.
 Extra = Callable[[Shown], dict[str, Any]]
 
 

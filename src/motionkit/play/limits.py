@@ -7,18 +7,18 @@ from dataclasses import asdict, dataclass
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits that the server enforces and announces in hello.
+    """Limits that the server enforces and sends in hello.
 
     Attributes:
-        clients: most clients at a time, WebSocket and TCP together.
-        idle_seconds: silence after which a client may be closed to make room for another.
-        characters: most characters in the world.
-        message_bytes: largest request.
-        messages_per_second: sustained rate per client; one second's worth may come at once.
+        clients: most clients at a time, WebSocket and TCP combined.
+        idle_seconds: after this long without a message, a client may be disconnected to make room for another.
+        characters: most characters in the session.
+        message_bytes: size of the largest request.
+        messages_per_second: sustained rate per client; bursts may use one second's worth.
         path_points: most points of a drawn path.
         path_cm: greatest length of a path.
-        record_seconds: length at which a recording ends.
-        recordings: how many of the newest recordings are kept for download.
+        record_seconds: length at which a recording ends by itself.
+        recordings: number of recordings kept for download, the newest ones.
         recording_bytes: total size of the kept recordings.
     """
 
@@ -34,18 +34,18 @@ class Limits:
     recording_bytes: int = 100_000_000
 
     def told(self) -> dict[str, float]:
-        """The limits as hello announces them."""
+        """The limits as sent in hello."""
         return asdict(self)
 
 
 class RateLimit:
-    """A token bucket: it fills at a rate per second and holds one second's worth."""
+    """A token bucket: fills at a rate per second, holds one second's worth."""
 
     def __init__(self, per_second: float, now: float) -> None:
         self.per_second, self.left, self.then = per_second, per_second, now
 
     def allows(self, cost: float, now: float) -> bool:
-        """Whether a message of this cost is allowed now; if so, its cost is taken from the bucket."""
+        """Whether a message of this cost is allowed now; if so, takes its cost from the bucket."""
         self.left = min(self.per_second, self.left + (now - self.then) * self.per_second)
         self.then = now
         if cost > self.left:

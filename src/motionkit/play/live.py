@@ -1,4 +1,4 @@
-"""The running session: clients join, send requests and leave; every frame goes to all of them on time."""
+"""The running session: clients join, send requests and leave; every frame is sent to all of them on time."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from motionkit.play.session import Recorded, Session
 from motionkit.rig.rig import Rig
 
 CHANGES_CHARACTERS = frozenset({"add", "remove", "body", "noise", "record"})
-REST = 3.0  # after slow work such as a reset, the next has to wait this many times as long as it took
+REST = 3.0  # after slow work such as a reset, the next must wait this multiple of its duration
 
 
 class SlowWork:
@@ -99,11 +99,11 @@ class Live:
         rig: tuple[Rig | None, Motion | None] = (None, None),
         recording_format: str = "bvh",
     ) -> None:
-        """What programs get beside the session's own frames.
+        """Add clients and a clock to a session.
 
         Args:
-            rig: that of recordings and of JSON frames, and a clip of it for its other joints (file_bytes).
-            recording_format: of recordings whose request names none, one of FORMATS.
+            rig: rig of recordings and JSON frames, and a clip that animates its other joints (see file_bytes).
+            recording_format: one of FORMATS, for requests that name none.
         """
         self.session, self.clock = session, clock
         self._live_rig = None if rig[0] is None else LiveRig(rig[0])
@@ -111,7 +111,7 @@ class Live:
         self.writer = RecordingWriter(session.limits, rig, recording_format)
         self.slow_work = SlowWork(clock)
         self.pacer = Pacer(session.model.fps, clock())
-        self.watchers: list[Callable[[WorldFrame], None]] = []  # called with every frame, such as VMC output
+        self.watchers: list[Callable[[WorldFrame], None]] = []  # called with every frame
         self._last_client = 0
         self._joining = 0  # clients waiting for their character
         self._changed = False  # whether characters changed since clients were last told
@@ -119,7 +119,7 @@ class Live:
     # ---- clients ----
 
     async def join(self, as_json: bool) -> Client | None:
-        """Add a client and queue its hello; returns None if the server is full and no client is idle."""
+        """Add a client and queue its hello; None if the server is full and no client is idle."""
         if len(self.clients) + self._joining >= self.session.limits.clients and not self._let_one_go():
             return None
         self._joining += 1
@@ -130,7 +130,7 @@ class Live:
             self._joining -= 1
 
     def _let_one_go(self) -> bool:
-        """Close the client that has been silent longest, if it counts as idle."""
+        """Disconnect the client that was silent longest, if it counts as idle."""
         quiet = min(self.clients.values(), key=lambda client: client.heard, default=None)
         if quiet is None or self.clock() - quiet.heard < self.session.limits.idle_seconds:
             return False
@@ -141,7 +141,7 @@ class Live:
 
     def _welcome(self, as_json: bool) -> Client:
         self._last_client += 1
-        # A frame that is computed already, but not yet sent, lacks the new character.
+        # A frame that is computed but not yet sent lacks the new character.
         first_frame = self.session.number + 1
         client = Client(self._last_client, as_json, self.session.limits, self.clock(), first_frame)
         character = self.session.join(client.number)
@@ -161,13 +161,13 @@ class Live:
             self._changed = True
 
     async def take(self, client: Client, message: str | bytes) -> None:
-        """Handle a message of a client; those of one that was let go are ignored.
+        """Handle a message from a client; messages of disconnected clients are ignored.
 
         Raises:
             ProtocolError: the message is invalid; the caller must close the client.
         """
         if client.number not in self.clients:
-            return  # it was let go, and its connection is not closed yet
+            return  # disconnected, but its connection is not closed yet
         client.charge(len(message), self.clock())
         if isinstance(message, bytes):
             raise ProtocolError("expected text, found a binary message")
@@ -224,11 +224,11 @@ class Live:
             self._send(frame)
 
     async def _until(self, then: float) -> None:
-        # Sleep even when late, so that requests are handled between any two frames.
+        # Sleep even if late, so that requests are handled between any two frames.
         await asyncio.sleep(max(0.0, then - self.clock()))
 
     def _send(self, frame: WorldFrame) -> None:
-        # At most once per frame, or a client with constant changes would fill every queue.
+        # At most once per frame: otherwise a client with constant changes would fill every queue.
         if self._changed:
             self._changed = False
             self._tell_all({"event": "characters", "characters": self.session.told()})
@@ -236,7 +236,7 @@ class Live:
         for watcher in self.watchers:
             watcher(frame)
         for number in frame.arrived:
-            character = self.session.characters.get(number)  # it may be gone since the frame was computed
+            character = self.session.characters.get(number)  # may be gone since the frame was computed
             owner = None if character is None else self.clients.get(character.owner or 0)
             if owner is not None:
                 owner.tell({"event": "arrived", "character": number})
@@ -248,7 +248,7 @@ class Live:
             self._tell_all(self.pace_event())
 
     def _show(self, frame: WorldFrame) -> None:
-        forms: dict[bool, str | bytes] = {}  # encode each form once, and only if a client uses it
+        forms: dict[bool, str | bytes] = {}  # each encoding, made once and only if a client uses it
         for client in self.clients.values():
             if frame.number < client.first_frame:
                 continue
@@ -262,14 +262,14 @@ class Live:
             client.show(forms[client.as_json])
 
     def _on_rig(self, one: Shown) -> dict[str, Any]:
-        """What JSON frames say of a character that has the body of the rig."""
+        """Additional JSON fields of a character that has the rig's body, else none."""
         character = self.session.characters.get(one.id)
         if self._live_rig is None or character is None or character.body != self._live_rig.rig.name:
             return {}
         return {"rig": self._live_rig.pose(one)}
 
     def pace_event(self) -> dict[str, Any]:
-        """The event for clients when the machine falls behind or catches up."""
+        """The event for a change of pace: the machine falls behind or catches up."""
         return {
             "event": "pace",
             "behind": self.pacer.behind,
@@ -279,5 +279,5 @@ class Live:
 
 
 def error_event(error: MotionkitError | ProtocolError, closing: bool) -> dict[str, Any]:
-    """The event for a client that made an error."""
+    """The event for a client whose request is invalid."""
     return {"event": "error", "message": str(error), "closing": closing}

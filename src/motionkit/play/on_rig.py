@@ -1,4 +1,4 @@
-"""Frames of live characters on a user's rig, for clients that read JSON."""
+"""Live characters on a user's rig, for clients that read JSON."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from motionkit.play.frames import Shown, rounded
 from motionkit.rig.rig import Rig, stance_part
 from motionkit.rig.to_rig import THIGHS, from_body, rig_body, standing_height
 
-# Median height in cm of ankles in the training recordings while heel and toe are in contact.
+# cm, median ankle height in the training recordings while heel and toe are in contact.
 STANDING_ANKLE = 7.6
 _TOES = [JOINT_NAMES.index(f"{side}ToeBase") for side in ("Left", "Right")]
 
 
 def with_rig(model: MotionModel, rig: Rig) -> MotionModel:
-    """The model with the body of a rig among its characters, by the rig's name: its feet are held live, too."""
+    """The model with the rig's body among its characters, under the rig's name, so that foot locking uses that body."""
     body = rig_body(rig)
     offsets = body.offsets.copy()
     offsets[body.children(0)] += _raised(body)
@@ -30,38 +30,38 @@ def with_rig(model: MotionModel, rig: Rig) -> MotionModel:
 
 
 def _raised(body: Skeleton) -> Array:
-    """What with_rig adds (3,), in cm, to the offsets of all joints at the hips of a body.
+    """Offset (3,), in cm, that with_rig adds to all joints that hang on the hips of a body.
 
-    A live character has the hips of the canonical body. The hips of a rig may be as high as its thighs, and its ankles
-    higher above its toes; feet would stand in the air then, or in the floor.
+    The hips of a live character are placed like those of the canonical body. A rig may have its hips at thigh height,
+    or ankles higher above the toes; without the offset, its feet would float or sink into the floor.
     """
     usual = canonical_skeleton()
     return usual.offsets[THIGHS].mean(axis=0) - body.offsets[THIGHS].mean(axis=0) + _ankles_higher(body)
 
 
 def _ankles_higher(body: Skeleton) -> Array:
-    """How much higher the ankles of a body stand than those of the canonical body, as an offset (3,) in cm.
+    """Offset (3,), in cm, by which a body's ankles stand higher than those of the canonical body.
 
-    Lower ones are left to the height correction, which raises them, and to foot locks, which pitch the feet.
+    Lower ankles need no offset: the root-height correction raises them, and foot locking pitches the feet.
     """
     depth = float((canonical_skeleton().offsets - body.offsets)[_TOES, 1].mean())
     return np.array([0.0, max(depth, 0.0), 0.0], np.float32)
 
 
 class LiveRig:
-    """Puts the characters that have the body of a rig on its joints, frame by frame."""
+    """Puts characters that have a rig's body on the rig, frame by frame."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
         self.body = rig_body(rig)
         self._raised = _raised(self.body)
-        # Live toes stand where those of the canonical body do; the feet of the rig stand higher or lower.
+        # Live toes stand as high as those of the canonical body; the rig's feet may stand higher or lower.
         toes = stance_part(rig.joints) == "ToeBase"
         usual = STANDING_HEIGHTS[1] if toes else STANDING_ANKLE + float(_ankles_higher(self.body)[1])
         self._lift = np.array([0.0, standing_height(rig, usual) - usual, 0.0], np.float32)
 
     def told(self) -> dict[str, Any]:
-        """The rig, as in hello."""
+        """The rig for hello."""
         skeleton = self.rig.skeleton
         return {
             "name": self.rig.name,
@@ -71,7 +71,7 @@ class LiveRig:
         }
 
     def pose(self, one: Shown) -> dict[str, Any]:
-        """One character on the rig: local rotations (J, 4) and positions (J, 3), in the rig's unit and axes."""
+        """A character on the rig: local rotations (J, 4) and positions (J, 3), in the rig's unit and axes."""
         hips = one.root + quat_rotate(one.rotations[0], self._raised) + self._lift
         body = Motion(self.body, one.rotations[None], hips[None], 60.0)
         made = from_body(body, self.rig)

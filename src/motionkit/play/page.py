@@ -1,4 +1,4 @@
-"""HTTP requests: who may ask, and for what. No request path is ever used as a file name."""
+"""Checks of HTTP requests: access, and the resource they name. Request paths never become file names."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _CONTENT = {
 
 
 def policy(host: str) -> str:
-    """The content security policy of the page: it is self-contained and connects only to this server."""
+    """The content security policy of the page, which is self-contained and connects only to this server."""
     return (
         "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; "
         f"img-src data: blob:; connect-src 'self' ws://{host}; base-uri 'none'; form-action 'none'; "
@@ -32,13 +32,13 @@ def policy(host: str) -> str:
 
 
 def host_name(host: str) -> str:
-    """The name in a Host header without port and IPv6 brackets; empty if the header is invalid."""
+    """The name in a Host header, without port and IPv6 brackets; empty if the header is invalid."""
     match = _HOST.fullmatch(host)
     return "" if match is None else (match[1] or match[2]).lower()
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an address to listen on is reachable from this machine only."""
+    """Whether only this machine can reach a listening address."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -46,7 +46,7 @@ def is_loopback(address: str) -> bool:
 
 
 def known_names(listens_on: str) -> frozenset[str]:
-    """Host names of this server, besides numeric addresses."""
+    """The host names of this server, besides numeric addresses."""
     names = LOOPBACK_NAMES | {listens_on.lower()}
     return names if is_loopback(listens_on) else names | {socket.gethostname().lower()}
 
@@ -54,7 +54,7 @@ def known_names(listens_on: str) -> frozenset[str]:
 def host_allowed(host: str, names: Collection[str], numbers: bool) -> bool:
     """Whether a Host header names this server.
 
-    A foreign web page can make its own name point here (DNS rebinding), but not a numeric address.
+    A foreign web page can point its own name to this machine (DNS rebinding), but not a numeric address.
     """
     name = host_name(host)
     if name in names:
@@ -67,12 +67,12 @@ def host_allowed(host: str, names: Collection[str], numbers: bool) -> bool:
 
 
 def origin_allowed(origin: str | None, host: str) -> bool:
-    """Whether an origin may open a WebSocket: the page itself, or a program, which sends no Origin."""
+    """Whether an origin may open a WebSocket: the page itself, or a program (which sends no Origin)."""
     return origin is None or origin.lower() in (f"http://{host}".lower(), f"https://{host}".lower())
 
 
 def find_recording(path: str, recordings: Recordings) -> tuple[bytes, str, str] | None:
-    """The recording that a request path names, its content type and a name to save it by; or None."""
+    """The recording that a request path names, its content type and a file name; else None."""
     match = _RECORDING.fullmatch(path)
     found = None if match is None else recordings.get(match[1])
     if match is None or found is None:
@@ -81,6 +81,6 @@ def find_recording(path: str, recordings: Recordings) -> tuple[bytes, str, str] 
 
 
 def figure_number(path: str) -> int | None:
-    """The number of the body whose figure a request path names, or None."""
+    """The number of the body whose mesh a request path names, else None."""
     match = _FIGURE.fullmatch(path)
     return None if match is None else int(match[1])

@@ -1,4 +1,4 @@
-"""Records frames as they were sent, and makes motion files of them."""
+"""Records frames as sent, and converts them to motion files."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from motionkit.rig.rig import Rig
 
 Floats = NDArray[np.float32]
 FORMATS = tuple(ending.removeprefix(".") for ending in WRITERS)
-_GROWTH = 600  # initial capacity of a recording, frames
+_GROWTH = 600  # frames, initial capacity of a recording
 
 
 class Recorder:
     """Records the frames of one character."""
 
     def __init__(self, skeleton: Skeleton, fps: float, most_frames: int, format: str | None = None) -> None:
-        """format is the one that was asked for as the recording began, or None."""
+        """format is the requested file format, or None."""
         self.skeleton, self.fps, self.most_frames, self.format = skeleton, fps, most_frames, format
         self.frames = 0
         self._values = np.zeros((min(_GROWTH, most_frames), JOINT_COUNT * 4 + 3), np.float32)
 
     @property
     def full(self) -> bool:
-        """Whether the recording has reached its limit."""
+        """Whether the recording has reached its maximum length."""
         return self.frames >= self.most_frames
 
     def append(self, rotations: Floats, root: Floats) -> None:
@@ -62,12 +62,12 @@ def file_bytes(
 
     Args:
         motion: on the canonical joints.
-        rig: to put it on, its feet held; the canonical joints by default.
-        clip: motion of the rig, whose other joints move as they do there.
-        format: of the file, one of FORMATS.
+        rig: rig of the file, with its feet held; by default the canonical joints.
+        clip: motion of the rig that animates its other joints.
+        format: one of FORMATS.
 
     Raises:
-        MotionkitError: the format cannot hold the motion, such as VRMA on a rig that it knows too little of.
+        MotionkitError: the format cannot hold the motion, such as VRMA for a rig with too few known joints.
     """
     made = Clip(motion, "recording")
     if rig is not None:
@@ -79,14 +79,14 @@ def file_bytes(
 
 
 class Recordings:
-    """Finished files in memory by random names; the oldest are dropped when there are too many."""
+    """Finished files in memory, under random names; the oldest are dropped when space runs out."""
 
     def __init__(self, most: int, most_bytes: int) -> None:
         self.most, self.most_bytes = most, most_bytes
         self._files: OrderedDict[str, bytes] = OrderedDict()
 
     def add(self, data: bytes, format: str = "bvh") -> str:
-        """Store a file; returns its name, a token with the ending of its format."""
+        """Store a file; returns its name: a token with the format's ending."""
         name = f"{secrets.token_urlsafe(18)}.{format}"
         self._files[name] = data
         while len(self._files) > 1 and (
@@ -96,5 +96,5 @@ class Recordings:
         return name
 
     def get(self, name: str) -> bytes | None:
-        """The file of a name, None if it is unknown or was dropped."""
+        """The file with this name; None if unknown or dropped."""
         return self._files.get(name)

@@ -1,4 +1,4 @@
-"""Parses client requests: JSON text to checked values. Any invalid text raises ProtocolError only."""
+"""Parses client requests: JSON text to checked values. Invalid text always raises ProtocolError."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from motionkit.play.limits import Limits
 from motionkit.play.recording import FORMATS
 
 MAX_SPEED = 1000.0  # cm/s
-ROUND_OFF = 0.01  # cm/s above it, as of a client that turns a velocity of the highest speed
+ROUND_OFF = 0.01  # cm/s, excess allowed for rounding, as when a client turns a velocity of MAX_SPEED
 MAX_PLACE = 1e6  # cm from the origin
-MAX_COUNT = 2**32 - 1
-MAX_NAME = 100  # characters of a type or body name
-MAX_TEMPERATURE = 2.0
-MAX_SECONDS = 60.0  # of a performance
-MAX_STOPS = 100  # of a path
+MAX_COUNT = 2**32 - 1  # largest whole number; 32 bits in binary frames
+MAX_NAME = 100  # letters in the name of a type or body
+MAX_TEMPERATURE = 2.0  # standard deviations
+MAX_SECONDS = 60.0  # length of a performance
+MAX_STOPS = 100  # stops on a path
 
 
 class ProtocolError(MotionkitError):
@@ -32,7 +32,7 @@ class ProtocolError(MotionkitError):
 
 @dataclass(frozen=True)
 class Request:
-    """A checked request: `do` names it, `fields` holds a value for each of its fields."""
+    """A checked request: `do` is its name, `fields` holds all of its fields."""
 
     do: str
     fields: dict[str, Any]
@@ -43,7 +43,7 @@ Check = Callable[[Any], Any]
 
 def _number(low: float, high: float) -> Check:
     def check(value: Any) -> float:
-        # The comparison is False for NaN and works for integers too large for a float.
+        # The comparison is False for NaN, and works for integers too large for a float.
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not low <= value <= high:
             raise ValueError(f"a number from {low:g} to {high:g}")
         return float(value)
@@ -125,7 +125,7 @@ def _or_null(check: Check) -> Check:
 _REQUIRED = object()
 _CHARACTER: dict[str, tuple[Check, Any]] = {"character": (_or_null(_count), None)}
 _SEQ: dict[str, tuple[Check, Any]] = {"seq": (_count, 0)}
-# Fields of every request: name to check function and default.
+# Fields of each request: name -> check function and default.
 REQUESTS: dict[str, dict[str, tuple[Check, Any]]] = {
     "wish": {
         **_CHARACTER,
@@ -166,7 +166,7 @@ def parse_request(text: str) -> Request:
     """Parse and check a message.
 
     Raises:
-        ProtocolError: the text is not JSON, the request is unknown, or a field is unknown, missing or wrong.
+        ProtocolError: the text is not JSON, the request or a field is unknown, or a field is missing or wrong.
     """
     try:
         value = parse_json(text, "message", ProtocolError)

@@ -1,4 +1,4 @@
-"""The sockets of `motionkit play`: web page and WebSocket, newline-delimited JSON over TCP, and VMC over UDP."""
+"""The sockets of `motionkit play`: web page and WebSocket, line-delimited JSON over TCP, VMC over UDP."""
 
 from __future__ import annotations
 
@@ -47,27 +47,27 @@ from motionkit.rig.rig import Rig
 from motionkit.view.viewer import page_asset
 
 SOCKET_PATH = "/live"
-CLOSE_SECONDS = 1.0  # time for clients to close when the server ends
-WAITING_BYTES = 8192
-TOKEN_SECONDS = 10.0  # time for a TCP client to send the token
+CLOSE_SECONDS = 1.0  # s, time for clients to disconnect when the server stops
+WAITING_BYTES = 8192  # unsent bytes in the buffers of a socket
+TOKEN_SECONDS = 10.0  # s, time for a TCP client to send the token
 WAITING_ROOM = 4  # most open TCP connections, as a multiple of the client limit
-CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013
+CLOSE_MALFORMED, CLOSE_RATE, CLOSE_FULL = 1003, 1008, 1013  # WebSocket close codes (RFC 6455)
 
 
-LONGEST_METHOD = 20
+LONGEST_METHOD = 20  # letters of an HTTP method
 _METHOD = re.compile(rb"[A-Z]{1,%d}(?= |$)" % LONGEST_METHOD)
 
 
 class ServeError(MotionkitError):
-    """An unusable port or address."""
+    """A port or address cannot be used."""
 
 
 @dataclass(frozen=True)
 class ServerOptions:
-    """Where to listen and send, and what recordings are on; port 0 picks a free one, None disables the output.
+    """Addresses to listen on and send to; port 0 picks a free port, None disables the output.
 
-    rig and clip are those of recordings and of JSON frames: a user's rig, and motion of it for joints of recordings
-    without a canonical joint. recording_format is that of recordings whose request names none.
+    rig is the rig of recordings and JSON frames; clip animates its joints that have no canonical joint.
+    recording_format is used by requests that name none.
     """
 
     host: str = "127.0.0.1"
@@ -82,7 +82,7 @@ class ServerOptions:
 
 @dataclass(frozen=True)
 class Addresses:
-    """Addresses of the running server; url and socket include the token if one is required."""
+    """Addresses of the running server; url and socket include the token if one is needed."""
 
     url: str
     socket: str
@@ -104,21 +104,21 @@ class PlayServer:
         self._connections: dict[asyncio.Task, asyncio.StreamWriter] = {}  # TCP connections
         self._names = known_names(options.host)
         self._numbers = not is_loopback(options.host)
-        # If other machines can connect, they must know the token.
+        # Clients from other machines must know the token.
         self.token = None if is_loopback(options.host) else secrets.token_urlsafe(18)
-        self._cookie = ""  # cookie name; it includes the port, because cookies are shared between ports
+        self._cookie = ""  # cookie name; includes the port, because a host's cookies are shared by all ports
 
     async def run(self, ready: Callable[[Addresses], None] | None = None) -> None:
         """Serve until cancelled or stopped by SIGINT or SIGTERM.
 
         Raises:
-            ServeError: a port is in use or an address does not belong to this machine.
+            ServeError: a port is in use, or an address does not belong to this machine.
         """
         stop = asyncio.Event()
         loop = asyncio.get_running_loop()
         async with AsyncExitStack() as open_:
             for number in (signal.SIGINT, signal.SIGTERM):
-                # Windows and threads other than the main one lack handlers; there Ctrl-C raises KeyboardInterrupt.
+                # Windows and other threads than the main one have no handlers; there Ctrl-C raises KeyboardInterrupt.
                 with suppress(NotImplementedError, RuntimeError, ValueError):
                     loop.add_signal_handler(number, stop.set)
                     open_.callback(loop.remove_signal_handler, number)
@@ -133,7 +133,7 @@ class PlayServer:
             open_.push_async_callback(_cancelled, stopping)
             await asyncio.wait([clock, stopping], return_when=asyncio.FIRST_COMPLETED)
             if clock.done():
-                clock.result()  # raises the error of the session
+                clock.result()  # raises the session's error
 
     async def _open(self, open_: AsyncExitStack) -> Addresses:
         host, options = self.options.host, self.options
@@ -175,7 +175,7 @@ class PlayServer:
     # ---- HTTP ----
 
     async def _answer_method(self, connection: ServerConnection, request: HttpRequest) -> Response | None:
-        """The response to GET, or to HEAD (the same without a body)."""
+        """The response to GET or HEAD (the same without a body)."""
         assert isinstance(connection, _Connection)
         response = await self._answer(request)
         if connection.method != b"HEAD":
@@ -183,7 +183,7 @@ class PlayServer:
         return _method_refused() if response is None else replace(response, body=b"")
 
     async def _answer(self, request: HttpRequest) -> Response | None:
-        """The response to an HTTP request, None if a WebSocket may be opened."""
+        """The response to an HTTP request; None if it may open a WebSocket."""
         try:
             host, origin = request.headers.get("Host", ""), request.headers.get("Origin")
         except MultipleValuesError:
@@ -199,7 +199,7 @@ class PlayServer:
             if not self._knows_token(request, query):
                 return _token_missing()
             headers = {"Content-Security-Policy": policy(host)}
-            if self.token is not None:  # the page needs it to open its socket
+            if self.token is not None:  # the page needs the token to open its socket
                 headers["Set-Cookie"] = f"{self._cookie}={self.token}; HttpOnly; SameSite=Strict; Path=/"
             return _response(HTTPStatus.OK, self._page, "text/html; charset=utf-8", headers)
         number = figure_number(path)
@@ -219,7 +219,7 @@ class PlayServer:
         return _response(HTTPStatus.NOT_FOUND, "not found")
 
     def _knows_token(self, request: HttpRequest, query: str) -> bool:
-        """Whether a request has the token in its URL or cookie, or no token is required."""
+        """Whether a request has the token in its URL or cookie; True if no token is required."""
         told = parse_qs(query).get("token", [])
         for line in request.headers.get_all("Cookie"):
             with suppress(CookieError):
@@ -271,7 +271,7 @@ class PlayServer:
                 writer.write(json.dumps(refused).encode() + b"\n")
             else:
                 await self._attend(client, lines, send, writer.transport.abort)
-            # Read what the client still sends, or the system may discard our unread answer.
+            # Read what the client still sends: otherwise the system may discard our unread answer.
             with suppress(OSError, asyncio.TimeoutError):
                 writer.write_eof()
                 await asyncio.wait_for(_read_away(reader), CLOSE_SECONDS)
@@ -280,7 +280,7 @@ class PlayServer:
             del self._connections[task]
 
     async def _tcp_fault(self, lines: AsyncIterator[str]) -> str | None:
-        """Why a TCP client may not join, or None; it must send the token first if one is required."""
+        """Why a TCP client may not join, else None; reads the token first if one is required."""
         if len(self._connections) > WAITING_ROOM * self.live.session.limits.clients:
             return "too many connections"
         if self.token is None:
@@ -294,7 +294,7 @@ class PlayServer:
         return 'send the token of this server first: {"token": "..."}'
 
     async def _close_web(self, server: Server) -> None:
-        """Close port and connections, without waiting for connections that do not end in time."""
+        """Close port and connections; does not wait for connections that stay open."""
         for client in self.live.clients.values():
             client.leave()
         server.close()
@@ -317,7 +317,7 @@ class PlayServer:
         send: Callable[[str | bytes], Awaitable[None]],
         abort: Callable[[], None],
     ) -> ProtocolError | None:
-        """Serve a client until it disconnects; returns the error for which it must be closed, or None."""
+        """Serve a client until it disconnects; returns the error for which it must be closed, else None."""
 
         def sent_all(_: asyncio.Task) -> None:
             if client.stalled:
@@ -342,7 +342,7 @@ class PlayServer:
         return None
 
     async def _lines(self, reader: asyncio.StreamReader) -> AsyncIterator[str]:
-        """Lines of a TCP client; raises ProtocolError for a line that is too long or not UTF-8."""
+        """Lines from a TCP client; raises ProtocolError for a line that is too long or not UTF-8."""
         while True:
             try:
                 line = await reader.readuntil(b"\n")
@@ -383,7 +383,7 @@ class PlayServer:
 
 
 class _Connection(ServerConnection):
-    """A connection that handles HTTP methods: websockets accepts only GET, some versions any method."""
+    """A connection that answers every HTTP method: websockets accepts only GET, or, in some versions, any method."""
 
     method: bytes | None = None
     _begun = b""
@@ -398,7 +398,7 @@ class _Connection(ServerConnection):
             if word is None or (word.end() == len(data) and len(data) <= LONGEST_METHOD):
                 if word is not None or not data:
                     return  # the rest of the method is still to come
-                self.method = b""  # not HTTP: websockets closes the connection
+                self.method = b""  # not HTTP; websockets closes the connection
             else:
                 self.method = word[0]
             self._begun = b""
@@ -413,13 +413,13 @@ class _Connection(ServerConnection):
         self._refused = True
         assert isinstance(self.transport, asyncio.Transport)
         self.transport.write(_method_refused().serialize())
-        # Keep reading for a while, or the client might not get the answer.
+        # Keep reading for a while: otherwise the client might not get the answer.
         self.transport.write_eof()
         asyncio.get_running_loop().call_later(CLOSE_SECONDS, self.transport.abort)
 
 
 def _send_late(transport: asyncio.BaseTransport) -> None:
-    """Limit the socket's buffers, so that a slow client gets new frames instead of old ones."""
+    """Limit the socket's buffers, so that a slow client gets new frames rather than old ones."""
     assert isinstance(transport, asyncio.WriteTransport)
     transport.set_write_buffer_limits(high=WAITING_BYTES)
     connection = transport.get_extra_info("socket")
@@ -472,7 +472,7 @@ def _token_missing() -> Response:
 
 
 def reachable_name(host: str) -> str:
-    """The host name for clients of a server: an address of this machine if it listens on all addresses."""
+    """The host name for clients; an address of this machine if the server listens on all addresses."""
     if host not in ("", "0.0.0.0", "::"):
         return host
     family, away, here = (
@@ -502,7 +502,7 @@ def _reason(error: OSError | ValueError) -> str:
 
 
 def _quiet_logger() -> logging.Logger:
-    """A logger for our own errors; it skips invalid HTTP from strangers."""
+    """A logger for the server's own errors; it drops reports of invalid HTTP."""
     logger = logging.getLogger("motionkit.play")
     logger.addFilter(_is_ours)
     return logger

@@ -1,6 +1,6 @@
-"""The world of `motionkit play`: characters and the requests of their users, one frame after another.
+"""The session of `motionkit play`: characters and their users' requests, one frame after another.
 
-Nothing here knows of networks or real time, so a test can run it as fast as possible.
+It knows nothing of networks or real time, so tests can run it at full speed.
 """
 
 from __future__ import annotations
@@ -30,24 +30,24 @@ from motionkit.version import __version__
 
 PROTOCOL = 1
 CONTACT_NAMES = ("left foot", "left toe", "right foot", "right toe")
-SPACE_BETWEEN = 120.0  # cm between the start places of characters
-PATH_JOINS_WITHIN = 30.0  # cm; a path that begins further away gets a line from the character to its start
+SPACE_BETWEEN = 120.0  # cm between start positions
+PATH_JOINS_WITHIN = 30.0  # cm; a path that begins further away is extended by a line from the character
 
 
 class Character:
-    """One character of the world and the requests of its user."""
+    """A character and the requests of its user."""
 
     def __init__(
         self, model: MotionModel, number: int, slot: int, body: str, noise: Noise, stream: CharacterStream
     ) -> None:
-        """The stream holds one character; it may be new or reused."""
+        """stream holds one character; it may be new or reused."""
         self.model, self.id, self.slot = model, number, slot
         self.owner: int | None = None
         self.body, self.stream = body, stream
         self.set_noise(noise)
         self.seq = 0
         self.recorder: Recorder | None = None
-        # In a row, alternating to the left and right of the first.
+        # Start positions form a row, alternating to the left and right of the first.
         self.place = (SPACE_BETWEEN * ((slot + 1) // 2) * (-1.0) ** slot, 0.0, 0.0)
         self._start(body, self.place)
 
@@ -58,16 +58,16 @@ class Character:
         self.body = body
 
     def reset(self) -> None:
-        """Return to the start place; a recording continues."""
+        """Return to the start position; a recording continues."""
         self._start(self.body, self.place)
 
     def set_body(self, body: str) -> None:
-        """Change the body at the same place; raises ControlError if it is unknown."""
+        """Change the body without moving; raises ControlError if it is unknown."""
         x, z, heading = self.stream.ground[0].tolist()
         self._start(body, (x, z, heading))
 
     def set_noise(self, noise: Noise) -> None:
-        """Change how frames are sampled."""
+        """Change the noise of sampling."""
         self.noise = noise
         self.stream.state.noise = noise
 
@@ -78,7 +78,7 @@ class Character:
         speed: float | None,
         stops: Sequence[tuple[int, float]] = (),
     ) -> None:
-        """Follow a drawn path, with stops of so many seconds at some points; raises ControlError if it is invalid."""
+        """Follow a drawn path, with stops (point index, seconds); raises ControlError if it is invalid."""
         if stops and stops[-1][0] >= len(points):
             raise ControlError(f"expected stops at points 1 to {len(points) - 1}, found {stops[-1][0]}")
         x, z = self.stream.ground[0, :2].tolist()
@@ -97,7 +97,7 @@ class Character:
         self.driver.set_wish(Wish(path=make_path(parts)))
 
     def step(self, number: int) -> Shown:
-        """The next frame; the character is reset if its positions are not finite."""
+        """The next frame; resets the character if its positions are not finite."""
         made = self.stream.step(self.driver(number, self.stream.ground))
         if not bool(np.isfinite(made.positions).all()):
             self.reset()
@@ -123,7 +123,7 @@ class Character:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A finished recording of a character; format as its owner asked for, or None."""
+    """A finished recording of a character; format is the requested one, or None."""
 
     character: int
     owner: int | None
@@ -132,7 +132,7 @@ class Recorded:
 
 
 class Session:
-    """All characters and the requests of their users."""
+    """All characters and their users' requests."""
 
     def __init__(
         self,
@@ -141,17 +141,17 @@ class Session:
         limits: Limits | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        """body is the default for new characters; raises ControlError if it is unknown."""
+        """body is the default of new characters; raises ControlError if it is unknown."""
         model.character(body)
         self.model, self.body, self.limits = model, body, limits or Limits()
         self.characters: dict[int, Character] = {}
-        self.kept: int | None = None  # id of the character that stays when its client leaves
+        self.kept: int | None = None  # id of the character that remains when its client leaves
         self.number = 0
         self._clock, self._began = clock, clock()
         self._last_id = 0
-        # Streams of removed characters: creating one takes as long as many frames, resetting one does not.
+        # Streams of removed characters, for reuse: creating one takes as long as many frames, resetting one does not.
         self._spare: list[CharacterStream] = []
-        # Looking up all bodies takes as long as a frame: do it once, not at every hello.
+        # Looking up all bodies takes as long as a frame, so do it once rather than at every hello.
         self._bodies = [_body_told(name, model.character(name)) for name in model.characters]
 
     @property
@@ -160,7 +160,7 @@ class Session:
         return self._clock() - self._began
 
     def step(self, fps: float = 0.0) -> WorldFrame:
-        """Advance the world by one frame; fps is reported as the current frame rate."""
+        """Compute one frame of all characters; fps is reported as the frame rate."""
         began = self._clock()
         self.number += 1
         followed = {c.id for c in self.characters.values() if c.driver.following is not None}
@@ -170,14 +170,14 @@ class Session:
         return WorldFrame(self.number, now - self._began, 1000.0 * (now - began), fps, made, arrived)
 
     def full(self) -> list[Recorded]:
-        """End and return the recordings that have reached their limit."""
+        """End and return recordings that have reached their maximum length."""
         done = [c for c in self.characters.values() if c.recorder is not None and c.recorder.full]
         return [self._end_recording(character) for character in done]
 
     # ---- clients and characters ----
 
     def join(self, client: int, body: str | None = None) -> Character | None:
-        """Give a new client a character: the kept one if it is free, else a new one, None if there is no room."""
+        """Give a new client a character: the kept one if free, else a new one; None if there is no room."""
         kept = None if self.kept is None else self.characters.get(self.kept)
         if kept is not None and kept.owner is None:
             kept.owner = client
@@ -187,7 +187,7 @@ class Session:
         return self.add(client, body)
 
     def add(self, client: int | None, body: str | None = None) -> Character:
-        """Add a character; raises ControlError if the body is unknown or the world is full."""
+        """Add a character; raises ControlError if the body is unknown or the session is full."""
         if len(self.characters) >= self.limits.characters:
             raise ControlError(f"the world is full: there is room for {self.limits.characters} characters")
         taken = {c.slot for c in self.characters.values()}
@@ -202,13 +202,13 @@ class Session:
         return character
 
     def keep(self) -> Character:
-        """Add a character that stays without a client, for VMC output."""
+        """Add a character that remains without a client, for VMC output."""
         character = self.add(None)
         self.kept = character.id
         return character
 
     def leave(self, client: int) -> None:
-        """Remove a client's characters; a kept one stays where it is, as it was at first, for the next client."""
+        """Remove a client's characters; a kept one stays at its place with default settings, for the next client."""
         for character in [c for c in self.characters.values() if c.owner == client]:
             self._free(character)
 
@@ -224,7 +224,7 @@ class Session:
             self._spare.append(character.stream)
 
     def owned(self, client: int, number: int | None) -> Character:
-        """A client's character by number, or its first; raises ControlError if it has none such."""
+        """A client's character by number, by default its first; raises ControlError if it has no such character."""
         mine = [c for c in self.characters.values() if c.owner == client]
         if number is None and mine:
             return mine[0]
@@ -236,10 +236,10 @@ class Session:
     # ---- requests ----
 
     def obey(self, client: int, request: Request) -> Recorded | None:
-        """Carry out a request other than ping; returns a recording if one ended.
+        """Carry out any request but ping; returns a recording if one ended.
 
         Raises:
-            ControlError: the request cannot be carried out; nothing has changed.
+            ControlError: the request cannot be carried out, and nothing has changed.
         """
         fields = request.fields
         if request.do == "add":
@@ -302,7 +302,7 @@ class Session:
     # ---- events ----
 
     def hello(self, client: int, character: Character | None) -> dict[str, Any]:
-        """The first event for every client."""
+        """The first event for a client."""
         model = self.model
         gaits = [(name, kind.gait) for name, kind in model.types.items()]
         return {
@@ -331,7 +331,7 @@ class Session:
         }
 
     def told(self) -> list[dict[str, Any]]:
-        """All characters, as in the event `characters`."""
+        """All characters, for the event `characters`."""
         return [
             {
                 "id": c.id,
@@ -346,7 +346,7 @@ class Session:
 
 
 def _body_told(name: str, body: Skeleton) -> dict[str, Any]:
-    """A body, as in hello."""
+    """A body, for hello."""
     return {
         "name": name,
         "offsets": [[round(v, 4) for v in row] for row in body.offsets.tolist()],

@@ -1,4 +1,4 @@
-"""Frames as VMC messages (OSC over UDP) for motion receivers of game engines."""
+"""Frames as VMC messages (OSC over UDP), which game engines can receive."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from motionkit.motion.skeleton import JOINT_NAMES, Skeleton
 from motionkit.play.frames import Floats, Shown
 
 BUNDLE_BYTES = 1400  # fits into one Ethernet frame
-_IMMEDIATELY = struct.pack(">Q", 1)  # OSC's time tag for "immediately"
-CM = 0.01  # metres
+_IMMEDIATELY = struct.pack(">Q", 1)  # OSC time tag for "immediately"
+CM = 0.01  # m per cm
 
-# Unity's HumanBodyBones: bone, its parent bone, the joint that carries it.
+# Unity's HumanBodyBones: bone, parent bone, and the joint that drives it.
 BONES: tuple[tuple[str, str, str], ...] = (
     ("Hips", "", "Hips"),
     ("Spine", "Hips", "Spine"),
@@ -65,7 +65,7 @@ def osc_message(address: str, *arguments: str | int | float) -> bytes:
 
 
 def osc_bundles(messages: Sequence[bytes], most_bytes: int = BUNDLE_BYTES) -> list[bytes]:
-    """Pack messages into bundles of at most this many bytes, to be executed immediately."""
+    """Pack messages into bundles of at most this many bytes, for immediate execution."""
     head = osc_string("#bundle") + _IMMEDIATELY
     out, current = [], head
     for message in messages:
@@ -79,7 +79,7 @@ def osc_bundles(messages: Sequence[bytes], most_bytes: int = BUNDLE_BYTES) -> li
 
 
 def rest_turns(skeleton: Skeleton) -> Array:
-    """World rotations (23, 4) that bring the rest pose into a T-pose with vertical legs."""
+    """World rotations (23, 4) from the rest pose to a T-pose with vertical legs."""
     turns = np.zeros((len(skeleton), 4), np.float32)
     turns[:, 0] = 1.0
     down = np.array([0.0, -1.0, 0.0], np.float32)
@@ -91,16 +91,16 @@ def rest_turns(skeleton: Skeleton) -> Array:
 
 
 class VmcBody:
-    """Turns frames of one skeleton into VMC messages."""
+    """Converts frames of one skeleton to VMC messages."""
 
     def __init__(self, skeleton: Skeleton) -> None:
         self._skeleton = skeleton
         self._from_rest = quat_to_matrix(quat_inverse(rest_turns(skeleton)))[_JOINTS]
 
     def bones(self, shown: Shown) -> tuple[Floats, Floats]:
-        """Positions (1 + B, 3) and rotations (1 + B, 4) of the root and then of BONES, in parent space.
+        """Positions (1 + B, 3) and rotations (1 + B, 4) of the root and BONES, relative to their parents.
 
-        Right-handed and in cm; rotations are relative to the T-pose.
+        Axes are right-handed, positions in cm, and rotations relative to the T-pose.
         """
         skeleton = self._skeleton
         rotations, positions = forward_kinematics(
@@ -120,7 +120,7 @@ class VmcBody:
         )
 
     def messages(self, shown: Shown, seconds: float) -> list[bytes]:
-        """The OSC messages of one frame."""
+        """The OSC messages for one frame."""
         places, rotations = self.bones(shown)
         out = [osc_message("/VMC/Ext/OK", 1), osc_message("/VMC/Ext/T", float(seconds))]
         addresses = ["/VMC/Ext/Root/Pos"] + ["/VMC/Ext/Bone/Pos"] * len(_NAMES)
@@ -130,7 +130,7 @@ class VmcBody:
 
 
 def _unity(place: list[float], rotation: list[float]) -> list[float]:
-    """Position in metres and quaternion x, y, z, w, mirrored at x = 0: Unity's X points right, ours left."""
+    """Position in metres and quaternion x, y, z, w for Unity. X is mirrored: Unity's points right, ours left."""
     x, y, z = (CM * v for v in place)
     w, qx, qy, qz = rotation
     return [-x, y, z, qx, -qy, -qz, w]

@@ -1,7 +1,7 @@
-"""A body mesh for a skeleton: torso, limbs, head, hands and feet for human rigs, tapered bones for others.
+"""A body mesh for any skeleton: human shapes for human rigs, tapered bones for others.
 
-Sizes are those of a human with legs (thigh plus shin) of 0.834 m, the canonical skeleton, and scale with the leg
-length of the rig; lengths and widths that the rig gives take precedence.
+Default sizes belong to the canonical skeleton, whose legs (thigh plus shin) are 0.834 m long; they scale with the rig's
+leg length. Lengths and widths given by the rig take precedence.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from motionkit.view.contact_sheet_geometry import Figure, motion_figure
 from motionkit.view.flesh import STEP, Chain, Piece, skin
 from motionkit.view.surface import TINTS, Array, Surface, SurfaceBuilder, cross_axes, joined, unit
 
-LEG = 0.834  # m, leg length of the profiles below
-ANKLE, BALL = 0.095, 0.022  # heights of a standing foot's joints, m
+LEG = 0.834  # m, leg length for the profiles below
+ANKLE, BALL = 0.095, 0.022  # m, joint heights of a standing foot
 SIDES = ("Left", "Right")
-MOST_KEPT = 16  # bodies
+MOST_KEPT = 16  # bodies in the cache
 Profile = tuple[tuple[float, ...], ...]
 
-# Share of the length, half width, half depth, shift to the front, m.
+# Share of the length, half width, half depth, forward shift; m.
 _THIGH = ((0.0, 0.082, 0.088, 0.0), (0.2, 0.080, 0.087, 0.004), (0.55, 0.064, 0.069, 0.006),
           (0.85, 0.050, 0.053, 0.004), (1.0, 0.047, 0.050, 0.004))  # fmt: skip
 _SHIN = ((0.0, 0.046, 0.049, 0.002), (0.15, 0.048, 0.052, -0.008), (0.32, 0.050, 0.055, -0.014),
@@ -43,20 +43,20 @@ _MITTEN = ((0.0, 0.020, 0.026, 0.0), (0.22, 0.019, 0.036, 0.0), (0.48, 0.018, 0.
 _THUMB = ((0.0, 0.013, 0.014, 0.0), (1.0, 0.010, 0.011, 0.0))
 _COLLAR = ((0.0, 0.042, 0.050, 0.0), (0.6, 0.041, 0.050, 0.0), (1.0, 0.041, 0.047, 0.0))
 _TRAPEZIUS = ((0.0, 0.030, 0.034, 0.0), (0.5, 0.028, 0.032, 0.0), (1.0, 0.026, 0.032, 0.0))
-_BELT = 0.18  # share of the torso where the trousers end
+_BELT = 0.18  # share of the torso at which the trousers end
 _NECK = ((0.0, 0.070, 0.066, -0.012), (0.25, 0.052, 0.055, -0.008), (0.55, 0.047, 0.051, -0.004),
          (1.0, 0.046, 0.050, 0.0))  # fmt: skip
-# Height from the middle in half heads, then as above.
+# Height from the middle, in half head heights; then as above.
 _HEAD = ((-0.6, 0.054, 0.068, 0.018), (-0.3, 0.065, 0.083, 0.010), (0.0, 0.072, 0.092, 0.003),
          (0.25, 0.075, 0.095, -0.001), (0.45, 0.074, 0.093, -0.003))  # fmt: skip
 _HEAD_CAPS = 0.80, 0.80
-_HEAD_HALF = 0.118
-# Share of the distance from the middle of the hips to the middle of the shoulders, then as above.
+_HEAD_HALF = 0.118  # m, half height of the head
+# Share of the distance from mid hips to mid shoulders; then as above.
 _TORSO = ((-0.08, 0.110, 0.078, -0.012), (-0.03, 0.138, 0.096, -0.012),
           (0.06, 0.154, 0.104, -0.010), (0.18, 0.146, 0.098, -0.005),
           (0.42, 0.120, 0.086, 0.004), (0.62, 0.136, 0.100, 0.006), (0.8, 0.150, 0.108, 0.006),
           (0.93, 0.144, 0.096, 0.0), (1.03, 0.112, 0.070, -0.008), (1.1, 0.064, 0.054, -0.010))  # fmt: skip
-# Distance ahead of the ankle in m (the ball of the foot is at 0.1), half width, heights of sole and instep.
+# Distance ahead of the ankle (0.1 is the ball of the foot), half width, heights of sole and instep; m.
 _FOOT = ((-0.042, 0.030, 0.002, 0.076), (-0.03, 0.033, 0.0, 0.090),
          (0.0, 0.035, 0.0, 0.102), (0.035, 0.037, 0.0, 0.088), (0.07, 0.041, 0.0, 0.066),
          (0.1, 0.044, 0.0, 0.049), (0.13, 0.041, 0.001, 0.040), (0.152, 0.032, 0.004, 0.033))  # fmt: skip
@@ -69,9 +69,9 @@ class BodyPose:
     Attributes:
         rotations: (J, 3, 3) global rotations.
         places: (J, 3) global positions, m.
-        ends: joint to the end (3,) of its bone.
+        ends: joint index -> end (3,) of its bone.
         parents: J parent indices.
-        bones: joints whose bone to the parent is part of the body.
+        bones: joints whose bone to their parent belongs to the body.
     """
 
     rotations: Array
@@ -81,19 +81,19 @@ class BodyPose:
     bones: frozenset[int]
 
     def matrices_from(self, rotations: Array, places: Array) -> Array:
-        """Affine matrices (J, 3, 4) from this pose to another, given by its rotations and places."""
+        """Affine matrices (J, 3, 4) from this pose to another one, given by its rotations and positions."""
         turn = rotations @ self.rotations.transpose(0, 2, 1)
         return np.concatenate(
             [turn, (places - np.einsum("jab,jb->ja", turn, self.places))[..., None]], axis=2
         )
 
     def copy(self) -> BodyPose:
-        """The same pose with arrays of its own."""
+        """The same pose with its own arrays."""
         ends = {joint: end.copy() for joint, end in self.ends.items()}
         return replace(self, rotations=self.rotations.copy(), places=self.places.copy(), ends=ends)
 
     def turn(self, joint: int, by: Array) -> None:
-        """Turn a joint and all that hangs on it by a rotation (3, 3) about its place."""
+        """Turn a joint and its descendants by a rotation (3, 3) about the joint."""
         moved = {joint}
         for child, parent in enumerate(self.parents):
             if parent in moved:
@@ -106,7 +106,7 @@ class BodyPose:
                 self.ends[one] = middle + by @ (self.ends[one] - middle)
 
     def inverse_matrices(self) -> Array:
-        """Matrices (J, 4, 4) from the world to each joint's own space in this pose: glTF's inverse bind matrices."""
+        """Matrices (J, 4, 4) from the world to each joint's space in this pose: glTF's inverse bind matrices."""
         back = self.rotations.transpose(0, 2, 1)
         out = np.broadcast_to(np.eye(4), (len(back), 4, 4)).copy()
         out[:, :3, :3] = back
@@ -118,15 +118,15 @@ _kept: OrderedDict[tuple, tuple[Surface, BodyPose]] = OrderedDict()
 
 
 def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) -> tuple[Surface, BodyPose]:
-    """A skinned body mesh for the rig of a motion, and the pose in which it is made.
+    """A skinned body mesh for the rig of a motion, and the pose in which the mesh is made.
 
-    The last bodies are kept: clips shown together often have the same one.
+    Recent bodies are cached, because clips shown together often share one.
 
     Args:
-        motion: in metres with Y up (`figure_data.in_metres`); its rest pose, or else its best frame, shows the body
-            upright.
+        motion: in metres with Y up (`figure_data.in_metres`). The mesh is made in its rest pose if that is upright,
+            else in its most upright frame.
         figure: the motion's `motion_figure`, computed if None.
-        step: about the length of the mesh's edges, m.
+        step: approximate edge length of the mesh, m.
 
     Raises:
         SkeletonError: all bones of a human rig have length zero.
@@ -143,13 +143,13 @@ def make_body(motion: Motion, figure: Figure | None = None, step: float = STEP) 
         poses = [_frame(motion, t, drawn) for t in np.linspace(0, len(motion) - 1, 24).astype(int)]
     pose = min(poses, key=lambda p: _stoop(p, rig))
     human = _Human(motion.skeleton.names, rig, pose)
-    if human.size == 0.0:  # all sizes are those of its legs
+    if human.size == 0.0:  # all sizes depend on the leg length
         return _bony(motion, _rest(motion, drawn))
     return _human_body(human, step)
 
 
 def check_bones(motion: Motion) -> None:
-    """Raise SkeletonError if all bones of a human rig have length zero; other such rigs are drawn as a ball."""
+    """Raise SkeletonError if all bones of a human rig have length zero; other rigs are then drawn as a ball."""
     between = motion.skeleton.offsets if motion.local_positions is None else motion.local_positions
     if between[..., 1:, :].any():
         return
@@ -161,7 +161,7 @@ def check_bones(motion: Motion) -> None:
 
 
 def _human_body(human: _Human, step: float) -> tuple[Surface, BodyPose]:
-    """The body of a human rig, made or taken from those kept; its arrays are not to be written to."""
+    """The body of a human rig, cached; its arrays must not be changed."""
     pose = human.pose
     ends = tuple((joint, end.tobytes()) for joint, end in sorted(pose.ends.items()))
     numbers = (pose.rotations.tobytes(), pose.places.tobytes(), ends)
@@ -202,7 +202,7 @@ def _frame(motion: Motion, frame: int, bones: frozenset[int]) -> BodyPose:
 
 
 def _stoop(pose: BodyPose, rig: RigMap) -> float:
-    """The deviation of a pose from standing: thighs below the hips, sides apart, chest on top."""
+    """How far a pose deviates from standing: thighs below the hips, sides apart, chest on top."""
     at = {name: pose.places[joint] for name, joint in rig.places.items()}
     hips, chest = (at["LeftUpLeg"] + at["RightUpLeg"]) / 2, (at["LeftArm"] + at["RightArm"]) / 2
     up = unit(chest - hips, np.zeros(3))
@@ -216,7 +216,7 @@ def _between(start: Array, end: Array) -> Array:
     """The smallest rotation (3, 3) from one unit vector (3,) to another."""
     axis = np.cross(start, end)
     cosine = float(start @ end)
-    if cosine < -0.999:  # half a turn, about any axis across
+    if cosine < -0.999:  # a half turn about any perpendicular axis
         across, _ = cross_axes(start, np.array([0.0, 0.0, 1.0]))
         return 2.0 * np.outer(across, across) - np.eye(3)
     cross = np.array([[0.0, -axis[2], axis[1]], [axis[2], 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
@@ -225,13 +225,13 @@ def _between(start: Array, end: Array) -> Array:
 
 
 class _Human:
-    """Makes the parts of a human body from the places of the canonical joints in a rig."""
+    """Builds the parts of a human body around the canonical joints of a rig."""
 
     def __init__(self, names: tuple[str, ...], rig: RigMap, pose: BodyPose) -> None:
         self.names, self.rig = names, rig.places
         self.pose = pose
         self.pieces: list[Piece] = []
-        self.builder = SurfaceBuilder()  # of fingers and other thin parts, which the skin would swallow
+        self.builder = SurfaceBuilder()  # for fingers and other thin parts, which the skin would swallow
         hips = (self.at("LeftUpLeg") + self.at("RightUpLeg")) / 2
         chest = (self.at("LeftArm") + self.at("RightArm")) / 2
         self.hips, self.torso = hips, float(np.linalg.norm(chest - hips))
@@ -251,14 +251,14 @@ class _Human:
         return self.pose.places[self.rig[name]]
 
     def path(self, above: int, joint: int) -> list[int]:
-        """Joints from an ancestor `above` down to a joint, both included."""
+        """The joints from an ancestor `above` down to a joint, both included."""
         out = [joint]
         while out[-1] != above and self.pose.parents[out[-1]] >= 0:
             out.append(self.pose.parents[out[-1]])
         return out[::-1]
 
     def limb_end(self, side: str, part: str, below: str) -> Array:
-        """The end of a limb's last bone: its joint, its End Site, or extrapolated by the bone before."""
+        """The end of a limb's last bone: its joint, its End Site, or an extrapolation of the bone before."""
         if side + below in self.rig:
             return self.at(side + below)
         joint = self.rig[side + part]
@@ -267,7 +267,7 @@ class _Human:
         return self.pose.ends.get(joint, self.pose.places[joint] + 0.9 * bone)
 
     def _spread(self) -> None:
-        """Turn the limbs to where the skin of one cannot touch another's, and where joints bend least from."""
+        """Spread the limbs so that their skins do not touch, in a pose from which the joints bend little."""
         self.pose = self.pose.copy()
         for side, out in zip(SIDES, (self.left, -self.left), strict=True):
             for part, below, way in (
@@ -318,7 +318,7 @@ class _Human:
         front: Array | None = None,
         **form: Any,
     ) -> None:
-        """Add a piece; `form` has the section's `power` and the `caps`."""
+        """Add a piece; `form` holds its `power` and `caps`."""
         scaled = np.array([(share, *(self.size * value for value in rest)) for share, *rest in profile])
         tints = (TINTS.index(tint), ()) if isinstance(tint, str) else tint
         ahead = self.front if front is None else front
@@ -327,7 +327,7 @@ class _Human:
     def _ball(
         self, place: Array, radii: tuple[float, float, float], joints: tuple[int, Chain], tint: str = "body"
     ) -> None:
-        """An ellipsoid: half width, half depth and about half height."""
+        """Add an ellipsoid with a half width, half depth and approximate half height."""
         wide, deep, high = radii
         rest = max(high - float(np.sqrt(wide * deep)), 1e-3) * self.size
         path = [place - rest * self.up, place + rest * self.up]
@@ -338,9 +338,9 @@ class _Human:
     def _bone(
         self, side: str, part: str, below: str, before: int, bends: tuple[float, float]
     ) -> tuple[list[Array], tuple[int, Chain]]:
-        """The path of a limb's bone and its joints: the one before, those along it, and the one after.
+        """The path of a limb's bone and its joints: the previous one, those along the bone, the next one.
 
-        bends: half widths, as shares of the length, of the change at its near and far end.
+        bends: half widths of the joint transitions at the near and far end, as shares of the length.
         """
         top = self.rig[side + part]
         end = self.rig.get(side + below)
@@ -368,7 +368,7 @@ class _Human:
         )
 
     def _arm(self, side: str) -> None:
-        """The shoulder between upper arm and chest, which rises with the collar bone, and the arm."""
+        """Add the arm and the shoulder between upper arm and chest, which rises with the collar bone."""
         arm = self.at(f"{side}Arm") - 0.018 * self.size * self.up
         base = self.hips + 0.93 * self.torso * self.up
         start = base + 0.3 * (arm - base)
@@ -401,7 +401,7 @@ class _Human:
                 chest_wide, 0.8 * height, 1.3 * height
             )
             profile.append(((share - low) / (high - low), width * float(wide), depth * deep, shift * deep))
-        # Each joint of the spine passes to the next around the middle of its bone, softly over all of it.
+        # Each joint of the spine blends into the next around the middle of its bone.
         ends = [*shares[1:], 1.0]
         chain = []
         for n in range(1, len(self.spine)):
@@ -437,7 +437,7 @@ class _Human:
         self._neck(base, middle, neck, self.path(neck, head)[1:])
 
     def _neck(self, base: Array, top: Array, neck: int, above: list[int]) -> None:
-        """The neck from the chest to inside the head; `above` are the joints from the neck to the head."""
+        """Add the neck from the chest into the head; `above` lists the joints from neck to head."""
         way = top - base
         chain = [(0.12, 0.2, neck)]
         for joint in above:
@@ -477,7 +477,7 @@ class _Human:
         length = float(np.linalg.norm(bone))
         bone = bone / length
         left = unit(np.cross(-down, bone), self.left)
-        # The sole is flat on the floor if ankle and ball are at their standing heights.
+        # The sole is flat on the floor when ankle and ball are at their standing heights.
         drop = float(np.arcsin(np.clip(s * (ANKLE - BALL) / length, 0.0, 0.85)))
         raised = unit(np.cross(bone, left), -down)
         ahead = np.cos(drop) * bone + np.sin(drop) * raised
@@ -503,7 +503,7 @@ class _Human:
         place = self.pose.places[hand]
         along = unit(place - self.at(f"{side}ForeArm"), self.left)
         knuckles = [self.pose.places[j] for j in self._knuckles(hand)]
-        if knuckles:  # the palm ends where the fingers begin
+        if knuckles:  # end the palm where the fingers begin
             reach = float(np.median([np.linalg.norm(k - place) for k in knuckles]))
             along = unit(np.mean(knuckles, axis=0) - place, along)
             spread = max((np.linalg.norm(a - b) for a in knuckles for b in knuckles), default=0.0)
@@ -525,13 +525,13 @@ class _Human:
         self._piece([root, tip], _THUMB, (hand, ()), "hand")
 
     def _knuckles(self, hand: int) -> list[int]:
-        """The first joints of a hand's fingers; none if the rig has only a thumb and a tip."""
+        """The first joints of a hand's fingers; none if the hand has only a thumb and a tip."""
         parents = self.pose.parents
         fingers = [j for j, parent in enumerate(parents) if parent == hand and j in parents]
         return fingers if len(fingers) >= 3 else []
 
     def _others(self) -> None:
-        """Fingers, tails and other extra joints, as thin bones."""
+        """Add fingers, tails and other extra joints as thin bones."""
         hands = {self.rig[f"{side}Hand"] for side in SIDES if f"{side}Hand" in self.rig}
         knuckles = {joint for hand in hands for joint in self._knuckles(hand)}
         closed = {self.rig[n] for n in ("Head", "LeftFoot", "RightFoot") if n in self.rig}
@@ -558,7 +558,7 @@ def _bone(
 
 
 def _bony(motion: Motion, pose: BodyPose) -> tuple[Surface, BodyPose]:
-    """Tapered bones for a rig that is not a known human, thicker towards the trunk, with a head if one is named."""
+    """Tapered bones for a rig that is not human, thicker near the trunk, with a head if a joint is named so."""
     names, count = motion.skeleton.names, len(pose.places)
     below = np.ones(count)
     for joint in range(count - 1, 0, -1):

@@ -1,7 +1,7 @@
-"""Contact sheets: a motion in one picture.
+"""Draws contact sheets: one picture that sums up a motion.
 
-Each clip is shown by stick figures over time, the root's path and footprints from above, and the heights of feet and
-root. Pillow draws at twice the size; the picture is then reduced for smooth lines.
+Each clip has stick figures over time, the root's path and footprints from above, and curves of foot and root heights.
+Pillow draws at twice the size, and the picture is then reduced for smooth lines.
 """
 
 from __future__ import annotations
@@ -30,15 +30,15 @@ from motionkit.view.lettering import lettered
 if TYPE_CHECKING:
     from PIL import Image
 
-ZOOM = 2  # everything is drawn larger by this factor and averaged down
-MARGIN = 16
+ZOOM = 2  # drawing scale before the picture is reduced
+MARGIN = 16  # pixels, like the following sizes
 TITLE_HEIGHT = 30
 FIGURE_HEIGHT = 240
 PLOT_HEIGHT = 240
 PATH_WIDTH = 380
 POSES_PER_ROW = 16
-MAX_POSES = 480
-OVERLAP = 1.6  # widest pose as a share of its cell; its neighbours are usually narrower
+MAX_POSES = 480  # stick figures per clip; more would make the picture too large
+OVERLAP = 1.6  # width of the widest pose as a share of its cell; neighbours are usually narrower
 
 Color = tuple[int, int, int]
 SIDE_COLORS: dict[str, Color] = {"left": (31, 99, 214), "right": (219, 84, 20), "": (60, 60, 66)}
@@ -62,7 +62,7 @@ class _Box:
 
 
 class _Canvas:
-    """Lines, dots and text in final pixels, drawn ZOOM times larger."""
+    """Draws lines, dots and text in final pixels, ZOOM times enlarged."""
 
     def __init__(self, width: int, height: int) -> None:
         image, image_draw, _ = load_pillow()
@@ -86,11 +86,11 @@ class _Canvas:
     def text(
         self, x: float, y: float, words: str, color: Color = INK, size: float = 12, anchor: str = "la"
     ) -> None:
-        """Draw text with its anchor ("la" left top, "ma" middle top, "rm" right middle ...) at (x, y)."""
+        """Draw text at (x, y), aligned by its anchor ("la" left top, "ma" middle top, "rm" right middle ...)."""
         words, font = lettered(words, size * ZOOM)
         try:
             self._draw.text((x * ZOOM, y * ZOOM), words, fill=color, font=font, anchor=anchor)
-        except ValueError:  # Pillow without FreeType has only a small font without anchors
+        except ValueError:  # without FreeType, Pillow has only a small font without anchors
             self._draw.text((x * ZOOM, y * ZOOM), words, fill=color, font=font)
 
     def finished(self) -> Image.Image:
@@ -100,7 +100,7 @@ class _Canvas:
 
 
 def load_pillow() -> tuple[Any, Any, Any]:
-    """Pillow's Image, ImageDraw and ImageFont; raises MotionkitError if Pillow is not installed."""
+    """Import Pillow's Image, ImageDraw and ImageFont; raises MotionkitError if Pillow is not installed."""
     try:
         from PIL import Image, ImageDraw, ImageFont
     except ImportError:
@@ -111,10 +111,10 @@ def load_pillow() -> tuple[Any, Any, Any]:
 
 
 def pose_frames(frames: int, poses: int = 12, every: int | None = None) -> list[int]:
-    """The frames to show: `poses` evenly spaced ones from first to last, or one every `every` frames.
+    """The frames to draw: `poses` frames evenly spaced from first to last, or one in `every` frames.
 
     Raises:
-        MotionkitError: poses or every is below 1, or there would be more than 480 poses.
+        MotionkitError: poses or every is below 1, or there are more than 480 poses.
     """
     if (every is not None and every < 1) or poses < 1:
         raise MotionkitError("a contact sheet needs poses and every of at least 1")
@@ -132,13 +132,13 @@ def pose_frames(frames: int, poses: int = 12, every: int | None = None) -> list[
 def contact_sheet(
     motions: Sequence[tuple[str, Motion]], poses: int = 12, width: int = 1800, every: int | None = None
 ) -> Image.Image:
-    """Draw a contact sheet of motions of any rig and unit, one block each.
+    """Draw a contact sheet with a block for each motion, of any rig and unit.
 
     Args:
-        motions: titles and motions, at least one.
-        poses: number of stick figures per clip, evenly spaced in time.
+        motions: titles and motions; at least one.
+        poses: stick figures per clip, evenly spaced in time.
         width: width of the picture in pixels, at least 600.
-        every: show one pose every this many frames instead.
+        every: frames between stick figures; replaces poses.
 
     Returns:
         A PIL image.
@@ -170,7 +170,7 @@ def write_contact_sheet(
     width: int = 1800,
     every: int | None = None,
 ) -> None:
-    """Write a contact sheet as PNG, atomically; arguments as for contact_sheet. Raises MotionkitError."""
+    """Write a contact sheet as PNG, atomically; arguments and errors as for contact_sheet."""
     if Path(path).suffix.lower() != ".png":
         raise MotionkitError(f"{path}: a contact sheet is a .png file, found {Path(path).suffix!r}")
     picture = contact_sheet(motions, poses, width, every)
@@ -236,7 +236,7 @@ def _draw_poses(
     angle: float,
     box: _Box,
 ) -> None:
-    """Draw figures side by side, each centred on its root, on one ground line and at one scale."""
+    """Draw figures side by side, each centred on its root, on a common ground line and scale."""
     screen = screen_points(figure.positions[all_frames], angle)
     roots = screen_points(figure.root[all_frames], angle)
     drawn = sorted({point for bone in figure.bones for point in bone} | {figure.hips})
@@ -260,7 +260,7 @@ def _draw_poses(
 
 
 def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], scale: float) -> None:
-    """Draw one pose, far bones first and paler, so that near bones are in front."""
+    """Draw one pose from back to front, with distant bones paler."""
     if not figure.bones:
         canvas.dot(points[0, 0], points[0, 1], 3.0, SIDE_COLORS[""])
         return
@@ -287,7 +287,7 @@ def _draw_figure(canvas: _Canvas, figure: Figure, points: NDArray[np.float64], s
 
 
 def _round_length(value: float) -> float:
-    """The largest of 1, 2, 5 times a power of ten that is at most value."""
+    """The largest of 1, 2, 5 times a power of ten that is not above value."""
     power = 10.0 ** np.floor(np.log10(max(value, 1e-9)))
     return float(power * max(m for m in (1, 2, 5) if m * power <= value * (1 + 1e-9)))
 
@@ -295,7 +295,7 @@ def _round_length(value: float) -> float:
 def _draw_path(
     canvas: _Canvas, figure: Figure, frames: list[int], angle: float, cm: float, box: _Box
 ) -> None:
-    """Draw the root's path from above with ticks for its facing, and the places where each foot is low."""
+    """Draw the root's path from above, with ticks for its heading, and each foot's low positions."""
     canvas.box(box, outline=GRID)
     canvas.text(box.left + 6, box.top + 4, "from above: root, facing, footprints", FAINT, size=11)
     tracks = [figure.root, *(figure.positions[:, foot] for foot in figure.feet.values())]
@@ -334,7 +334,7 @@ def _draw_path(
 def _draw_footprints(
     canvas: _Canvas, figure: Figure, track: NDArray[np.float64], foot: int, color: Color
 ) -> None:
-    """Draw footprints: a standing foot leaves a dot, a sliding one a streak in the sliding colour."""
+    """Draw footprints: a dot where a foot stands, a streak in the sliding colour where it slides."""
     low, slides = low_frames(figure, foot), sliding_frames(figure, foot)
     for frame in np.flatnonzero(low):
         canvas.dot(
@@ -345,7 +345,7 @@ def _draw_footprints(
 def _draw_heights(
     canvas: _Canvas, figure: Figure, frames: list[int], unit: str, cm: float, box: _Box
 ) -> None:
-    """Draw heights of feet and root over time, and mark when a low foot slides."""
+    """Draw heights of feet and root over time, and mark frames in which a low foot slides."""
     named = [(side or "foot", foot) for side, foot in figure.feet.items()]
     curves = [(figure.root[:, 1] - figure.floor, ROOT_COLOR)]
     curves += [(figure.positions[:, f, 1] - figure.floor, SIDE_COLORS.get(n, INK)) for n, f in named]

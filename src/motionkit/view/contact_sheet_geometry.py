@@ -1,4 +1,4 @@
-"""The data of a contact sheet: positions with axis 1 up, view, floor and feet."""
+"""Geometry of a contact sheet: positions with axis 1 up, camera, floor and feet."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from motionkit.rig.up_axis import up_axis, up_turn
 
 Array = NDArray[np.float64]
 
-# A foot slides if its height is below this share of the stature and its speed along the floor above this many
-# statures per second: 4 cm and 0.5 m/s for a person of 1.75 m.
+# A foot slides if it is lower than LOW_SHARE of the stature and faster along the floor than SLIDE_SHARE statures per
+# second: 4 cm and 0.5 m/s for a person of 1.75 m.
 LOW_SHARE = 0.025
 SLIDE_SHARE = 0.28
-# A joint whose distance from its parent varies by more than this share of the stature has no bone to it, such as hips
-# below a root that stays on the floor.
+# Share of the stature. A joint whose distance to its parent varies by more has no bone, such as hips below a root that
+# stays on the floor.
 LOOSE_SHARE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
 class Figure:
-    """A motion as points and bones in the world.
+    """A motion as world points and bones.
 
     Attributes:
         positions: (T, N, 3) joints, then end sites; axis 1 is up, lengths in the motion's unit.
         bones: pairs of point indices, parent first.
         sides: "left", "right" or "" for each point.
-        hips: index of the point drawn as the root.
-        head: index of the point drawn as the head, or None.
-        feet: side to the index of the foot's point.
+        hips: index of the point that is drawn as the root.
+        head: index of the head's point, or None.
+        feet: side -> index of the foot's point.
         floor: height of the ground line.
-        floor_is_zero: whether the floor is at zero, rather than at the lowest point of the body.
-        facing: (T,) facing angle in the ground plane in radians, atan2 of axis 2 and axis 0.
-        stature: estimated standing height.
+        floor_is_zero: whether the floor is at zero; else it is at the lowest point of the body.
+        facing: (T,) heading in the ground plane in radians, atan2 of axis 2 and axis 0.
+        stature: estimated standing height, in the motion's unit.
         fps: frames per second.
     """
 
@@ -58,17 +58,17 @@ class Figure:
 
     @property
     def root(self) -> Array:
-        """Positions (T, 3) of the root, or of the hips if the root stays on the floor."""
+        """Positions (T, 3) of the root; of the hips if the root stays on the floor."""
         return self.positions[:, self.hips]
 
     def unit(self) -> tuple[str, float]:
-        """The likely unit by stature, as its symbol and cm per unit; ("units", 1.0) if none fits."""
+        """The likely unit, judged by stature: its symbol and its length in cm; ("units", 1.0) if none fits."""
         unit = likely_unit(self.stature)
         return ("units", 1.0) if unit is None else (unit.symbol, unit.cm)
 
 
 def motion_figure(motion: Motion) -> Figure:
-    """The points and bones of a motion, rotated so that axis 1 is up."""
+    """The points and bones of a motion, turned so that axis 1 is up."""
     skeleton = motion.skeleton
     rotations, positions = motion_kinematics(motion)
     ends = sorted(skeleton.end_sites)
@@ -88,7 +88,7 @@ def motion_figure(motion: Motion) -> Figure:
     hips = _hips(points, skeleton.parents, floor, size)
     stand = (
         range(hips + 1) if hips else range(0)
-    )  # bones from the floor up to the hips are not part of the body
+    )  # bones from the floor to the hips do not belong to the body
     return Figure(
         points,
         tuple(bone for bone in bones if not _is_loose(points, bone, size) and bone[1] not in stand),
@@ -116,7 +116,7 @@ def _floor(points: Array, stature: float) -> tuple[float, bool]:
 
 
 def _hips(points: Array, parents: tuple[int, ...], floor: float, stature: float) -> int:
-    """The first joint above the floor, following single children from the root."""
+    """The first joint above the floor, found by following single children from the root."""
     hips = 0
     while points[:, hips, 1].mean() - floor < 0.2 * stature:
         below = [joint for joint, parent in enumerate(parents) if parent == hips]
@@ -134,7 +134,7 @@ def _head(names: tuple[str, ...]) -> int | None:
 
 
 def _feet(names: tuple[str, ...], sides: tuple[str, ...], points: Array) -> dict[str, int]:
-    """For each side its toe, else its foot, else its lowest joint; without sides the lowest joint."""
+    """For each side the toe, else the foot, else the lowest joint; without sides, the lowest joint."""
     feet: dict[str, int] = {}
     heights = points[:, : len(names), 1].mean(axis=0)
     for side in sorted(set(sides) - {""}) or [""]:
@@ -148,7 +148,7 @@ def _feet(names: tuple[str, ...], sides: tuple[str, ...], points: Array) -> dict
 
 
 def _facing(points: Array, sides: tuple[str, ...]) -> Array:
-    """The facing angle (T,) in radians: a quarter turn from the line between the left and the right joints."""
+    """The heading (T,) in radians: perpendicular to the line between left and right joints."""
     left = [i for i, side in enumerate(sides) if side == "left"]
     right = [i for i, side in enumerate(sides) if side == "right"]
     if not left:
@@ -158,9 +158,9 @@ def _facing(points: Array, sides: tuple[str, ...]) -> Array:
 
 
 def camera_angle(figure: Figure) -> float:
-    """The angle in radians of the screen's x axis in the ground plane, for the best view of the body.
+    """Direction of the screen's x axis in the ground plane, in radians, for the best view of the body.
 
-    A travelling body is seen from the side, a body that stays in place half from the front; both are turned a little
+    A travelling body is seen from the side, a body in place at an angle from the front. Both are turned a little
     towards the viewer, so that left and right do not cover each other.
     """
     ground = figure.root[:, [0, 2]]
@@ -177,7 +177,7 @@ def camera_angle(figure: Figure) -> float:
 
 
 def screen_points(points: Array, angle: float) -> Array:
-    """Convert points (..., 3) to right, up and depth towards the viewer (..., 3), for a level camera."""
+    """Points (..., 3) as right, up and depth towards the viewer (..., 3), for a level camera."""
     cosine, sine = np.cos(angle), np.sin(angle)
     right = points[..., 0] * cosine + points[..., 2] * sine
     towards = -points[..., 0] * sine + points[..., 2] * cosine
@@ -185,16 +185,16 @@ def screen_points(points: Array, angle: float) -> Array:
 
 
 def low_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
-    """Whether the foot is near its standing height (T,)."""
+    """Whether the foot is near its standing height, (T,)."""
     heights = figure.positions[:, foot, 1]
     standing = np.percentile(heights, 3)
     return heights < standing + LOW_SHARE * figure.stature
 
 
 def sliding_frames(figure: Figure, foot: int) -> NDArray[np.bool_]:
-    """Whether the foot moves along the floor while it is low (T,).
+    """Whether the foot moves along the floor while low, (T,).
 
-    It must be low for a twentieth of a second before and after too, so touch-down and push-off of a step do not count.
+    It must also be low for a twentieth of a second before and after, so that touch-down and push-off do not count.
     """
     track = figure.positions[:, foot]
     span = max(1, round(figure.fps / 20))

@@ -1,7 +1,7 @@
-"""The data that a page needs to draw a figure: rig, body and frames, in metres with Y up, compressed.
+"""Data with which a page draws a figure: rig, body and frames, in metres with Y up, compressed.
 
-Arrays are packed as {"type", "shape", "data"}: little-endian, deflated, base64. Integer arrays hold differences from
-row to row, which compress well.
+An array is packed as {"type", "shape", "data"}: little-endian, deflated, base64. Integer arrays hold differences
+between rows, which compress well.
 """
 
 from __future__ import annotations
@@ -25,19 +25,19 @@ from motionkit.view.body import make_body
 from motionkit.view.contact_sheet_geometry import Figure, low_frames, motion_figure, sliding_frames
 from motionkit.view.surface import SHADES
 
-QUATERNION_STEPS = 32767  # resolution of rotations: a few thousandths of a degree
-POINT_STEPS = 10_000  # resolution of body points: a tenth of a millimetre
+QUATERNION_STEPS = 32767  # steps per unit of a quaternion; resolves a few thousandths of a degree
+POINT_STEPS = 10_000  # steps per metre of body points; 0.1 mm each
 
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """A motion to show.
+    """A motion to display.
 
     Attributes:
-        name: title of the motion.
+        name: the motion's title.
         motion: in any unit, with Y or Z up.
         types: motion types and their seconds in sequence; empty if unknown.
-        path: (N, 2) x, z in cm of the requested path, or None.
+        path: (N, 2) x, z of the requested path in cm, or None.
     """
 
     name: str
@@ -47,10 +47,10 @@ class Shown:
 
 
 def shown_motions(motions: Sequence[Motion], names: Sequence[str] = ()) -> list[Shown]:
-    """Motions with their names; "motion 1", "motion 2" ... by default.
+    """Motions with names, by default "motion 1", "motion 2" ...
 
     Raises:
-        MotionkitError: there are other names than motions.
+        MotionkitError: the numbers of names and motions differ.
     """
     if names and len(names) != len(motions):
         raise MotionkitError(f"expected a name for each of {len(motions)} motions, found {len(names)}")
@@ -63,7 +63,7 @@ def pack(values: NDArray, kind: str) -> dict[str, Any]:
     array = np.asarray(values)
     if kind == "f4":
         raw = array.astype("<f4")
-    else:  # wraps around, like the sums in the page
+    else:  # wraps around, as the sums in the page do
         flat = array.astype(np.int64).reshape(len(array), -1)
         steps = np.diff(flat, axis=0, prepend=np.zeros((1, flat.shape[1]), dtype=np.int64))
         raw = (steps & (0xFFFF if kind[1] == "2" else 0xFF)).astype(f"<u{kind[1]}")
@@ -72,7 +72,7 @@ def pack(values: NDArray, kind: str) -> dict[str, Any]:
 
 
 def figure_data(shown: Shown) -> dict[str, Any]:
-    """The data of a motion for the page: rig, body, frames, contacts, types and path."""
+    """The page's data for a motion: rig, body, frames, contacts, types and path."""
     metres = in_metres(shown.motion)
     motion = metres.motion
     figure = motion_figure(motion)
@@ -103,7 +103,7 @@ def figure_data(shown: Shown) -> dict[str, Any]:
 
 
 def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
-    """The rig and body of a motion in metres with Y up, for the page.
+    """The page's data for a rig and its body.
 
     Args:
         motion: in metres with Y up.
@@ -138,7 +138,7 @@ def rig_data(motion: Motion, figure: Figure | None = None) -> dict[str, Any]:
 
 
 def _moving(motion: Motion) -> dict[str, Any] | None:
-    """Local positions of the joints that do not stay at their offsets."""
+    """Local positions of joints that move relative to their parents."""
     places, joints = motion.local_positions, motion.moving_joints()[1:]
     return (
         None if places is None or not joints else {"joints": joints, "places": pack(places[:, joints], "f4")}

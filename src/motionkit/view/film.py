@@ -17,11 +17,11 @@ from motionkit.view.picture import Scenery
 if TYPE_CHECKING:
     from PIL import Image
 
-GIF_FPS, GIF_WIDTH, GIF_COLORS = 20, 480, 96
-FILM_FPS, FILM_WIDTH = 30, 960
-MAX_SECONDS = 600.0
-MAX_WIDTH = 3840
-MAX_GIF_PIXELS = 500_000_000  # of all frames together, because Pillow keeps them in memory
+GIF_FPS, GIF_WIDTH, GIF_COLORS = 20, 480, 96  # frames per second, pixels, colours of the palette
+FILM_FPS, FILM_WIDTH = 30, 960  # frames per second, pixels
+MAX_SECONDS = 600.0  # length of a film
+MAX_WIDTH = 3840  # pixels
+MAX_GIF_PIXELS = 500_000_000  # total of all frames, which Pillow keeps in memory
 Progress = Callable[[int, int], None]
 
 
@@ -32,13 +32,13 @@ def write_film(
 
     Args:
         path: file to write; its ending chooses the format.
-        shown: motions to show, at least one.
-        width: width in pixels, at most 3840; by default 480 for a GIF, 960 for a video. The height is 3/4 of it.
-        progress: called with the number of frames drawn and of all frames.
+        shown: motions to draw, at least one.
+        width: width in pixels, at most 3840; by default 480 for a GIF, 960 for a video. The height is 3/4 of the width.
+        progress: called with the number of frames drawn and the number of all frames.
 
     Raises:
-        MotionkitError: the ending is another, Pillow (or imageio-ffmpeg for .mp4) is not installed, a motion is longer
-            than ten minutes, or a GIF has more than 500 million pixels.
+        MotionkitError: another ending; Pillow (or imageio-ffmpeg for .mp4) is not installed; a motion of over ten
+            minutes; or a GIF of over 500 million pixels.
     """
     kind = Path(path).suffix.lower()
     if kind not in (".gif", ".mp4"):
@@ -81,9 +81,9 @@ def _pictures(scenery: Scenery, fps: int, progress: Progress | None) -> Iterator
 
 def _write_gif(path: str | Path, pictures: Iterator[Image.Image]) -> None:
     image, _, _ = load_pillow()
-    with atomic_write(path, "wb") as file:  # before the first picture, so that a bad path fails at once
+    with atomic_write(path, "wb") as file:  # opened before drawing, so that a bad path fails at once
         first = next(pictures).quantize(GIF_COLORS)
-        # One palette for all frames and no dithering: small files and no flicker.
+        # A single palette without dithering keeps files small and avoids flicker.
         rest = (picture.quantize(palette=first, dither=image.Dither.NONE) for picture in pictures)
         first.save(
             file, "GIF", save_all=True, append_images=rest, duration=1000 // GIF_FPS, loop=0, optimize=False
@@ -95,7 +95,7 @@ def _write_mp4(path: str | Path, pictures: Iterator[Image.Image], size: tuple[in
         made = Path(folder) / "film.mp4"
         try:
             _encode(made, pictures, size)
-        except OSError as error:  # ffmpeg's own messages follow the first line
+        except OSError as error:  # ffmpeg's own messages are after the first line
             told = (str(error).strip() or type(error).__name__).splitlines()[0]
             raise MotionkitError(f"{path}: ffmpeg could not write the video ({told})") from None
         if not made.exists() or not made.stat().st_size:

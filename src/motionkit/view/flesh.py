@@ -1,7 +1,7 @@
-"""One smooth skin over many rounded pieces: limbs of elliptic sections, joined where they meet.
+"""A smooth skin over rounded pieces with elliptic sections, which blend where they meet.
 
-Each piece is a distance field; a soft minimum joins them (its blend is `BLEND`), and the skin is where the sum is zero.
-The pieces also carry the joints and tints of the skin around them.
+Each piece is a distance field. A soft minimum joins the fields over a distance of BLEND, and the skin is its zero
+surface. Pieces also give the skin its joints and tints.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from motionkit.view.isosurface import isosurface, neighbour_mean
 from motionkit.view.surface import TINTS, Array, Surface, cross_axes, unit
 
-STEP = 0.0135  # m, grid step for a body of usual size
-COARSE_STEP = 0.02  # m, where few pixels show it
-BLEND = 0.010  # m, how softly pieces join
-GRIP = 0.016  # m, how softly the skin passes from the joints of one piece to those of the next
+STEP = 0.0135  # m, grid step for a body of default size
+COARSE_STEP = 0.02  # m, grid step for small pictures
+BLEND = 0.010  # m, width of the blend between pieces
+GRIP = 0.016  # m, distance over which skin weights blend between pieces
 DYE = 0.009  # m, the same for tints
-SMOOTHINGS = 4  # rounds of averaging the weights over neighbours
-INFLUENCES = 4  # joints that move a point
-MAX_CELLS = 2_000_000  # of the grid; a rig whose legs say little of its size gets a coarser one
-_SAMPLES = 48  # of a profile
+SMOOTHINGS = 4  # passes that average the weights over neighbouring points
+INFLUENCES = 4  # most joints per point
+MAX_CELLS = 2_000_000  # most grid cells; a rig with very short legs for its body gets a coarser grid
+_SAMPLES = 48  # points per profile
 Chain = Sequence[tuple[float, float, int]]
 
 
@@ -33,15 +33,15 @@ class Piece:
     """A rounded limb along joints.
 
     Attributes:
-        path: (K, 3) points from the near to the far end.
-        profile: (S, 4) share of the length, half width, half depth, shift along the depth; the shares rise from 0 to 1,
-            and rounded ends extend beyond them.
-        front: (3,) direction of the depth.
-        joints: the joint at the near end, then for each further joint (share where it begins, half width of the
-            change as a share, joint).
-        tints: the same for tints.
-        power: of the section: 2 is an ellipse, more is closer to a rectangle.
-        caps: how far the rounded ends reach; at 1 they are as long as the piece is wide there.
+        path: (K, 3) points from the near end to the far end.
+        profile: (S, 4) share of the length, half width, half depth, shift along the depth. Shares rise from 0 to 1;
+            rounded ends extend beyond them.
+        front: (3,) direction of the depth axis.
+        joints: first joint, then for each further one (share of the length where it takes over, half width of the
+            transition, joint).
+        tints: tints, in the same form.
+        power: exponent of the section: 2 is an ellipse, larger values are more rectangular.
+        caps: length of the rounded ends, relative to the piece's width there.
     """
 
     path: Array
@@ -54,7 +54,7 @@ class Piece:
 
     @cached_property
     def axes(self) -> tuple[Array, Array, Array]:
-        """Across, depth and along (3,)."""
+        """Unit axes (3,) across, in depth and along the piece."""
         along = unit(self.path[-1] - self.path[0], np.array([0.0, 1.0, 0.0]))
         across, depth = cross_axes(along, self.front)
         return across, depth, along
@@ -65,7 +65,7 @@ class Piece:
 
     @cached_property
     def table(self) -> Array:
-        """(N, 7) share, half width, half depth and middle (3,) along the piece, smooth between the given shares."""
+        """Rows (N, 6) along the piece, interpolated smoothly: share, half width, half depth, middle (3,)."""
         shares = np.linspace(0.0, 1.0, _SAMPLES)
         _, depth, along = self.axes
         heights = (self.path - self.path[0]) @ along / self.length
@@ -75,12 +75,12 @@ class Piece:
         return np.concatenate([np.stack([shares, rows[0], rows[1]], axis=1), middles], axis=1)
 
     def shares(self, points: Array) -> Array:
-        """Where points (..., 3) are along the piece: 0 at its near, 1 at its far end."""
+        """Positions of points (..., 3) along the piece: 0 at its near end, 1 at its far end."""
         shares: Array = (points - self.path[0]) @ self.axes[2] / self.length
         return shares
 
     def distances(self, points: Array) -> Array:
-        """About how far points (..., 3) are from the surface, negative inside."""
+        """Approximate signed distances of points (..., 3) from the surface; negative inside."""
         share = self.shares(points)
         inner = np.clip(share, 0.0, 1.0)
         wide, deep, x, y, z = (np.interp(inner, self.table[:, 0], column) for column in self.table[:, 1:].T)
@@ -98,7 +98,7 @@ class Piece:
 
 
 def _smooth_interp(at: Array, x: Array, y: Array) -> Array:
-    """Cubic interpolation through (x, y) that overshoots nowhere (Fritsch and Carlson, 1980)."""
+    """Cubic interpolation through (x, y) without overshoot (Fritsch and Carlson, 1980)."""
     steps, rises = np.diff(x), np.diff(y)
     slopes = rises / steps
     turns = np.zeros_like(y)
@@ -119,7 +119,7 @@ def _smooth_interp(at: Array, x: Array, y: Array) -> Array:
 
 
 def _chain_weights(shares: Array, first: int, chain: Chain, count: int) -> Array:
-    """Weights (N, count) of the members of a chain at shares (N,); they add up to 1."""
+    """Weights (N, count) of a chain's members at shares (N,); each row adds up to 1."""
     weights, left = np.zeros((len(shares), count)), np.ones(len(shares))
     member = first
     for start, half, after in chain:
@@ -132,19 +132,19 @@ def _chain_weights(shares: Array, first: int, chain: Chain, count: int) -> Array
 
 
 def skin(pieces: Sequence[Piece], axes: Array, size: float, joint_count: int, step: float = STEP) -> Surface:
-    """The skin over pieces.
+    """The skin over pieces, as a mesh.
 
     Args:
         pieces: at least one.
-        axes: (3, 3) the directions left, up and front of the body in rows; a body that is the same on both sides of
-            the plane through the first piece gets the same skin there.
-        size: of the body; 1 is usual.
-        joint_count: of the skeleton.
-        step: about the length of the mesh's edges for a body of usual size, m.
+        axes: (3, 3) left, up and front of the body, in rows; a body symmetric about the middle of its first piece gets
+            a symmetric mesh.
+        size: size of the body; 1 is the default size.
+        joint_count: number of joints of the skeleton.
+        step: approximate edge length of the mesh for a body of default size, m.
     """
     step *= size
     points, triangles, slopes = _net(pieces, axes, step, BLEND * size)
-    for _ in range(2):  # even out the points, then back to the skin
+    for _ in range(2):  # even out the points, then project them onto the skin
         points = 0.5 * (points + neighbour_mean(triangles, points))
         values = _soft_minimum(np.stack([piece.distances(points) for piece in pieces], axis=1), BLEND * size)
         points = points - np.clip(values, -step, step)[:, None] * slopes(points)
@@ -167,7 +167,7 @@ def _soft_minimum(distances: Array, blend: float) -> Array:
 def _blended(
     pieces: Sequence[Piece], distances: Array, points: Array, soft: float, count: int, what: str
 ) -> Array:
-    """What pieces carry at points, (V, count): of the nearest piece, and of others that are about as near."""
+    """Values of the pieces at points, (V, count), blended over pieces that are about equally near."""
     near = np.exp(-(distances - distances.min(axis=1, keepdims=True)) / soft)
     near /= near.sum(axis=1, keepdims=True)
     out = np.zeros((len(points), count))
@@ -181,9 +181,9 @@ def _blended(
 def _net(
     pieces: Sequence[Piece], axes: Array, step: float, blend: float
 ) -> tuple[Array, NDArray[np.int64], Callable[[Array], Array]]:
-    """Points, triangles, and a function that gives the field's unit gradient at points."""
+    """Points, triangles, and a function for the field's unit gradient at points."""
     margin = 5 * blend
-    # Boxes along the body's axes, so that the grid is the same on its left and right.
+    # Boxes are aligned with the body's axes, so that the grid is symmetric.
     boxes = [_turned_box(piece, axes, margin) for piece in pieces]
     low, high = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
     step = max(step, float((np.prod(high - low) / MAX_CELLS) ** (1 / 3)))
@@ -211,7 +211,7 @@ def _net(
 
 
 def unit_rows(rows: Array) -> Array:
-    """Rows (N, 3) made one long."""
+    """Rows (N, 3) scaled to length 1."""
     scaled: Array = rows / np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
     return scaled
 

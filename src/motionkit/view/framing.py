@@ -1,4 +1,4 @@
-"""Places motions side by side, and a camera that keeps all of them in the picture."""
+"""Places motions side by side, with a camera that keeps them all in the picture."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from motionkit.view.contact_sheet_geometry import Figure
 from motionkit.view.surface import Array
 
 FIELD = 0.6  # height of the view at distance 1
-DISTANCE = 4.0  # m, smallest distance from the camera to its target
-LIFT = 0.17  # radians the camera looks down
+DISTANCE = 4.0  # m, least distance from the camera to its target
+LIFT = 0.17  # radians, downward pitch of the camera
 EYE = 0.9  # m, height of the target
-GAP = 0.6  # m, smallest distance between the joints of two bodies
-FLESH = 0.09  # distance from a joint to the body's surface, as a share of the stature
-SIDE_ANGLE = 0.55  # radians between the camera and the facing of the bodies
-TRAVEL_ANGLE = 0.95  # radians between the camera and the direction of a travelling body
+GAP = 0.6  # m, least distance between joints of two bodies
+FLESH = 0.09  # distance from joints to the body's surface, as a share of the stature
+SIDE_ANGLE = 0.55  # radians between the camera and the bodies' heading
+TRAVEL_ANGLE = 0.95  # radians between the camera and the direction of travel
 _RATE = 30.0  # samples per second of the camera's path
-_SMOOTHING = 0.4  # s on either side over which it is averaged
+_SMOOTHING = 0.4  # s on either side over which the camera's path is averaged
 _ANGLES = 16  # number of camera directions to try
-_FACE = 0.3  # how much more distant a view of faces may be than one of backs, as a share
-_EDGE = 0.05  # share of the picture kept free at the sides and the bottom
+_FACE = 0.3  # a view of faces may need this much more distance than one of backs, as a share
+_EDGE = 0.05  # free margin at the sides and bottom, as a share of the picture
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A camera at one moment.
+    """The camera at one time.
 
     Attributes:
-        target: (3,) point it looks at without a shift, m.
-        shift: (3,) from the target to the camera, along right, up and back, m.
-        axes: (3, 3) the directions right, up and back, in rows.
-        size: width and height of the picture.
+        target: (3,) the point it looks at if not shifted, m.
+        shift: (3,) from the target to the camera along right, up and back, m.
+        axes: (3, 3) the directions right, up and back, as rows.
+        size: width and height of the picture in pixels.
     """
 
     target: Array
@@ -57,15 +57,15 @@ class Camera:
 
 
 class Framing:
-    """The places of several motions and the path of a camera.
+    """Positions of several motions, and a camera path.
 
-    The camera follows the middle of all bodies, far enough away that none leaves the picture. For a fixed direction a
-    point is inside the picture if four linear inequalities hold, one per edge. The largest left sides over all points,
-    smoothed over time, therefore give the nearest camera position.
+    The camera follows the middle of all bodies at a distance that keeps each in the picture. For a fixed direction, a
+    point is in the picture if four linear inequalities hold, one per edge. The nearest camera position therefore
+    follows from the maximum of their left sides over all points, smoothed over time.
     """
 
     def __init__(self, figures: Sequence[Figure], size: tuple[int, int], top: float = 0.0) -> None:
-        """Figures are in metres; size is the picture's in pixels; top pixels are kept free above heads."""
+        """Figures are in metres; size is in pixels; `top` pixels stay free above the heads."""
         self.size = size
         self.seconds = max((len(f.positions) - 1) / f.fps for f in figures)
         self._times = np.arange(int(np.ceil(self.seconds * _RATE)) + 1) / _RATE
@@ -73,7 +73,7 @@ class Framing:
         wide = FIELD / 2 * size[0] / size[1]
         sides = wide * (1 - 2 * _EDGE)
         high = FIELD / 2
-        # Tangents of the view angles to the right, left, top and bottom.
+        # Tangents of the view angles: right, left, top, bottom.
         self._tangents = np.array([sides, sides, high * (1 - 2 * top / size[1]), high * (1 - 2 * _EDGE)])
         self._nearest = DISTANCE * max(1.0, 1.2 * size[1] / size[0])
         bodies = [_at_times(f, self._times) for f in figures]
@@ -92,7 +92,7 @@ class Framing:
         )
 
     def tops(self, time: float) -> Array:
-        """Smoothly moving points (N, 3) above the heads at a time."""
+        """Points (N, 3) above the heads at a time, smoothed over time."""
         return np.stack([self._at(top, time) for top in self._tops])
 
     def _at(self, rows: Array, time: float) -> Array:
@@ -123,7 +123,7 @@ class Framing:
 
     @staticmethod
     def _side_by_side(bodies: list[Array], hips: list[Array], angle: float) -> list[Array]:
-        """Translations (3,) that start the motions in a row across the picture, so that none hides another."""
+        """Translations (3,) that put the motions in a row across the picture, so that none hides another."""
         if len(bodies) == 1:
             return [np.zeros(3)]
         row = np.array([np.cos(angle), 0.0, -np.sin(angle)])
@@ -131,7 +131,7 @@ class Framing:
         places, reached = (
             [],
             np.zeros(len(bodies[0])),
-        )  # where the next may begin along the row, at every time
+        )  # where the previous body ends along the row, at every time
         for body, hip in zip(bodies, hips, strict=True):
             along = body @ row
             shift = float((reached - along.min(axis=1)).max()) + GAP
@@ -141,21 +141,21 @@ class Framing:
         return [place - middle for place in places]
 
     def _targets(self, hips: list[Array], places: list[Array]) -> Array:
-        """The target (T, 3) of the camera: the middle of all hips, smoothed over time."""
+        """The camera's target (T, 3): the middle of all hips, smoothed over time."""
         middle = np.mean([h + p for h, p in zip(hips, places, strict=True)], axis=0)
         way = _smooth(middle)
-        # The camera follows stairs, but not steps and jumps; those use the room above the head.
+        # Follow stairs but not steps and jumps, which use the free room above the head.
         way[:, 1] = EYE + way[:, 1] - np.clip(way[:, 1], -0.5, 1.5)
         return way
 
     def _shifts(self, bodies: list[Array], places: list[Array], way: Array, angle: float) -> Array:
-        """The shift (T, 3) from the target to the camera along its axes."""
+        """The shift (T, 3) from the target to the camera, along the camera's axes."""
         supports = self._supports(bodies, places, way, angle)
-        # An average of maxima over an equal window is never below the values.
+        # An average of maxima over an equally wide window is never below the values.
         return self._fitted(_smooth(_largest_around(supports)))
 
     def _supports(self, bodies: list[Array], places: list[Array], way: Array, angle: float) -> Array:
-        """The largest left sides (T, 4) of the inequalities of the right, left, top and bottom edges."""
+        """The largest left sides (T, 4) of the inequalities for the right, left, top and bottom edges."""
         axes = camera_axes(angle)
         sides = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])
         normals = sides @ axes[:2] + self._tangents[:, None] * axes[2]
@@ -168,18 +168,18 @@ class Framing:
         return np.maximum(found, self._tangents * self._nearest)
 
     def _fitted(self, supports: Array) -> Array:
-        """The nearest camera (T, 3) for supports (T, 4): p + t z <= c + t z_c for every point and edge."""
+        """The nearest camera (T, 3) for which p + t z <= c + t z_c at every point and edge; supports (T, 4)."""
         right, left, top, bottom = supports.T
         t_right, t_left, t_top, t_bottom = self._tangents
         back = np.maximum((right + left) / (t_right + t_left), (top + bottom) / (t_top + t_bottom))
         across = ((right - t_right * back) + (t_left * back - left)) / 2
-        # Spare room goes above the heads; the ground is at the bottom edge.
+        # Free space goes above the heads; the ground touches the bottom edge.
         up = np.clip(0.0, top - t_top * back, t_bottom * back - bottom)
         return np.stack([across, up, back], axis=-1)
 
 
 def camera_axes(angle: float) -> Array:
-    """The directions right, up and back (3, 3) of a camera at an angle in radians from +Z towards +X."""
+    """The camera's right, up and back directions (3, 3) at an angle in radians from +Z towards +X."""
     sine, cosine = np.sin(angle), np.cos(angle)
     back = np.array([np.cos(LIFT) * sine, np.sin(LIFT), np.cos(LIFT) * cosine])
     right = np.array([cosine, 0.0, -sine])
@@ -187,19 +187,19 @@ def camera_axes(angle: float) -> Array:
 
 
 def frame_at(time: float, fps: float, frames: int) -> int:
-    """The frame shown at a time in seconds; the last frame is held."""
+    """The frame at a time in seconds; the last frame is held."""
     return min(int(time * fps + 1e-6), frames - 1)
 
 
 def _at_times(figure: Figure, times: Array) -> Array:
-    """The figure's points (T, N, 3) at times (T,), with the floor at zero."""
+    """The figure's points (T, N, 3) at times (T,), on a floor at height zero."""
     count = len(figure.positions)
     points = figure.positions[[frame_at(float(t), figure.fps, count) for t in times]]
     return points - [0.0, 0.0 if figure.floor_is_zero else figure.floor, 0.0]
 
 
 def _front(figure: Figure) -> Array:
-    """The mean facing direction (2,) of a figure, x and z."""
+    """The mean heading (2,) of a figure, x and z."""
     return np.array([np.cos(figure.facing).mean(), np.sin(figure.facing).mean()])
 
 

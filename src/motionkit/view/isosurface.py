@@ -1,4 +1,4 @@
-"""The surface where a field on a grid is zero, as triangles (surface nets: Gibson, MICCAI 1998)."""
+"""Triangulates the zero surface of a field on a grid (surface nets: Gibson, MICCAI 1998)."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ Indices = NDArray[np.int64]
 
 
 def isosurface(values: Array) -> tuple[Array, Indices]:
-    """Points (V, 3) in grid steps and triangles (F, 3) around all that is negative, facing outward.
+    """Points (V, 3) in grid steps and triangles (F, 3), facing outward, around the negative region.
 
     Args:
-        values: (X, Y, Z), positive along the edges of the grid.
+        values: (X, Y, Z), positive at the border of the grid.
     """
     values = _without_corner_contacts(values)
     inside = values < 0.0
@@ -36,16 +36,16 @@ _STEPS = np.eye(3, dtype=np.int64)
 
 
 def _without_corner_contacts(values: Array) -> Array:
-    """Values in which the inside touches itself nowhere at a mere edge; the surface would pass through itself there.
+    """Values whose negative region never touches itself at a single edge, where the surface would intersect itself.
 
-    Where only two opposite corners of a square of the grid are inside, the other two are put inside as well.
+    Where only two opposite corners of a grid square are inside, the other two are moved inside as well.
     """
     values = values.copy()
     changed = True
     while changed:
         changed = False
         for axis in range(3):
-            # A view of all squares across the axis: their corners in order around.
+            # All squares perpendicular to the axis, with their corners in order.
             flat = np.moveaxis(values, axis, 2)
             a, b, c, d = flat[:-1, :-1], flat[1:, :-1], flat[1:, 1:], flat[:-1, 1:]
             one = (a < 0.0) & (c < 0.0) & (b >= 0.0) & (d >= 0.0)
@@ -59,7 +59,7 @@ def _without_corner_contacts(values: Array) -> Array:
 
 
 def _crossings(values: Array, cells: Indices) -> Array:
-    """The mean of the points where the surface crosses the twelve edges of each cell."""
+    """The mean of the surface's intersections with the twelve edges of each cell."""
     sums, counts = np.zeros((len(cells), 3)), np.zeros((len(cells), 1))
     for axis in range(3):
         for corner in _CUBE:
@@ -75,7 +75,7 @@ def _crossings(values: Array, cells: Indices) -> Array:
 
 
 def _quads(inside: NDArray[np.bool_], numbers: Indices) -> Indices:
-    """The four cells (Q, 4) around each grid edge that the surface crosses, counterclockwise from outside."""
+    """The four cells (Q, 4) around each intersected grid edge, counterclockwise from outside."""
     quads = []
     for axis in range(3):
         b, c = _STEPS[(axis + 1) % 3], _STEPS[(axis + 2) % 3]
@@ -96,7 +96,7 @@ def _split(points: Array, quads: Indices) -> Indices:
 
 
 def neighbour_mean(triangles: Indices, rows: Array) -> Array:
-    """The mean over the neighbours of each point, of rows (V, N)."""
+    """The mean of rows (V, N) over the neighbours of each point."""
     edges = np.concatenate([triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
     order = np.argsort(edges[:, 0], kind="stable")
     starts = np.searchsorted(edges[order, 0], np.arange(len(rows)))

@@ -1,7 +1,7 @@
-"""Chooses a font for a text by the letters it has, so that no letter comes out as a box.
+"""Chooses a font that has all letters of a text, so that none is drawn as a box.
 
-Pillow's own font has little more than ASCII. Where a text needs more, it is drawn in the Latin, Greek and Cyrillic
-letters of assets/fonts, else in a font of the system. Letters that none of them has are spelled out.
+Pillow's own font has little more than ASCII. Other text is drawn with the Latin, Greek and Cyrillic letters of
+assets/fonts, else with a font of the system. Letters that no font has are spelled out.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 from motionkit.names import nfc
 
 OWN_FONT = "DejaVuSans-letters.ttf"
-# Fonts with the letters of other scripts, which Pillow finds by these names in the folders of Windows, macOS and Linux.
+# Fonts for other scripts; Pillow finds these names in the font folders of Windows, macOS and Linux.
 SYSTEM_FONTS = (
     "NotoSansCJK-Regular.ttc",
     "NotoSansCJKjp-Regular.otf",
@@ -35,13 +35,13 @@ SYSTEM_FONTS = (
     "DejaVuSans.ttf",
     "FreeSans.ttf",
 )
-_MARKS = frozenset(map(chr, range(0x300, 0x370)))  # above and below letters; those left in NFC are left out
-_NO_LETTER = "\U0010ffff"  # has no glyph in any font: it is drawn as a font draws letters that it lacks
+_MARKS = frozenset(map(chr, range(0x300, 0x370)))  # combining marks; dropped where NFC keeps them
+_NO_LETTER = "\U0010ffff"  # no font has this letter, so it is drawn as the font's missing-letter box
 
 
 @lru_cache(maxsize=1024)
 def lettered(words: str, size: float) -> tuple[str, Any]:
-    """A text on one line as it is to be drawn, and a font for it at a size in pixels.
+    """A text as one line to draw, and a font of a size in pixels.
 
     Letters that no font has lose their marks, or become their code, such as U+65E5.
     """
@@ -57,7 +57,7 @@ def lettered(words: str, size: float) -> tuple[str, Any]:
 
 
 def _fonts(size: float) -> Iterator[Any]:
-    """Pillow's own font, if it has any size, and others; that of Pillow 10.0 or without FreeType has one size."""
+    """Candidate fonts: Pillow's own if it is scalable (from Pillow 10.1, with FreeType), then others."""
     from PIL import ImageFont
 
     own = _default_font(size)
@@ -83,7 +83,7 @@ def _default_font(size: float) -> Any:
 
 @lru_cache(maxsize=512)
 def _named_font(name: str, size: float) -> Any:
-    """A font by the name of its file; None where there is none, or Pillow has no FreeType."""
+    """A font by its file name; None if it is missing or Pillow has no FreeType."""
     from PIL import ImageFont
 
     own = (files("motionkit") / "assets" / "fonts" / name).read_bytes() if name == OWN_FONT else None
@@ -94,13 +94,13 @@ def _named_font(name: str, size: float) -> Any:
 
 
 def _lacking(font: Any, words: str) -> set[str]:
-    """The letters of a text that a font does not have."""
+    """The letters of a text that a font lacks."""
     letters = {letter for letter in words if not letter.isspace()}
     from PIL import ImageFont
 
     if not isinstance(font, ImageFont.FreeTypeFont):
         return {letter for letter in letters if ord(letter) > 255}
-    single = font.font_variant(layout_engine=ImageFont.Layout.BASIC)  # no dotted circle under a mark
+    single = font.font_variant(layout_engine=ImageFont.Layout.BASIC)  # no dotted circle under marks
     box = _drawn(single, _NO_LETTER)
     return {letter for letter in letters if letter in _MARKS or _drawn(single, letter) == box}
 

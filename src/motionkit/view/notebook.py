@@ -1,4 +1,4 @@
-"""Motions in a notebook: the viewer as an HTML cell."""
+"""Shows motions in a notebook: the viewer in an HTML cell."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ MOST_HEIGHT = 2000  # pixels
 
 @dataclass(frozen=True)
 class Player:
-    """A page that plays motions, which a notebook shows as the result of a cell.
+    """A page that plays motions; a notebook shows it as the result of a cell.
 
     Attributes:
-        page: the HTML document; it needs no network.
-        height: of the frame around it, in pixels.
+        page: the HTML document; needs no network.
+        height: height of the frame in pixels.
     """
 
     page: str
     height: int
 
     def _repr_html_(self) -> str:
-        """What Jupyter asks for: the page in a frame of its own, so that neither can disturb the other."""
+        """The page for Jupyter, in an iframe, so that neither can disturb the other."""
         return (
             f'<iframe srcdoc="{html.escape(self.page, quote=True)}" title="motionkit player" '
             f'style="width: 100%; height: {self.height}px; border: 0" sandbox="allow-scripts"></iframe>'
@@ -38,13 +38,13 @@ def show(*motions: Motion, names: Sequence[str] = (), height: int = 420, control
     """Play motions in a notebook cell, side by side.
 
     Args:
-        motions: of any rig, unit and rate; one to 32.
-        names: what to call them; "motion 1", "motion 2" ... by default.
+        motions: motions of any rig, unit and frame rate; 1 to 32.
+        names: titles; by default "motion 1", "motion 2" ...
         height: height of the cell in pixels.
-        controls: show the timeline and the buttons of `motionkit view`; without them a click plays and pauses.
+        controls: show the timeline and buttons of `motionkit view`; without them, a click plays and pauses.
 
     Raises:
-        MotionkitError: no motions or too many, other names than motions, or an unlikely height.
+        MotionkitError: no motions or more than 32, a wrong number of names, or a height out of range.
     """
     shown = shown_motions(motions, names)
     if not 50 <= height <= MOST_HEIGHT:

@@ -26,9 +26,9 @@ from motionkit.view.surface import Array, Surface, point_normals
 if TYPE_CHECKING:
     from PIL import Image
 
-ZOOM = 2  # drawn larger by this factor and averaged down
+ZOOM = 2  # drawing scale before the picture is reduced
 GRID_REACH = 9  # lines on each side of the camera's target
-SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)
+SKY, GROUND, LINE = (238, 241, 245), (227, 231, 237), (200, 207, 216)  # RGB, 0 to 255
 SHIRTS = ((79, 134, 232), (232, 133, 61), (63, 174, 116), (168, 115, 222), (221, 85, 103), (43, 167, 172))
 SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm(
     [1.7, 5.6, 2.2]
@@ -37,7 +37,7 @@ SUN = np.array([1.7, 5.6, 2.2]) / np.linalg.norm(
 
 @dataclass(frozen=True, eq=False)
 class Actor:
-    """A motion prepared for drawing: rotations (T, J, 3, 3), places (T, J, 3) and hips (T, 3), in metres."""
+    """A motion prepared for drawing: rotations (T, J, 3, 3), positions (T, J, 3) and hips (T, 3), in metres."""
 
     shown: Shown
     color: tuple[int, int, int]
@@ -62,18 +62,18 @@ class Actor:
         return surface.colors(np.array(self.color, np.float64))[surface.triangles].mean(axis=1)
 
     def triangles(self, time: float) -> tuple[Array, Array]:
-        """World corners (F, 3, 3) at a time, with the floor at zero, and smoothed normals (F, 3)."""
+        """Corners (F, 3, 3) in the world at a time, with the floor at zero, and smoothed normals (F, 3)."""
         surface, pose, turns, places, figure = self._parts
         frame = frame_at(time, figure.fps, len(turns))
         points = surface.posed(pose.matrices_from(turns[frame], places[frame]))
         points[:, 1] -= 0.0 if figure.floor_is_zero else figure.floor
         corners = points[surface.triangles]
-        # Averaged over neighbours twice: from triangles to points and back.
+        # Normals are averaged from triangles to points and back.
         return corners, point_normals(points, surface.triangles)[surface.triangles].mean(axis=1)
 
 
 class Scenery:
-    """Motions side by side, with their camera."""
+    """Motions side by side, and their camera."""
 
     def __init__(self, shown: Sequence[Shown], width: int, height: int) -> None:
         self.pillow = load_pillow()
@@ -150,7 +150,7 @@ class Scenery:
             pen.line(way, fill=tuple(color), width=ZOOM)
 
     def shaded(self, bodies: list[tuple[Array, Array]], camera: Camera) -> tuple[Array, NDArray[np.uint8]]:
-        """Corners (F, 3, 2) and colours (F, 3) of the triangles that face the camera, from far to near."""
+        """Corners (F, 3, 2) and colours (F, 3) of triangles that face the camera, from far to near."""
         corners: list[Array] = []
         colors: list[NDArray[np.uint8]] = []
         for actor, (body, normals) in zip(self.actors, bodies, strict=True):
@@ -158,7 +158,7 @@ class Scenery:
             sides = np.diff(seen[..., :2], axis=1)
             facing = sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0] < 0.0
             skin = normals[facing]
-            # Ambient light, the sun, and some light from the camera, so that no side is dark.
+            # Ambient light, sun, and some light from the camera, so that no side is dark.
             light = 0.5 + 0.13 * skin[:, 1] + 0.42 * np.clip(skin @ self.sun, 0.0, 1.0)
             light += 0.16 * np.clip(skin @ camera.axes[2], 0.0, 1.0)
             colors.append(np.clip(actor.shades[facing] * light[:, None], 0, 255).astype(np.uint8))
@@ -169,13 +169,13 @@ class Scenery:
 
 
 def sunlight(angle: float) -> Array:
-    """Direction (3,) of the light for a camera at an angle: past its shoulder."""
+    """Direction (3,) of the light for a camera angle: from over the camera's shoulder."""
     sine, cosine = np.sin(angle - SIDE_ANGLE), np.cos(angle - SIDE_ANGLE)
     return np.array([SUN[0] * cosine + SUN[2] * sine, SUN[1], SUN[2] * cosine - SUN[0] * sine])
 
 
 def grid_step(distance: float) -> float:
-    """Distance in metres between the lines of the ground: 1, 2, 5, 10 ..., by the camera's distance."""
+    """Distance in metres between grid lines: 1, 2, 5, 10 ..., depending on the camera's distance."""
     wanted = max(1.0, distance / (2 * DISTANCE))
     ten = 10.0 ** np.floor(np.log10(wanted))
     return float(next(ten * step for step in (1.0, 2.0, 5.0, 10.0) if ten * step >= wanted))

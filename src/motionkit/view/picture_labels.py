@@ -16,14 +16,14 @@ if TYPE_CHECKING:
     from PIL import Image
 
 Color = tuple[int, int, int]
-SMALLEST = 12  # smallest font size in pixels
+SMALLEST = 12  # pixels, smallest font
 PAD = 4  # pixels around a name
 GAP = 2  # pixels between names
-LONGEST = 80  # most characters considered
+LONGEST = 80  # letters of a name before it is shortened
 
 
 class Labels:
-    """A tag for each motion: its name on the colour of its shirt."""
+    """A tag for each motion: its name in a box of its figure's colour."""
 
     def __init__(self, shown: Sequence[Shown], colors: Sequence[Color], width: int, height: int) -> None:
         image, image_draw, _ = load_pillow()
@@ -37,7 +37,7 @@ class Labels:
         self.height = max(tag.height for tag in self.tags) + GAP
 
     def draw(self, picture: Image.Image, points: Array) -> None:
-        """Draw the tags above points (N, 2) in pixels; overlapping tags are stacked."""
+        """Draw the tags above points (N, 2) in pixels; stack those that overlap."""
         taken: list[tuple[float, float, float, float]] = []
         for n in np.argsort(-points[:, 1], kind="stable"):
             tag = self.tags[n]
@@ -71,7 +71,7 @@ def _tag(image: Any, image_draw: Any, size: int, name: str, color: Color, most: 
 
 
 def _shortened(pen: Any, font: Any, name: str, most: float) -> tuple[str, tuple[float, ...]]:
-    """A name, shortened in its middle to fit, and its box."""
+    """A name, shortened in the middle to fit, and its bounding box."""
     name = name if len(name) <= LONGEST else f"{name[: LONGEST // 2]}{name[-LONGEST // 2 :]}"
     words, kept = name, len(name)
     while True:

@@ -8,18 +8,18 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.bvh import bvh_to_motion, read_bvh
 from motionkit.view.write import write_view
 
-SHOWN_ROUNDS = 4  # of evaluations; of more, the first and the last ones
+SHOWN_ROUNDS = 4  # evaluations; if there are more, the first and the last ones are shown
 
 
 class Preview:
-    """A page or sheet that grows with every evaluation: the roll-outs of each, after the recordings."""
+    """A page or sheet with the recordings and the roll-outs of each evaluation."""
 
     def __init__(self, file: Path, samples: Path) -> None:
         self.file, self.samples = file, samples
         self.rounds: list[tuple[int, list[Path]]] = []
 
     def grow(self, step: int) -> str:
-        """Write it anew with the samples of a step; returns what went wrong."""
+        """Rewrite the preview with the samples of a step; returns what failed, else an empty string."""
         kept = self.samples.parent / "preview"
         try:
             kept.mkdir(parents=True, exist_ok=True)
@@ -40,7 +40,7 @@ class Preview:
 
 
 def _type_and_step(file: Path) -> tuple[str, int]:
-    """Files of one type after each other: the recording, then the roll-outs by step."""
+    """Sort key that groups files by type: the recording, then roll-outs by step."""
     if file.stem.endswith("-true"):
         return file.stem.removesuffix("-true"), -1
     kind, _, step = file.stem.rpartition("-step-")

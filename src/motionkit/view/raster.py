@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from motionkit.view.surface import Array
 
-_AT_ONCE = 500_000  # pixels filled at a time, which limits memory
+_AT_ONCE = 500_000  # pixels filled at a time, to limit memory
 
 
 def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np.uint8]) -> None:
@@ -17,8 +17,8 @@ def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np
 
     Args:
         canvas: (H, W, C), changed in place.
-        corners: (F, 3, 2) x and y in pixels, in any orientation; triangles that are not finite are skipped.
-        colors: (F, C).
+        corners: (F, 3, 2) x and y in pixels, in either orientation; triangles that are not finite are skipped.
+        colors: (F, C) one colour per triangle.
     """
     height, width = canvas.shape[:2]
     with np.errstate(invalid="ignore"):
@@ -26,7 +26,7 @@ def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np
         highs = np.maximum(np.maximum(corners[:, 0], corners[:, 1]), corners[:, 2])
         first = np.maximum(np.ceil(lows - 0.5), 0.0)
         last = np.minimum(np.floor(highs - 0.5), [width - 1.0, height - 1.0])
-        # Comparisons are False for NaN.
+        # Comparisons with NaN are False.
         sides, areas = _sides(corners)
         seen = np.flatnonzero((last >= first).all(axis=1) & (areas > 0.0) & (areas < np.inf))
     tops, counts = first[seen, 1], (last - first)[seen, 1].astype(np.int64) + 1
@@ -41,12 +41,12 @@ def fill_triangles(canvas: NDArray[np.uint8], corners: Array, colors: NDArray[np
     pixels = canvas.reshape(height * width, -1)
     for part in _parts(lengths):
         run, within = _spread(lengths[part])
-        # The last of several assignments to a pixel wins.
+        # If a pixel is assigned several times, the last value remains.
         pixels[begins[part][run] + within] = paints[part][run]
 
 
 def _sides(corners: Array) -> tuple[Array, Array]:
-    """The sides (F, 3, 3) as lines a x + b y + c, non-negative inside, and twice the areas (F,)."""
+    """The sides (F, 3, 3) as lines a x + b y + c, non-negative inside, and twice the area (F,)."""
     after = corners[:, [1, 2, 0]]
     a, b = corners[..., 1] - after[..., 1], after[..., 0] - corners[..., 0]
     c = -(a * corners[..., 0] + b * corners[..., 1])
@@ -56,7 +56,7 @@ def _sides(corners: Array) -> tuple[Array, Array]:
 
 
 def _spans(sides: Array, y: Array) -> tuple[Array, Array]:
-    """Start and end of pixel rows (N,) at heights y inside triangles with sides (N, 3, 3)."""
+    """Start and end of pixel rows (N,) at heights y in triangles with sides (N, 3, 3)."""
     a = sides[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         crossings = -(sides[:, 1] * y[:, None] + sides[:, 2]) / a
@@ -69,7 +69,7 @@ def _spans(sides: Array, y: Array) -> tuple[Array, Array]:
 
 
 def _spread(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """For items with counts of parts: the item of each part, and the part's index within its item."""
+    """For items with counts of parts: each part's item, and its index within the item."""
     which = np.repeat(np.arange(len(counts)), counts)
     within = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
     return which, within

@@ -1,7 +1,7 @@
-"""One picture of a whole motion, as papers show their results.
+"""One picture of a whole motion, like the result figures of papers.
 
-Along a path the poses stand where they were, with the root's track beside the wanted path. Without one they stand in a
-row, from left to right.
+With a path, poses stand at their positions, and the root's track is drawn beside the requested path. Without one, poses
+stand in a row from left to right.
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ from motionkit.view.picture import SHIRTS, SKY, ZOOM, Actor, Scenery, grid_step,
 from motionkit.view.raster import fill_triangles
 from motionkit.view.surface import Array
 
-LIFT = 0.42  # radians the camera looks down
+LIFT = 0.42  # radians, downward pitch of the camera
 TRACK, PATH, INK = (34, 139, 76), (222, 130, 40), (40, 46, 58)
-NEAREST, FARTHEST = 4.0, 400.0  # m, distances of the camera that are tried
-STEP = 1.03  # from one of them to the next
+NEAREST, FARTHEST = 4.0, 400.0  # m, range of camera distances to try
+STEP = 1.03  # factor between distances
 APART = 0.95  # m between bodies in a row
-EDGE = 0.05  # share of the picture kept free on every side
-LINE_WIDTH = 4
+EDGE = 0.05  # free margin on every side, as a share of the picture
+LINE_WIDTH = 4  # pixels
 
 
 class StrobePicture(Scenery):
-    """A motion at several times in one picture, the bodies coloured by motion type.
+    """A motion at several times in one picture; bodies are coloured by motion type.
 
-    shown.types gives the types and their seconds, shown.path a wanted path in cm.
+    shown.types gives the types and their seconds, shown.path a requested path in cm.
     """
 
     def __init__(self, shown: Shown, poses: int = 14, width: int = 1600, height: int = 640) -> None:
@@ -69,7 +69,7 @@ class StrobePicture(Scenery):
         return self.shown.types[min(int(np.searchsorted(ends, time)), len(ends) - 1)][0]
 
     def draw(self) -> Any:
-        """Return the picture, a PIL image."""
+        """The picture, a PIL image."""
         image, image_draw, _ = self.pillow
         bodies = []
         for actor, time, place in zip(self.actors, self.times, self.places, strict=True):
@@ -89,7 +89,7 @@ class StrobePicture(Scenery):
         return picture
 
     def _legend(self, pen: Any) -> None:
-        """Write the motion's name, and the types in their colours."""
+        """Write the motion's name, and each type in its colour."""
         x, y = 16, 12
         name, font = lettered(self.shown.name, 20)
         pen.text((x, y), name, fill=INK, font=font)
@@ -114,18 +114,18 @@ def write_strobe(path: str | Path, shown: Shown, poses: int = 14) -> None:
 
 
 def _on_ground(points: Array) -> Array:
-    """Points (N, 2) x, z as (N, 3) at height 0."""
+    """Points (N, 2) x, z, as (N, 3) at height 0."""
     return np.stack([points[:, 0], np.zeros(len(points)), points[:, 1]], axis=-1)
 
 
 def _in_a_row(hips: Array) -> Array:
-    """Shifts (N, 3) that place bodies with hips (N, 3) side by side along +X."""
+    """Shifts (N, 3) that put bodies with hips (N, 3) side by side along +X."""
     row = np.arange(len(hips))[:, None] * np.array([APART, 0.0, 0.0])
     return row - hips * [1.0, 0.0, 1.0]
 
 
 def _longer_way(track: Array) -> Array:
-    """The direction (3,) along the ground in which a track (T, 3) is longest, from its start to its end."""
+    """The ground direction (3,) in which a track (T, 3) is longest, pointing from its start to its end."""
     flat = track[:, [0, 2]] - track[:, [0, 2]].mean(axis=0)
     _, _, ways = np.linalg.svd(flat, full_matrices=False)
     way = np.array([ways[0, 0], 0.0, ways[0, 1]])
@@ -133,7 +133,7 @@ def _longer_way(track: Array) -> Array:
 
 
 def _camera(points: Array, right: Array, size: Sequence[int]) -> Camera:
-    """The nearest camera that has all points in its picture, and a direction on the ground to the right."""
+    """The nearest camera that sees all points and looks across the ground direction `right`."""
     level = np.cross(right, [0.0, 1.0, 0.0])
     back = np.cos(LIFT) * level + np.sin(LIFT) * np.array([0.0, 1.0, 0.0])
     axes = np.stack([right, np.cross(back, right), back])

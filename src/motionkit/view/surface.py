@@ -1,4 +1,4 @@
-"""Closed meshes skinned to joints: rings of points along a line, connected to a surface that bends with the joints."""
+"""Closed meshes skinned to joints: rings of points along a line, joined to a surface that bends with the joints."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _CAP = 4  # rings per rounded end
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A skinned mesh: V points and F triangles in one pose of a skeleton.
+    """A skinned mesh: V points and F triangles, in one pose of a skeleton.
 
     Attributes:
-        points: (V, 3) in the pose in which the surface was made.
-        triangles: (F, 3) indices, counterclockwise seen from outside.
-        joints: (V, 4) the joints that move a point; a joint of weight 0 may be any.
-        weights: (V, 4) their weights, which add up to 1.
-        tints: (V, 5) the share of each of TINTS in a point's colour; they add up to 1.
+        points: (V, 3) positions in the pose in which the surface was made.
+        triangles: (F, 3) point indices, counterclockwise from outside.
+        joints: (V, 4) joints that move a point; a joint of weight 0 may be any.
+        weights: (V, 4) weights of those joints, which add up to 1.
+        tints: (V, 5) shares of the TINTS in a point's colour, which add up to 1.
     """
 
     points: Array
@@ -32,21 +32,21 @@ class Surface:
     tints: Array
 
     def posed(self, matrices: Array) -> Array:
-        """The points (V, 3) after joint j has moved by matrices[j], affine (J, 3, 4), from the original pose."""
+        """The points (V, 3) after each joint j has moved by the affine matrices[j]; matrices (J, 3, 4)."""
         whole = np.concatenate([self.points, np.ones((len(self.points), 1))], axis=1)
         blended = np.einsum("vk,vkij->vij", self.weights, matrices[self.joints])
         moved: Array = np.einsum("vij,vj->vi", blended, whole)
         return moved
 
     def colors(self, color: Array) -> Array:
-        """Colours (V, 3) of the points for a figure's own colour (3,), in the same scale (0 to 255)."""
+        """Colours (V, 3) of the points for a figure's colour (3,), in the same scale (0 to 255)."""
         table = np.array([(1 - share) * color + share * np.array(other) for other, share in SHADES.values()])
         shades: Array = self.tints @ table
         return shades
 
 
 def joined(first: Surface, second: Surface) -> Surface:
-    """Two surfaces of one pose as one."""
+    """Two surfaces in the same pose as one."""
     return Surface(
         np.concatenate([first.points, second.points]),
         np.concatenate([first.triangles, second.triangles + len(first.points)]),
@@ -57,7 +57,7 @@ def joined(first: Surface, second: Surface) -> Surface:
 
 
 def point_normals(points: Array, triangles: NDArray[np.int64]) -> Array:
-    """Unit normals (V, 3) of points (V, 3): the mean of their triangles' normals, weighted by area."""
+    """Unit normals (V, 3) of points (V, 3): the means of their triangles' normals, weighted by area."""
     corners = points[triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     spread = [np.bincount(triangles.ravel(), np.repeat(n, 3), len(points)) for n in normals.T]
@@ -65,7 +65,7 @@ def point_normals(points: Array, triangles: NDArray[np.int64]) -> Array:
     return skin / np.maximum(np.linalg.norm(skin, axis=-1, keepdims=True), 1e-12)
 
 
-# Parts of a body by colour: another colour, and its share beside the figure's own.
+# Tints of body parts: a second colour, and its share in the mix with the figure's colour.
 SHADES = {
     "body": ((0, 0, 0), 0.0),
     "leg": ((42, 48, 64), 0.68),
@@ -78,7 +78,7 @@ TINTS = tuple(SHADES)
 
 @dataclass(frozen=True, eq=False)
 class Ring:
-    """An ellipse: middle (3,), half axes a and b (3,), the joints that move it, and a tint of its own or None."""
+    """An ellipse: middle (3,), half axes a and b (3,), the joints that move it, and its tint or None."""
 
     middle: Array
     a: Array
@@ -89,7 +89,7 @@ class Ring:
 
 
 class SurfaceBuilder:
-    """Combines closed pieces to one surface."""
+    """Combines closed pieces into one surface."""
 
     def __init__(self) -> None:
         self._points: list[Array] = []
@@ -100,11 +100,11 @@ class SurfaceBuilder:
 
     @property
     def parts(self) -> bool:
-        """Whether anything was added."""
+        """Whether any piece was added."""
         return bool(self._points)
 
     def loft(self, rings: Sequence[Ring], tint: str = "body") -> None:
-        """Add a closed skin over rings, in order from one end to the other; a x b points to the next ring."""
+        """Add a closed skin over rings, in order from end to end; a x b points to the next ring."""
         angles = np.linspace(0.0, 2 * np.pi, RING, endpoint=False)
         first = len(self._weights)
         for ring in rings:
@@ -130,7 +130,7 @@ class SurfaceBuilder:
         self._tints += [TINTS.index(ring.tint or tint)] * len(points)
 
     def surface(self) -> Surface:
-        """The surface of all pieces."""
+        """All pieces as one surface."""
         pairs, second = np.array(self._joints, dtype=np.int64), np.array(self._weights)
         spare = np.zeros_like(second)
         return Surface(
@@ -151,10 +151,10 @@ class SurfaceBuilder:
         """Add a rounded limb along joints.
 
         Args:
-            path: points (3,) from the near to the far end, each with the joint that moves the bone after it.
-            profile: (share of the length, half width, half depth, shift to the front), shares
-                rising from 0 to 1; rounded ends extend beyond the path.
-            front: (3,) direction of the depth.
+            path: points (3,) from the near end to the far end, each with the joint that moves the bone after it.
+            profile: (share of the length, half width, half depth, forward shift); shares rise from 0 to 1, and rounded
+                ends extend beyond the path.
+            front: (3,) direction of the depth axis.
         """
         points = np.array([point for point, _ in path])
         lengths = np.linalg.norm(np.diff(points, axis=0), axis=-1)
@@ -174,7 +174,7 @@ class SurfaceBuilder:
 
 
 def rounded(rings: list[Ring], along: Array) -> list[Ring]:
-    """Add half an ellipsoid before the first and after the last ring."""
+    """Add half an ellipsoid before the first ring and after the last."""
 
     def cap(ring: Ring, direction: float) -> list[Ring]:
         reach = float(np.sqrt(np.linalg.norm(ring.a) * np.linalg.norm(ring.b)))
@@ -195,13 +195,13 @@ def rounded(rings: list[Ring], along: Array) -> list[Ring]:
 
 
 def unit(vector: Array, otherwise: Array) -> Array:
-    """The direction of a vector (3,), or `otherwise` if its length is zero."""
+    """The direction of a vector (3,); `otherwise` if its length is zero."""
     length = float(np.linalg.norm(vector))
     return vector / length if length > 1e-9 else otherwise
 
 
 def cross_axes(along: Array, front: Array) -> tuple[Array, Array]:
-    """Unit axes across and front, perpendicular to along; across x front is along."""
+    """Unit axes across and front, both perpendicular to along; across x front is along."""
     depth = front - (front @ along) * along
     if np.linalg.norm(depth) < 1e-3:
         spare = np.eye(3)[int(np.argmin(np.abs(along)))]

@@ -1,4 +1,4 @@
-"""The viewer file: a self-contained HTML file with motions and the page that plays them."""
+"""Viewer pages: a self-contained HTML file that plays its motions."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from motionkit.errors import MotionkitError
 from motionkit.files import atomic_write
 from motionkit.view.figure_data import Shown, figure_data
 
-MAX_MOTIONS = 32
+MAX_MOTIONS = 32  # per page
 
 
 def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> str:
-    """The text of an HTML page that plays the motions; it opens from disk and needs no network.
+    """The HTML of a page that plays the motions; it opens from disk and needs no network.
 
-    bare leaves out the controls, for a small frame in another page; a click then plays or pauses.
+    bare omits the controls, for a small frame in another page; a click then plays or pauses.
 
     Raises:
         MotionkitError: there are no motions, or more than 32.
@@ -35,19 +35,19 @@ def viewer_page(shown: Sequence[Shown], title: str = "", bare: bool = False) -> 
 
 
 def write_viewer(path: str | Path, shown: Sequence[Shown], title: str = "") -> None:
-    """Write a viewer file, atomically."""
+    """Write a viewer page, atomically."""
     page = viewer_page(shown, title)
     with atomic_write(path) as file:
         file.write(page)
 
 
 def fill_page(name: str, data: dict[str, Any]) -> str:
-    """A built page with its data."""
-    # Escaped, so that no name can end the element with the data.
+    """A built page, filled with its data."""
+    # Escape "<", so that no name can close the data's script element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return page_asset(name).replace("__DATA__", text)
 
 
 def page_asset(name: str) -> str:
-    """One of the built pages of the package (web/README.md says how to build them)."""
+    """A built page of the package (web/README.md explains how to build it)."""
     return (files("motionkit") / "assets" / "web" / name).read_text("utf-8")

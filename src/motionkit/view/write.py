@@ -1,4 +1,4 @@
-"""Motions as a page, a picture or a film: the ending of the file says which."""
+"""Writes motions as a page, a picture or a film, depending on the file's ending."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from motionkit.errors import MotionkitError
 from motionkit.motion.motion import Motion
 from motionkit.view.figure_data import Shown, shown_motions
 
-SHEET_WIDTH = 1800  # pixels
+SHEET_WIDTH = 1800  # pixels, default width of a contact sheet
 
 
 def write_view(
@@ -18,12 +18,12 @@ def write_view(
     """Write motions as a page that plays them (.html), a contact sheet (.png), a GIF or a film (.mp4).
 
     Args:
-        path: the file; its ending says what it is.
-        motions: of any rig and rate.
-        names: captions; "motion 1", "motion 2" ... by default.
+        path: file to write; its ending chooses the kind.
+        motions: motions of any rig and frame rate.
+        names: titles; by default "motion 1", "motion 2" ...
         width: in pixels; by default 1800 for a sheet, 480 for a GIF and 960 for a film.
 
-    Raises MotionkitError for another ending, and without Pillow for pictures (`pip install 'motionkit[view]'`).
+    Raises MotionkitError for other endings, and for pictures without Pillow (`pip install 'motionkit[view]'`).
     """
     write_shown(path, shown_motions(motions, names or ()), width)
 
@@ -36,12 +36,12 @@ def write_shown(
     every: int | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> None:
-    """As write_view, with what is shown of each motion.
+    """Like write_view, for motions with names, types and paths.
 
     Args:
-        poses: of each motion on a contact sheet.
-        every: one pose every so many frames instead.
-        progress: called with the number of frames of a film drawn and of all frames.
+        poses: stick figures per motion on a contact sheet.
+        every: frames between stick figures; replaces poses.
+        progress: called with the number of film frames drawn and the number of all frames.
     """
     kind = Path(path).suffix.lower()
     if kind == ".html":

@@ -1,8 +1,8 @@
-// A recording as a BVH file, with the digits that motionkit writes (motion/bvh.py), which has made its hierarchy.
+// Writes a recording as a BVH file, with as many digits as motion/bvh.py, which made the hierarchy text.
 
 const DEGREES = 180 / Math.PI;
 
-/** @param {{hierarchy: string, order: number[]}} bvh joints in the order of their channels @param {{root: Float32Array, rotations: Float32Array}[]} frames in cm */
+/** The text of a BVH file. @param {{hierarchy: string, order: number[]}} bvh joints in channel order @param {{root: Float32Array, rotations: Float32Array}[]} frames in cm */
 export function bvhText({ hierarchy, order }, frames, fps) {
   const lines = ["MOTION", `Frames: ${frames.length}`, `Frame Time: ${Number((1 / fps).toPrecision(9))}`];
   const angles = order.map(() => null);
@@ -17,7 +17,7 @@ export function bvhText({ hierarchy, order }, frames, fps) {
   return `${hierarchy}${lines.join("\n")}\n`;
 }
 
-// Angles about Z, Y and X of a quaternion; of two equivalent triples, the one nearer to that of the frame before.
+// Angles about Z, Y and X of a quaternion; of the two equivalent triples, the one closer to the previous frame's.
 function eulers([w, x, y, z], before) {
   const [a00, a10] = [1 - 2 * (y * y + z * z), 2 * (x * y + w * z)];
   const last = Math.atan2(2 * (y * z + w * x), 1 - 2 * (x * x + y * y));

@@ -1,15 +1,15 @@
-// A user's wishes as the controls of every frame: Python's Driver (control/drive.py).
+// Converts requests to the controls of every frame, like Python's Driver (control/drive.py).
 
 import { free, typeNumber } from "./kernel.js";
 import { Follower } from "./path.js";
 import { FirstSteps, Player } from "./player.js";
 import { STANDS_BELOW, Springs, nearestWish, stands, steeredType } from "./springs.js";
 
-const [BLEND, DEFAULT_SECONDS] = [12, 2]; // frames; of a performance of a type that has no length of its own
+const [BLEND, DEFAULT_SECONDS] = [12, 2]; // frames of a change of type; default seconds of a performance
 const NOTHING = { velocity: [0, 0], facing: null, type: null };
 
 export class Driver {
-  /** @param {object} model of readModel @param {number} choice picks among recordings */
+  /** @param {object} model result of readModel @param {number} choice chooses among recordings */
   constructor(model, choice = 0) {
     const type = typeNumber(model, model.start);
     Object.assign(this, { model, choice, wish: NOTHING, type, springs: new Springs(model.fps), player: new Player(model, choice), played: -1 });
@@ -18,27 +18,27 @@ export class Driver {
     Object.assign(this, { from: this.weights, target: type, blended: BLEND });
   }
 
-  /** Obeys another wish: {velocity: [x, z] cm/s or null, facing: radians or null, type: name or null}. */
+  /** Sets a new wish: {velocity: [x, z] cm/s or null, facing: radians or null, type: name or null}. */
   set({ velocity, facing, type = null }) {
     this.#known(type);
     this.wish = { velocity, facing, type };
     this.follower = null;
   }
 
-  /** Follows a path as Follower takes it; at its end the character stands. */
+  /** Follows a path (arguments as for Follower); the character stands at its end. */
   follow(path) {
     this.#known(path.type);
     this.follower = new Follower(this.model, path, this.choice);
     this.wish = NOTHING;
   }
 
-  /** Shows a type once, then goes back to the wish. One waits until the present one is over. */
+  /** Performs a type once, then returns to the wish. A second performance waits for the first to end. */
   perform(type, choice = 0, seconds = DEFAULT_SECONDS) {
     this.#known(type);
     this.waiting = [typeNumber(this.model, type), seconds, choice];
   }
 
-  /** Controls of a frame, which counts up by one at each call, for a body at [x, z, heading]. */
+  /** The controls of a frame for a body at [x, z, heading]; frame must increase by one per call. */
   controls(frame, ground) {
     this.#takeTurns(frame);
     const shown = this.performance;
@@ -48,7 +48,7 @@ export class Driver {
     return { ...asked, weights: this.#blend(kind, asked.weights) };
   }
 
-  // Ends a performance that is over, begins the one that waits, and repeats one the wish holds on to.
+  // Ends a finished performance, begins the next one, or repeats the performance that the wish holds.
   #takeTurns(frame) {
     const over = this.performance;
     if (over && frame < over.begins + over.controls.length) return;
@@ -62,7 +62,7 @@ export class Driver {
     const player = new Player(model, choice);
     player.begin(type, Math.hypot(...this.springs.velocity));
     const length = player.track?.performance || Math.max(1, Math.round((model.types[type].seconds || seconds) * model.fps));
-    // Weights cross the middle of their blend as the first frame is due, as they do in training.
+    // The blend is half done at the performance's first frame, as in training.
     const begins = over && over.type === type ? frame : frame + BLEND / 2;
     this.performance = { type, begins, controls: Array.from({ length }, () => player.next()) };
   }
@@ -83,13 +83,13 @@ export class Driver {
     return [kind, this.firstSteps.shown(kind, { ...free(model, kind), trajectory, slip })];
   }
 
-  // Whether this frame is the first of a gait after standing.
+  // Whether the character starts a gait from standing in this frame.
   #goesFromStanding(kind) {
     const { types } = this.model;
     return !stands(types[kind]) && this.target !== null && stands(types[this.target]);
   }
 
-  // A type with its reference clips, for as long as it is wished.
+  // The controls of a type with reference recordings.
   #recorded(kind, trajectory = null) {
     if (kind !== this.played) this.player.begin(kind, Math.hypot(...(trajectory ? this.wish.velocity : this.springs.velocity)));
     this.played = kind;
@@ -97,14 +97,14 @@ export class Driver {
     return [kind, trajectory ? asked : { ...asked, trajectory: null }];
   }
 
-  // A path has a target of its own, so that leaving it blends.
+  // The controls of a path; its target is null, so that leaving the path blends.
   #follow(ground) {
     const asked = this.follower.controls(ground);
     if (this.follower.arrived) Object.assign(this, { follower: null, wish: NOTHING });
     return [null, asked];
   }
 
-  // The controls of a performance; before its first frame is due and in its last ones, only some of them.
+  // The controls of a performance. Before its first frame and near its end, only part of them apply.
   #show(shown, frame, kind, otherwise) {
     const at = frame - shown.begins;
     const { trajectory, slip } = otherwise;
@@ -112,13 +112,13 @@ export class Driver {
     let asked = { ...shown.controls[at], slip };
     if (at < shown.controls.length - BLEND / 2) kind = shown.type;
     else asked.weights = otherwise.weights;
-    // A standing character that kicks is not held in place; a moving one keeps its trajectory.
+    // A standing character can travel during a performance; a moving one keeps its trajectory.
     const moves = this.follower !== null || Math.hypot(...(this.wish.velocity ?? [0, 0])) >= STANDS_BELOW;
     if (!asked.trajectory && moves) asked = { ...asked, trajectory };
     return [kind, asked];
   }
 
-  // Type weights on their way to a goal, which they reach within BLEND frames of a change of kind.
+  // Type weights, blended linearly to the goal within BLEND frames of a change of kind.
   #blend(kind, goal) {
     if (kind !== this.target) Object.assign(this, { from: this.weights, target: kind, blended: 0 });
     this.blended += 1;

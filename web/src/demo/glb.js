@@ -1,11 +1,11 @@
-// A recording as a skinned figure in glTF: the body that the page draws, and its motion.
+// Writes a recording as binary glTF: the body that the page draws, and its motion.
 
 import { AnimationClip, Bone, Group, Matrix4, MeshStandardMaterial, QuaternionKeyframeTrack, Skeleton, SkinnedMesh, VectorKeyframeTrack } from "three";
 import { GLTFExporter } from "three/examples/jsm/exporters/GLTFExporter.js";
 
 const CM = 0.01;
 
-/** The bytes of a .glb: @param {import("../lib/figure.js").Figure} figure @param {{root: Float32Array, rotations: Float32Array}[]} frames in cm */
+/** The bytes of a .glb file. @param {import("../lib/figure.js").Figure} figure @param {{root: Float32Array, rotations: Float32Array}[]} frames in cm */
 export async function glbBytes(figure, frames, fps) {
   const { rig } = figure;
   const bones = rig.names.map((name, joint) => {
@@ -27,7 +27,7 @@ export async function glbBytes(figure, frames, fps) {
   return new GLTFExporter().parseAsync(whole, { binary: true, animations });
 }
 
-// A joint's rotations x, y, z, w, of two that are the same the one nearer to that before.
+// A joint's rotations x, y, z, w; of two equivalent quaternions, the one closer to the previous frame's.
 function turns(frames, joint) {
   const out = [];
   for (const { rotations } of frames) {

@@ -1,17 +1,17 @@
-// The C kernels as WebAssembly, and characters that they move on frame by frame.
+// Runs the C kernels as WebAssembly and advances characters frame by frame.
 //
-// What Python's RolloutState and CharacterStream do around the kernels is here; the memory they work on comes ready from
-// the model file (kernel_image.py): addresses of arrays are those in model.addresses.
+// Does the same as Python's RolloutState and CharacterStream around the kernels. The kernels' memory comes from the
+// model file (kernel_image.py); model.addresses has the addresses of its arrays.
 
 import { stands } from "./springs.js";
 
-const PAGE = 65536;
+const PAGE = 65536; // bytes of a page of WebAssembly memory
 const NEITHER = () => 0;
 
 export class Kernel {
-  /** @param {WebAssembly.Module} module @param {object} model of readModel @param {number} most characters */
+  /** Compiles to a kernel with memory for `most` characters. @param {WebAssembly.Module} module @param {object} model result of readModel */
   static async from(module, model, most) {
-    // The C library would ask for random numbers, which no kernel uses.
+    // The C library imports random_get, which no kernel calls.
     const { exports } = await WebAssembly.instantiate(module, { wasi_snapshot_preview1: { random_get: NEITHER } });
     const kernel = Object.assign(new Kernel(), { run: exports, model, most });
     if (exports.__heap_base.value > model.base) throw new Error("the model file does not fit the kernels");
@@ -19,7 +19,7 @@ export class Kernel {
     kernel.size = roundUp(own.length, 64);
     kernel.first = roundUp(model.base + shared.length, 64);
     kernel.scratch = kernel.first + most * kernel.size;
-    const bytes = kernel.scratch + 4 * PAGE; // scratch_size can only be asked for in memory that is there
+    const bytes = kernel.scratch + 4 * PAGE; // before the call of scratch_size, which needs its memory
     exports.memory.grow(Math.max(0, Math.ceil((bytes - exports.memory.buffer.byteLength) / PAGE)));
     kernel.bytes().set(shared, model.base);
     const scratch = 4 * Number(exports.scratch_size(model.addresses.program, 1n));
@@ -32,9 +32,9 @@ export class Kernel {
   }
 }
 
-/** One character in the kernels' memory. */
+/** A character in the kernels' memory. */
 export class Character {
-  /** @param {Kernel} kernel @param {number} slot its place among the characters @param {(out: Float32Array) => void} normals fills with standard normal numbers */
+  /** @param {Kernel} kernel @param {number} slot index among the characters @param {(out: Float32Array) => void} normals fills an array with standard normal numbers */
   constructor(kernel, slot, normals) {
     const { model } = kernel;
     Object.assign(this, { kernel, model, normals, at: kernel.first + slot * kernel.size });
@@ -57,7 +57,7 @@ export class Character {
     this.noiseSize = null;
   }
 
-  /** Stands anew at a place [x, z, heading] in cm and radians, after the frames of the model's start pose. */
+  /** Restarts from the model's start pose at [x, z, heading] in cm and radians. */
   start(place) {
     const { kernel, model } = this;
     kernel.bytes(this.at).set(model.arrays.own);
@@ -69,7 +69,7 @@ export class Character {
     this.smooth.set(this.noise);
   }
 
-  /** How large the noise is, in standard deviations. */
+  /** Sets the noise temperature, in standard deviations. */
   set temperature(size) {
     this.noiseSize = size;
     this.words.setFloat32(this.model.addresses.draw + this.model.fields.temperature, size, true);
@@ -81,10 +81,10 @@ export class Character {
     return [Math.fround(place[0] + carry[0]), Math.fround(place[1] + carry[1]), place[2]];
   }
 
-  /** One frame on, by controls as Driver makes them; then rotations, root, positions and contacts are those of it. */
+  /** Computes one frame from controls of Driver; the results are in rotations, root, positions and contacts. */
   step(asked) {
     const { kernel, model, mean } = this;
-    // Feet hold the root of all but standing bodies: root_hold in Python.
+    // The root-slip correction acts on all bodies but standing ones, like root_hold in Python.
     const moving = model.types.reduce((sum, type, i) => (stands(type) ? sum : sum + asked.weights[i]), 0);
     this.feet_hold[0] = asked.slip * moving;
     const share = this.#ask(asked);
@@ -95,7 +95,7 @@ export class Character {
     kernel.run.pose_frames(this.at + model.addresses.pose, 1n);
   }
 
-  // Takes in controls: the control vector, and how the types' frames are drawn; the logarithm of the noise's share.
+  // Writes the control vector and the sampling presets of the types; returns the logarithm of the noise scale.
   #ask({ weights, trajectory, phase, reference, gain, slip }) {
     const { controls: out, model, x } = this;
     const { controls: columns, arrays } = model;
@@ -125,7 +125,7 @@ export class Character {
     return Math.log(Math.max(presets[0], 1e-6));
   }
 
-  // The network's step: from the frame in x and contacts to the Gaussian of the next.
+  // Runs the network: from the frame in x and contacts to the Gaussian of the next frame.
   #step() {
     const { kernel, model, recent, row, x, mean, last, words } = this;
     const { addresses, fields } = model;
@@ -144,14 +144,14 @@ export class Character {
   }
 }
 
-/** Controls of a type alone: no trajectory, phase or reference. */
+/** Controls of a type without trajectory, phase or reference. */
 export function free(model, type) {
   const weights = new Float32Array(model.types.length);
   weights[type] = 1;
   return { weights, trajectory: null, phase: -1, reference: null, gain: 0, slip: 1 };
 }
 
-/** The number of a type by its name. */
+/** The index of a type by its name. */
 export function typeNumber(model, name) {
   return model.types.findIndex((type) => type.name === name);
 }
@@ -160,7 +160,7 @@ function roundUp(value, step) {
   return Math.ceil(value / step) * step;
 }
 
-/** A function that fills arrays with standard normal numbers by a seed: mulberry32, and the Box-Muller transform. */
+/** A function that fills arrays with standard normal numbers from a seed (mulberry32 and Box-Muller). */
 export function normals(seed) {
   let state = Math.imul(seed, 0x9e3779b9);
   const uniform = () => {

@@ -1,14 +1,14 @@
-// What the page of `motionkit play` asks of a server, done in the page itself: the listeners and methods of play/link.js.
+// Replaces the server of `motionkit play` within the page; has the listeners and methods of play/link.js.
 
 import { bvhText } from "./bvh.js";
 import { glbBytes } from "./glb.js";
 import { World } from "./world.js";
 
 const CLIENT = 1;
-const [CATCH_UP, BUDGET] = [15, 30]; // frames and ms at most between two pictures
-const MOST_RECORDED = 5 * 60; // seconds
+const [CATCH_UP, BUDGET] = [15, 30]; // most frames and ms of computing between two pictures
+const MOST_RECORDED = 5 * 60; // seconds of a recording
 const LIMITS = { messages_per_second: 120, path_points: 500 };
-const KEPT = ["wish", "perform", "path", "stroll", "noise", "reset", "remove", "add"]; // what a link replays
+const KEPT = ["wish", "perform", "path", "stroll", "noise", "reset", "remove", "add"]; // requests that a link replays
 
 export class LocalLink {
   /**
@@ -19,7 +19,7 @@ export class LocalLink {
     Object.assign(this, { listeners, bodies, seq: 0, replayed: [], stepMs: 0, behind: false });
   }
 
-  /** Begins: what is to be replayed are [frame, request] of a link. */
+  /** Starts the session; replayed lists the [frame, request] of a link. */
   begin(kernel, seed, replayed = []) {
     const { model } = kernel;
     this.model = model;
@@ -41,17 +41,17 @@ export class LocalLink {
     return this.bodies[name];
   }
 
-  /** Whether requests of a link are still to come. */
+  /** Whether requests of a link remain to be replayed. */
   get replays() {
     return this.replayed.length > 0;
   }
 
-  /** Does what is asked from the next frame on; returns its number. */
+  /** Carries out a request from the next frame on; returns its number. */
   ask(what, fields = {}, counted = false) {
     if (!this.hello || what === "ping") return null;
     if (what === "record") this.#record(fields);
     else if (KEPT.includes(what)) {
-      this.replayed = []; // whoever touches the controls takes over
+      this.replayed = []; // a request by the user ends the replay
       this.#obey({ do: what, ...rounded(fields) });
     }
     if (!counted) return this.seq;
@@ -61,7 +61,7 @@ export class LocalLink {
     return this.seq;
   }
 
-  /** The two frames to show between at a moment (seconds), and how far between; makes those that are due. */
+  /** The two frames around a time (seconds) and the fraction between them; computes frames that are due. */
   around(now) {
     if (!this.hello) return null;
     this.began ??= now - this.period * (this.after.number - 1);
@@ -69,7 +69,7 @@ export class LocalLink {
     const begun = performance.now();
     for (let made = 0; this.after.number < due + 1; made++) {
       if (made === CATCH_UP || performance.now() - begun > BUDGET) {
-        this.began = now - this.period * (this.after.number - 1); // time goes slower than motion can be made
+        this.began = now - this.period * (this.after.number - 1); // slow down time, because motion cannot be made fast enough
         break;
       }
       this.before = this.after;
@@ -128,7 +128,7 @@ export class LocalLink {
     this.listeners.event({ event: "recorded", character, url, format: "bvh", others, seconds: recorded.length / fps });
   }
 
-  // Says so once the machine makes fewer frames than are due, and once it keeps up again.
+  // Sends a pace event when the machine falls behind or catches up.
   #pace(now) {
     const { number } = this.after;
     this.paced ??= { now, number };
@@ -144,7 +144,7 @@ export class LocalLink {
 
 const addressOf = (content) => URL.createObjectURL(new Blob([content], { type: "application/octet-stream" }));
 
-// Numbers as a link keeps them, so that it replays what was done.
+// Rounds numbers as links store them, so that a replay gives the same motion.
 function rounded(value) {
   if (typeof value === "number") return Math.round(value * 1e3) / 1e3;
   if (Array.isArray(value)) return value.map(rounded);

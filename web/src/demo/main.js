@@ -1,4 +1,4 @@
-// The page of `motionkit demo`: the live page with the model in it, without a server.
+// The page of `motionkit demo`: the live page with the model inside, without a server.
 
 import { button, element } from "../lib/dom.js";
 import { Play, open } from "../play/play.js";
@@ -12,11 +12,11 @@ document.getElementById("figures").hidden = true;
 const notice = document.getElementById("notice");
 const still = matchMedia("(prefers-reduced-motion: reduce)");
 
-// Begun before anything else: they take longest.
+// Loading starts first, because it takes longest.
 const loaded = Promise.all([fetched("motionkit.wasm").then((bytes) => WebAssembly.compile(bytes)), fetched("model.bin").then(readModel)]);
 let damaged = false;
 const replayed = readAddress(location.href).catch(() => ((damaged = true), null));
-addEventListener("hashchange", () => location.reload()); // another link in the same tab
+addEventListener("hashchange", () => location.reload()); // another link, opened in the same tab
 
 async function fetched(name) {
   const answer = await fetch(name);

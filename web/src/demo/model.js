@@ -1,4 +1,4 @@
-// Reads the model file that page_model.py writes: a header, and deflated arrays whose bytes are sorted.
+// Reads the model file of page_model.py: a header, and deflated arrays with reordered bytes.
 
 /** The header of the file, and its arrays by name: bytes as Uint8Array, numbers as Float32Array. */
 export async function readModel(buffer) {
@@ -18,7 +18,7 @@ async function inflated(bytes) {
   return new Uint8Array(await new Response(stream).arrayBuffer());
 }
 
-// The first bytes of all numbers of so many bytes, then the second ones and so on, as numbers again.
+// Restores numbers of `width` bytes from all first bytes, then all second bytes, and so on.
 function unsorted(bytes, width) {
   const count = bytes.length / width;
   const out = new Uint8Array(bytes.length);
@@ -26,7 +26,7 @@ function unsorted(bytes, width) {
   return out;
 }
 
-// Columns of differences of whole numbers, as rows of numbers of a step.
+// Restores rows of numbers from columns of integer differences, in units of step.
 function summed(differences, columns, step) {
   const rows = differences.length / columns;
   const out = new Float32Array(differences.length);

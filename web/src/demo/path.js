@@ -1,20 +1,20 @@
-// A path, and the controls that follow it, as Python's Path2D and PathFollower make them of a path of one type.
+// Follows a path of one type, like Python's Path2D and PathFollower.
 
 import { free, typeNumber } from "./kernel.js";
 import { FirstSteps, Player, askedSpeed } from "./player.js";
 import { RUN_SPEED, TRAJECTORY, WALK_SPEED, stands, steeredType, turned } from "./springs.js";
 
-const SPACING = 2; // cm between the points of a path
-const [AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [60, 20, 130, 10, 8]; // cm and cm/s
-const [SHARP, TURN_SPEED, BESIDE_TURN] = [-0.8, 30, 3];
-const TOO_SLOW = 0.99; // of the slowest recorded speed of a run, below which a body walks
-const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5];
+const SPACING = 2; // cm between points of a path
+const [AHEAD, SLOWEST, DEFAULT_SPEED, CREEP, ARRIVED] = [60, 20, 130, 10, 8]; // cm searched ahead for the nearest point; cm/s at least, by default and at stops; cm before a stop
+const [SHARP, TURN_SPEED, BESIDE_TURN] = [-0.8, 30, 3]; // cosine of a sharp turn; cm/s in it; points on either side that show it
+const TOO_SLOW = 0.99; // share of a run's slowest recorded speed, below which the body walks
+const [ACCELERATION, TYPE_BLEND, BLEND_SAMPLES, STEP] = [220, 40, 16, 5]; // cm/s² of a body; frames of a change of type; samples of its weights; frames per step of the prediction
 
-/** Points resampled evenly, with their directions. */
+/** Evenly spaced points with their directions. */
 class Path {
   /** @param {number[][]} corners [x, z] in cm */
   constructor(corners) {
-    this.arcs = corners.map(() => 0); // where each corner is along the path
+    this.arcs = corners.map(() => 0); // arc length of each corner
     for (let n = 1; n < corners.length; n++) this.arcs[n] = this.arcs[n - 1] + Math.hypot(corners[n][0] - corners[n - 1][0], corners[n][1] - corners[n - 1][1]);
     const total = this.arcs.at(-1);
     if (total < 2 * SPACING) throw new Error(`the path is ${total.toFixed(1)} cm long, expected at least 4 cm`);
@@ -32,12 +32,12 @@ class Path {
     this.length = (count - 1) * SPACING;
   }
 
-  /** The number of the point nearest to an arc length. */
+  /** The index of the point nearest to an arc length. */
   nearest(arc) {
     return Math.max(0, Math.min(this.points.length - 1, Math.round(arc / SPACING)));
   }
 
-  /** The point and the direction at an arc length; straight on beyond the ends. */
+  /** Point and direction at an arc length; extended straight beyond the ends. */
   at(arc) {
     const { points, tangents } = this;
     const index = Math.max(0, Math.min(points.length - 2, Math.floor(arc / SPACING)));
@@ -53,9 +53,9 @@ const unit = (x, z) => [x, z].map((value) => value / Math.max(Math.hypot(x, z), 
 
 export class Follower {
   /**
-   * @param {object} model of readModel
-   * @param {{points: number[][], type: string, speed: number | null, stops: number[][]}} asked points [x, z] in cm, stops [number of a point, seconds]
-   * @param {number} choice picks among recordings
+   * @param {object} model result of readModel
+   * @param {{points: number[][], type: string, speed: number | null, stops: number[][]}} asked points [x, z] in cm, stops [point index, seconds]
+   * @param {number} choice chooses among recordings
    */
   constructor(model, { points, type, speed, stops }, choice = 0) {
     const path = new Path(points);
@@ -67,7 +67,7 @@ export class Follower {
     Object.assign(this, { player: new Player(model, choice, 0), firstSteps: new FirstSteps(model, choice), speeds: this.#profile(speed) });
   }
 
-  /** Controls for a body at [x, z, heading]. */
+  /** The controls for a body at [x, z, heading]. */
   controls([x, z, heading]) {
     const { known, model, path, stood, type } = this;
     this.#advance(x, z);
@@ -80,7 +80,7 @@ export class Follower {
     });
     const weights = this.#weights(standing);
     const speed = askedSpeed(trajectory, model.fps);
-    // On a path the trajectory comes first, wherever the feet stand and whatever the recording's trajectory was.
+    // On a path the trajectory has priority over foot contacts and the recording's own trajectory.
     const asked = { ...free(model, type), weights, trajectory, slip: 0 };
     if (standing) return asked;
     if (known.steered) {
@@ -96,7 +96,7 @@ export class Follower {
     return this.arc >= this.path.length - SPACING;
   }
 
-  // The share of standing still: it comes and goes over half a blend around a stop.
+  // Weight of standing: rises and falls over half a blend around a stop.
   #standing() {
     if (!this.stops.length) return 0;
     const [place, seconds] = this.stops[0];
@@ -109,7 +109,7 @@ export class Follower {
     return 0;
   }
 
-  // Arc lengths at the frames of a trajectory, at the speeds of the path, up to the next stop.
+  // Arc lengths at the trajectory's frames, at the path's speeds, not beyond the next stop.
   #ahead() {
     const end = Math.max(this.stops[0]?.[0] ?? Infinity, this.arc);
     let [arc, frame] = [this.arc, 0];
@@ -119,8 +119,8 @@ export class Follower {
     });
   }
 
-  // Type weights: the mean over half a blend behind and ahead, and standing. Who runs walks where the path is slower than
-  // any recorded run.
+  // Type weights, averaged over half a blend behind and ahead, plus standing. A run becomes a walk where the path is
+  // slower than any recorded run.
   #weights(standing) {
     const { arc, known, path, speeds, stand, type, walk } = this;
     const reach = (speeds[path.nearest(arc)] * TYPE_BLEND) / 2 / this.model.fps;
@@ -134,17 +134,17 @@ export class Follower {
     return weights;
   }
 
-  // The speed at each point, which changes no faster than bodies brake and start, to each stop.
+  // The speed at each point; limited by the acceleration of bodies, also before stops.
   #profile(speed) {
     const { known: { gait, speeds: recorded }, path } = this;
     let asked = Math.max(SLOWEST, speed ?? gait?.speed ?? DEFAULT_SPEED);
-    if (recorded && speed !== null) asked = Math.min(Math.max(asked, recorded[0]), recorded[1]); // beyond its recordings a gait glides
+    if (recorded && speed !== null) asked = Math.min(Math.max(asked, recorded[0]), recorded[1]); // outside its recorded speeds, a gait slides
     const speeds = path.points.map((_, n) => {
       const [a, b] = [path.tangents[n - BESIDE_TURN], path.tangents[n + BESIDE_TURN]];
       return a && b && a[0] * b[0] + a[1] * b[1] < SHARP ? Math.min(asked, TURN_SPEED) : asked;
     });
     for (const [place] of this.stops) speeds[path.nearest(place)] = CREEP;
-    // The square of the speed changes evenly along the way: no point's is more than so much above another's.
+    // At constant acceleration the square of speed changes evenly, so its difference between neighbours is limited.
     const rise = 2 * ACCELERATION * SPACING;
     const squares = speeds.map((each) => each * each);
     for (let n = 1; n < squares.length; n++) squares[n] = Math.min(squares[n], squares[n - 1] + rise);
@@ -152,14 +152,14 @@ export class Follower {
     return squares.map(Math.sqrt);
   }
 
-  // On to the nearest point, sought near the last, so that a path that crosses itself is not cut short.
+  // Moves to the nearest point, searched near the last one, so that a path that crosses itself is not cut short.
   #advance(x, z) {
     const { points, tangents } = this.path;
     const first = this.path.nearest(this.arc);
     const away = (n) => Math.hypot(points[n][0] - x, points[n][1] - z);
     let best = first;
     for (let n = first; n < Math.min(points.length, first + AHEAD / SPACING); n++) if (away(n) < away(best)) best = n;
-    // Past the last point the way on is counted along its direction, so that the end can be reached.
+    // Beyond the last point, progress continues along its direction, so that the end can be reached.
     const last = points.length - 1;
     const beyond = best < last ? 0 : (x - points[last][0]) * tangents[last][0] + (z - points[last][1]) * tangents[last][1];
     this.arc = Math.max(this.arc, best * SPACING + Math.max(0, beyond));

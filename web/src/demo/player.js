@@ -1,20 +1,20 @@
-// Plays the tracks of a type that page_tracks.py has made ready: what Python's ReferencePlayer would show.
+// Plays the precomputed tracks of page_tracks.py, with the results of Python's ReferencePlayer.
 
 import { free } from "./kernel.js";
 import { TRAJECTORY } from "./springs.js";
 
-const WIDTH = 24; // of a pose
-const AHEAD = [0, 10, 25]; // rows of a track, from a frame on, whose poses are shown
-const [FADE, PAUSE, FIRST_STEPS] = [30, 20, 45]; // frames
-const [OTHER_SPEED, OWN_SHARE] = [60, 0.5]; // cm/s; of the recorded trajectory in one that is asked for
+const WIDTH = 24; // numbers per pose
+const AHEAD = [0, 10, 25]; // rows ahead of a frame whose poses are its reference, each 5 frames further: 5, 15 and 30 frames
+const [FADE, PAUSE, FIRST_STEPS] = [30, 20, 45]; // frames: crossfade between tracks, pause between performances, first steps of a gait
+const [OTHER_SPEED, OWN_SHARE] = [60, 0.5]; // tracks within this many cm/s of the best one take turns; weight of the recorded trajectory
 
 export class Player {
-  /** @param {object} model of readModel @param {number} choice the same choice plays the same @param {number} ownShare see OWN_SHARE */
+  /** @param {object} model result of readModel @param {number} choice same choice, same tracks @param {number} ownShare see OWN_SHARE */
   constructor(model, choice = 0, ownShare = OWN_SHARE) {
     Object.assign(this, { model, choice, ownShare, type: -1, track: null, at: 0, left: null });
   }
 
-  /** Changes to a type by its number: to the next of its tracks that are entered at about a speed in cm/s, null for any. */
+  /** Changes to a type by its index, on the next of its tracks that start near a speed (cm/s, null for any). */
   begin(type, speed = null) {
     const { track: left, at: leftAt } = this;
     const { tracks, performed } = this.model.types[type];
@@ -23,16 +23,16 @@ export class Player {
     const suited = tracks.filter((track) => gap(track) <= most);
     Object.assign(this, { type, track: suited[this.choice % suited.length] ?? null, at: 0 });
     this.choice += 1;
-    // A performance begins without a blend: a handspring is over the hands before the blend would be.
+    // A performance starts without a blend: in a handspring, the hands touch down before a blend would end.
     this.left = left && !performed ? { track: left, at: leftAt } : null;
   }
 
-  /** Forgets what is played: the body has gone its own way since. */
+  /** Drops the current track, because the body has moved independently of it. */
   forget() {
     Object.assign(this, { track: null, left: null });
   }
 
-  /** Controls of the next frame; a trajectory is asked for in it, or none. */
+  /** The controls of the next frame; wanted is the requested trajectory or null. */
   next(wanted = null) {
     const { at, left, model, track, type } = this;
     const asked = free(model, type);
@@ -48,21 +48,21 @@ export class Player {
     return { ...asked, reference, gain: model.types[type].gain, phase: model.arrays.phases[track.from + (at % track.frames)], trajectory };
   }
 
-  // The phase of a type without tracks: one performance after another, with pauses between them.
+  // The phase of a type without tracks: repeated performances with pauses in between.
   #clock(at) {
     const length = Math.round(this.model.types[this.type].seconds * this.model.fps);
     const frame = at % (length + PAUSE);
     return frame < length ? frame / length : -1;
   }
 
-  // The poses ahead of a frame; a track goes on from its beginning.
+  // The poses ahead of a frame; a track repeats at its end.
   #poses(track, at) {
     const { poses } = this.model.arrays;
     const rows = AHEAD.map((ahead) => WIDTH * (track.from + ((at + ahead) % track.frames)));
     return rows.flatMap((row) => [...poses.subarray(row, row + WIDTH)]);
   }
 
-  // Where a track goes in the second after a frame, in its heading frame: places, then directions.
+  // The track's trajectory for the second after a frame, in its heading frame: positions, then directions.
   #trajectory(track, at) {
     const { ground } = this.model.arrays;
     const place = (frame, k) => ground[3 * (track.from + frame) + k];
@@ -80,20 +80,20 @@ export class Player {
   }
 }
 
-/** The first steps of a gait from standing, for which tracks are shown, and then none, as by Python's FirstSteps. */
+/** The first steps of a gait from standing use a track as reference; later steps do not (Python's FirstSteps). */
 export class FirstSteps {
   constructor(model, choice = 0) {
     Object.assign(this, { player: new Player(model, choice, 0), left: 0 });
   }
 
-  /** A body that stands begins to go in a gait, by its number, at a speed in cm/s. */
+  /** Starts a gait, by its index, from standing at a speed in cm/s. */
   begin(type, speed) {
     this.player.forget();
     this.player.begin(type, speed);
     this.left = FIRST_STEPS;
   }
 
-  /** Controls of the next frame in a gait: while its first steps are still to come, those that are asked with a reference. */
+  /** The controls of the next frame of a gait, with a reference during its first steps. */
   shown(type, asked) {
     if (type !== this.player.type || this.left === 0) return asked;
     this.left -= 1;
@@ -102,7 +102,7 @@ export class FirstSteps {
   }
 }
 
-/** The mean speed in cm/s, to its last place as the crow flies, of a trajectory that is asked for. */
+/** The mean speed (cm/s) of a requested trajectory, from the distance to its last position. */
 export const askedSpeed = (trajectory, fps) => (Math.hypot(trajectory[10], trajectory[11]) * fps) / TRAJECTORY[5];
 
 const mixed = (a, b, share) => a.map((value, n) => value + share * (b[n] - value));

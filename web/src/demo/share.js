@@ -1,9 +1,9 @@
-// A link that does the same again: the seed and all requests, deflated, behind the # of the address.
+// Links that replay a session: the seed and all requests, deflated, after the # of the address.
 
 const MARK = "#do=";
-const LONGEST = 32_000; // letters; longer addresses are cut by some programs
+const LONGEST = 32_000; // letters; some programs cut longer addresses
 
-/** The address of this page with a seed and its [frame, request]; null if it would be too long. */
+/** The address of this page with a seed and its [frame, request] list; null if it would be too long. */
 export async function addressOf(seed, done) {
   const packed = await through(new CompressionStream("deflate-raw"), new TextEncoder().encode(JSON.stringify([seed, done])));
   let letters = "";
@@ -12,7 +12,7 @@ export async function addressOf(seed, done) {
   return text.length > LONGEST ? null : location.href.split("#")[0] + MARK + text;
 }
 
-/** The seed and the [frame, request] of an address; null for one that has none. */
+/** The seed and the [frame, request] list of an address; null if it has none. */
 export async function readAddress(address) {
   const [, text] = address.split(MARK);
   if (!text) return null;

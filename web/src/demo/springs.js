@@ -1,48 +1,50 @@
-// The coming second of a character that is steered, as Python's Steering (control/steering.py) makes it.
+// Predicts the next second of a steered character, like Python's Steering (control/steering.py).
 
-export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead
+export const TRAJECTORY = [10, 20, 30, 40, 50, 60]; // frames ahead of the present one
 export const STANDS_BELOW = 15; // cm/s; below this speed the character stands
-const GOES_FROM = 25; // cm/s; who is asked for more goes, where there is a gait to choose
-// A gait that goes further aside than this of its own way hardly lifts its feet, a run slides.
-const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6];
-export const [RUN_SPEED, WALK_SPEED] = [200, 130]; // cm/s; a run is faster than this, a walk about as fast as that
+const GOES_FROM = 25; // cm/s; from this speed on, standing types are excluded if a gait exists
+// Largest angle between heading and a gait's usual one: beyond it, a walk hardly lifts its feet and a run slides.
+const [MOST_ASIDE, MOST_ASIDE_RUNNING] = [Math.PI / 4, Math.PI / 6]; // radians
+export const [RUN_SPEED, WALK_SPEED] = [200, 130]; // cm/s; gaits above RUN_SPEED are runs, walks are about WALK_SPEED
+// Cost per radian of turning, and per radian of walking backwards; smoothing of the measured velocity, per frame; cm from
+// a held position at which it is given up; share of the requested speed that may still be missing.
 const [TURN_COST, BACKWARDS_SHARE, SMOOTHING, LEAVE_ANCHOR, SETTLED_WITHIN] = [3, 0.2, 0.2, 60, 0.08];
-const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02];
+const [HALFLIFE, TURN_HALFLIFE, ANCHOR_HALFLIFE, OWN_SHARE] = [0.1, 0.15, 0.5, 0.02]; // s, for velocity, heading and position; weight of the body in the spring per frame
 
-/** The same angle between -pi and pi. */
+/** The equivalent angle between -pi and pi. */
 export function nearestTurn(angle) {
   return angle - 2 * Math.PI * Math.round(angle / (2 * Math.PI));
 }
 
-// The rate (1/s) of a critically damped spring that makes half its way in so many seconds.
+// The rate (1/s) of a critically damped spring that halves its distance in `halflife` seconds.
 const rate = (halflife) => 1.678347 / Math.max(halflife, 1e-3);
 
-// Distance from the goal, and velocity, after t seconds.
+// Distance from the goal and velocity after t seconds.
 function spring(away, velocity, y, t) {
   const push = velocity + away * y;
   const fade = Math.exp(-y * t);
   return [fade * (away + push * t), fade * (velocity - y * push * t)];
 }
 
-// The integral over t seconds of the distance from the goal.
+// The integral of the distance from the goal over t seconds.
 function travel(away, velocity, y, t) {
   const push = velocity + away * y;
   const fade = Math.exp(-y * t);
   return (away * (1 - fade) + push * ((1 - fade) / y - t * fade)) / y;
 }
 
-/** A vector [x, z] turned about Y. */
+/** A vector [x, z], turned about Y. */
 export function turned(angle, x, z) {
   const [sine, cosine] = [Math.sin(angle), Math.cos(angle)];
   return [cosine * x + sine * z, cosine * z - sine * x];
 }
 
-/** Whether a type is standing still. */
+/** Whether a type stands still. */
 export function stands({ steered, gait }) {
   return steered && gait !== null && gait.speed < STANDS_BELOW;
 }
 
-/** The number of the steered type for a wanted velocity [x, z] in cm/s and a facing in radians, null for any. */
+/** The index of the steered type for a requested velocity [x, z] (cm/s) and facing (radians, null for any). */
 export function steeredType(model, velocity, facing) {
   const all = model.types.map((type, number) => ({ ...type, number }));
   const steered = all.filter((type) => type.steered);
@@ -60,7 +62,7 @@ export function steeredType(model, velocity, facing) {
   return known.reduce((best, type) => (cost(type) < cost(best) ? type : best)).number;
 }
 
-/** The velocity [x, z] and facing nearest to a wish at which a steered type steps: Python's GaitLimits. */
+/** The velocity [x, z] and facing nearest to the requested ones that a steered type can step (Python's GaitLimits). */
 export function nearestWish(type, velocity, facing) {
   const speed = Math.hypot(...velocity);
   if (stands(type)) return [[0, 0], facing];
@@ -81,7 +83,7 @@ export class Springs {
     Object.assign(this, { fps, velocity: [0, 0], acceleration: [0, 0], measured: [0, 0], facing: null, before: null, anchor: null });
   }
 
-  /** Takes in where the body is, once a frame; free: nobody steers, and the spring does what the body does. */
+  /** Records the body's place, once per frame; free: nobody steers, so the spring follows the body. */
   observe(x, z, heading, free) {
     const before = this.before ?? [x, z, heading];
     this.before = [x, z, heading];
@@ -97,7 +99,7 @@ export class Springs {
     if (free) this.anchor = null;
   }
 
-  /** The 24 trajectory numbers for a wanted velocity [x, z] and facing (null keeps it), after observe. */
+  /** The 24 trajectory numbers for a requested velocity [x, z] and facing (null keeps it); call observe before. */
   trajectory(velocity, facing) {
     const [x, z, heading] = this.before;
     const stands = Math.hypot(...velocity) < STANDS_BELOW;
@@ -112,7 +114,7 @@ export class Springs {
     return Float32Array.from([...places, ...turns.flatMap((turn) => [Math.sin(turn), Math.cos(turn)])]);
   }
 
-  /** How far feet may hold the root, 0 to 1: not while a body that is to go another way, or faster, does not yet. */
+  /** Strength of the root-slip correction, 0 to 1: zero while the body still has to turn or speed up. */
   settled(velocity) {
     const speed = Math.hypot(...velocity);
     if (speed < STANDS_BELOW) return 1;
@@ -120,7 +122,7 @@ export class Springs {
     return Math.min(1, Math.max(0, 1 - (1 - along / speed) / SETTLED_WITHIN));
   }
 
-  // Place and heading to keep, once the spring has nearly stopped; null before.
+  // The position and heading to hold, once the spring has nearly stopped; null before.
   #hold(x, z) {
     const far = this.anchor && Math.hypot(this.anchor[0] - x, this.anchor[1] - z) > LEAVE_ANCHOR;
     if (!this.anchor || far) {
@@ -130,7 +132,7 @@ export class Springs {
     return this.anchor;
   }
 
-  // The way from here along an axis at each of the six times.
+  // The distance ahead along an axis at each trajectory time.
   #places(axis, goal, anchor) {
     const times = TRAJECTORY.map((offset) => offset / this.fps);
     if (anchor) {
@@ -141,7 +143,7 @@ export class Springs {
     return times.map((t) => goal * t + travel(away, this.acceleration[axis], rate(HALFLIFE), t));
   }
 
-  // The turn from the present heading at each of the six times.
+  // The turn from the present heading at each trajectory time.
   #turns(wanted, heading) {
     const away = nearestTurn(this.facing[0] - wanted);
     const begin = nearestTurn(this.facing[0] - heading) - away;

@@ -1,15 +1,15 @@
-// The characters of the page and what is asked of them, one frame after another: Python's Session (play/session.py).
+// The characters of the page and their requests, frame by frame, like Python's Session (play/session.py).
 //
-// Everything that is asked goes through obey, at a frame: the same seed and the same requests make the same world again.
+// Every request passes through obey at a frame, so the same seed and requests give the same motion again.
 
 import { Character, normals } from "./kernel.js";
 import { Driver } from "./driver.js";
 import { steeredType } from "./springs.js";
 
-const BETWEEN = 120; // cm between the places of characters
-const TEMPERATURE = 0.05;
-const LIKELY = 0.5;
-const JOINS_WITHIN = 30; // cm; a path that begins further away gets a line from the character to its start
+const BETWEEN = 120; // cm between start positions
+const TEMPERATURE = 0.05; // standard deviations, default noise
+const LIKELY = 0.5; // probability above which a foot joint counts as in contact
+const JOINS_WITHIN = 30; // cm; a path that begins further away is extended by a line from the character
 const LONGEST_PATH = 50_000; // cm
 export const MOST = 20; // characters
 
@@ -20,12 +20,12 @@ export class World {
     this.#add();
   }
 
-  /** Does what is asked, now: {do, character, ...} as docs/live.md has it; throws for what cannot be done. */
+  /** Carries out a request {do, character, ...} (docs/live.md); throws if it is impossible. */
   obey(asked) {
     const number = asked.character ?? this.characters.keys().next().value;
     const one = this.characters.get(number);
     if (!one && asked.do !== "add") throw new Error(`there is no character ${number}`);
-    check(asked); // links may say anything
+    check(asked); // links may contain anything
     if (asked.do === "add") this.#add();
     else if (asked.do === "wish") one.driver.set(asked);
     else if (asked.do === "perform") one.driver.perform(asked.type, this.frame, asked.seconds);
@@ -38,7 +38,7 @@ export class World {
     this.done.push([this.frame, asked]);
   }
 
-  /** One frame on; the characters by number, as the pages draw them. */
+  /** Computes one frame; returns the characters by number, as the pages draw them. */
   step() {
     this.frame += 1;
     const shown = new Map();
@@ -66,7 +66,7 @@ export class World {
     return { shown, arrived };
   }
 
-  // The path that is asked for, of a body at [x, z], with a way to where it begins.
+  // The requested path of a body at [x, z], with a line to its start.
   #path({ points, type = null, speed = null, stops = [] }, [x, z]) {
     const { model } = this;
     const kind = type ?? model.types[steeredType(model, [0, speed ?? 100], null)].name;
@@ -86,7 +86,7 @@ export class World {
     characters.set(this.last, one);
   }
 
-  // In rows of seven, each alternating to the left and right of its first.
+  // Start positions form rows of seven; each row alternates to the left and right of its first.
   #start(one) {
     const [row, place] = [Math.floor(one.slot / 7), one.slot % 7];
     one.body.start([BETWEEN * Math.ceil(place / 2) * (-1) ** place, -BETWEEN * row, 0]);
@@ -117,7 +117,7 @@ function checkStops(stops, count) {
   if (!Array.isArray(stops) || !stops.every(isStop)) throw new Error("expected stops [number of a point, seconds], in the order of the path");
 }
 
-/** Points [x, z] of a figure eight from the origin towards +Z, so many times around. */
+/** Points [x, z] of a figure eight that starts at the origin towards +Z. */
 function figureEight(radius, laps) {
   const steps = 72;
   return Array.from({ length: laps * 2 * steps + 1 }, (_, n) => {

@@ -1,16 +1,16 @@
-// A camera target that comes along with a figure: a critically damped spring, whose speed never jumps.
+// A camera target that follows a figure: a critically damped spring, whose speed never jumps.
 
-const SETTLED = 1e-4; // metres and metres a second
-const CUT = 8; // metres; farther away it is another place, and the camera is there at once
+const SETTLED = 1e-4; // metres and metres per second
+const CUT = 8; // metres; for larger distances the camera jumps
 
 export class Chase {
-  /** @param {import("./stage.js").Stage} stage @param {number} seconds after which it has come most of the way */
+  /** @param {import("./stage.js").Stage} stage @param {number} seconds time to cover most of the distance */
   constructor(stage, seconds = 0.22) {
     Object.assign(this, { stage, rate: 2 / seconds, speed: [0, 0, 0], started: false });
     this.still = matchMedia("(prefers-reduced-motion: reduce)");
   }
 
-  /** Goes towards a place [x, y, z] for so many seconds; at once the first time, and where motion is to be reduced. */
+  /** Moves towards a place [x, y, z] for `passed` seconds; at once the first time, or if motion is to be reduced. */
   to(place, passed) {
     const { target } = this.stage.controls;
     const away = [target.x - place[0], target.y - place[1], target.z - place[2]];

@@ -1,9 +1,9 @@
-// The frames of a motion, and what the page draws of them over time.
+// The frames of a motion, and the curves that the page draws over time.
 
 import { unpack } from "./pack.js";
 import { Rig } from "./rig.js";
 
-const SMOOTHING = 0.4; // seconds either side that the follow camera averages over
+const SMOOTHING = 0.4; // seconds on either side that the follow camera averages over
 
 export class Clip {
   static async from(data) {
@@ -29,7 +29,7 @@ export class Clip {
     return clip;
   }
 
-  /** Length on the timeline: the last frame is at its end. */
+  /** Length on the timeline; the last frame is at its end. */
   get seconds() {
     return (this.frames - 1) / this.fps;
   }
@@ -38,7 +38,7 @@ export class Clip {
     return Math.max(0, Math.min(this.frames - 1, Math.floor(time * this.fps + 1e-6)));
   }
 
-  /** The pose of a frame; the same object each time. */
+  /** The pose of a frame; every call returns the same object. */
   poseAt(frame) {
     const count = this.rig.count;
     if (this.moving) {
@@ -50,7 +50,7 @@ export class Clip {
     return this.pose.set(this.rig, this.turns, frame * count * 4, this.roots, frame * 3, this.offsets);
   }
 
-  // Tracks of hips and feet, speeds, heights and extent.
+  // Computes tracks of hips and feet, speeds, heights and extent.
   #measure() {
     const { frames, fps } = this;
     this.hips = new Float32Array(frames * 3);
@@ -79,7 +79,7 @@ export class Clip {
     }
   }
 
-  // x, z of the hips averaged over time, so that a camera that follows does not sway with every step.
+  // x, z of the hips averaged over time, so that a following camera does not sway with every step.
   #smoothed(half) {
     const out = new Float32Array(this.frames * 2);
     for (let axis = 0; axis < 2; axis++) {

@@ -31,7 +31,7 @@ export function element(tag, properties = {}, ...children) {
 export function button(label, title, onclick, ...children) {
   const node = element("button", { type: "button", title, onclick }, ...(children.length ? children : [label]));
   node.setAttribute("aria-label", label);
-  // A click leaves the keyboard to the page.
+  // Remove focus after a click, so that keys go to the page.
   node.addEventListener("pointerup", () => node.blur());
   return node;
 }
@@ -51,7 +51,7 @@ export function initialTheme() {
   return window.matchMedia("(prefers-color-scheme: light)").matches ? "light" : "dark";
 }
 
-/** Fills a dialog with keys and what they do. */
+/** Fills a dialog with keys and their actions. */
 export function fillHelp(dialog, title, keys) {
   const list = element("dl");
   for (const [names, text] of keys) {

@@ -1,4 +1,4 @@
-// A figure in the scene: its body bends with the joints; its skeleton can be shown through it.
+// A figure in the scene: its body bends with the joints, and its skeleton can be shown through the body.
 
 import {
   BufferAttribute, BufferGeometry, Bone, Color, Group, InstancedMesh, Matrix4, MeshBasicMaterial,
@@ -7,7 +7,7 @@ import {
 
 const POINT_STEP = 1e-4; // metres
 const SIDE_COLORS = { left: 0x3b82f6, right: 0xf97316, "": 0xa8a29e };
-const BEHIND = 0.22; // opacity of a body whose skeleton is shown
+const BEHIND = 0.22; // opacity of a body while its skeleton is visible
 
 const matrix = new Matrix4();
 const place = new Vector3();
@@ -18,7 +18,7 @@ const spare = new Color();
 const UP = new Vector3(0, 1, 0);
 
 export class Figure extends Group {
-  /** @param {import("./rig.js").Rig} rig @param {Color} color @param {boolean} plain without a graphics card */
+  /** @param {import("./rig.js").Rig} rig @param {Color} color @param {boolean} plain simpler drawing without a graphics card */
   constructor(rig, color, plain = false) {
     super();
     this.rig = rig;
@@ -66,7 +66,7 @@ export class Figure extends Group {
     return this.bones.visible;
   }
 
-  /** How many joints the skeleton draws. */
+  /** The number of joints that the skeleton draws. */
   get drawnJoints() {
     return this.joints.count;
   }
@@ -102,12 +102,12 @@ export class Figure extends Group {
     });
     this.skeleton = new Skeleton(bones, inverses);
     const mesh = new SkinnedMesh(geometry, this.material);
-    mesh.normalizeSkinWeights(); // they were rounded
-    mesh.bindMode = "detached"; // the bones' places are in the figure's own space
+    mesh.normalizeSkinWeights(); // they were quantized
+    mesh.bindMode = "detached"; // bones are positioned in the figure's own space
     mesh.bind(this.skeleton, new Matrix4());
     mesh.castShadow = true;
     mesh.frustumCulled = false;
-    mesh.boundingSphere = new Sphere(); // or it would be made of all points once, for a sorting that needs none
+    mesh.boundingSphere = new Sphere(); // avoids computing one from all points, which nothing needs
     return mesh;
   }
 

@@ -10,7 +10,7 @@ export class Labels {
     Object.assign(this, { box, stage, spans: new Map() });
   }
 
-  /** Shows exactly these: {key, text, x, y, z, name?}. */
+  /** Shows exactly these labels: {key, text, x, y, z, name?}. */
   show(labels) {
     const { clientWidth: width, clientHeight: height } = this.box;
     const seen = new Set();

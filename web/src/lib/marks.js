@@ -1,4 +1,4 @@
-// What is drawn on the ground: paths as ribbons, footprints as discs.
+// Marks on the ground: paths as ribbons, footprints as discs.
 
 import {
   BufferAttribute, BufferGeometry, CircleGeometry, Color, DoubleSide, Group, InstancedMesh, Matrix4,
@@ -9,7 +9,7 @@ const matrix = new Matrix4();
 export const CONTACT_COLORS = { left: 0x3b82f6, right: 0xf97316, "": 0x78716c };
 export const SLIDE_COLOR = 0xe6176f;
 
-/** A flat band along points x, z; `count` of them can be shown. */
+/** A flat band along points x, z; `shown` limits it to the first points. */
 export class Ribbon extends Mesh {
   constructor(points, color, { width = 0.02, height = 0.004, opacity = 1, dash = 0 } = {}) {
     const material = new MeshBasicMaterial({ color, transparent: true, opacity, side: DoubleSide, depthWrite: false });
@@ -21,7 +21,7 @@ export class Ribbon extends Mesh {
     this.points = points;
   }
 
-  /** Any array of x, z in metres. */
+  /** Sets the points: any array of x, z in metres. */
   set points(points) {
     const count = points.length / 2;
     const corners = new Float32Array(count * 6);
@@ -48,7 +48,7 @@ export class Ribbon extends Mesh {
     this.geometry.setIndex(index);
   }
 
-  /** Shows the first frames only; without dashes. */
+  /** Limits the band to its first frames, if it has no dashes. */
   set shown(count) {
     this.geometry.setDrawRange(0, Math.max(0, (count - 1) * 6));
   }
@@ -66,7 +66,7 @@ export class Footprints extends Group {
         if (!foot.low[frame]) continue;
         const [x, z] = [foot.track[frame * 3], foot.track[frame * 3 + 2]];
         const slides = foot.slides[frame];
-        // A standing foot is one mark, not hundreds.
+        // One mark per standing foot, not hundreds.
         if (last && !slides && !last.slides && Math.hypot(x - last.x, z - last.z) < 0.015) continue;
         last = { x, z, slides };
         marks.push([x, z, slides ? SLIDE_COLOR : CONTACT_COLORS[foot.side], slides ? 0.012 : 0.022]);
@@ -93,7 +93,7 @@ export class Footprints extends Group {
     });
   }
 
-  /** Rings around the feet that touch the floor in this frame. */
+  /** Draws rings around the feet in contact in this frame. */
   setFrame(frame) {
     for (const { foot, ring } of this.live) {
       ring.visible = Boolean(foot.low[frame]);

@@ -1,9 +1,9 @@
-// A skeleton, and forward kinematics on it.
+// A skeleton and its forward kinematics.
 
 import { unpack } from "./pack.js";
 
 export class Rig {
-  /** The rig of figure_data: names, hierarchy, offsets, and the body around it, lengths in metres. */
+  /** The rig of figure_data: names, hierarchy, offsets, and the body around it, in metres. */
   static async from(data) {
     const rig = new Rig();
     rig.names = data.joints;
@@ -37,7 +37,7 @@ export class Rig {
   }
 }
 
-/** Rotations (w, x, y, z) and places of all joints in the world. */
+/** Rotations (w, x, y, z) and positions of all joints in the world. */
 export class Pose {
   constructor(count) {
     this.rotations = new Float32Array(count * 4);
@@ -47,11 +47,11 @@ export class Pose {
   /**
    * Forward kinematics.
    * @param {Rig} rig
-   * @param {ArrayLike<number>} turns local quaternions from index `at` on; any length but zero
+   * @param {ArrayLike<number>} turns local quaternions of any length but zero, from index `at` on
    * @param {number} at
-   * @param {ArrayLike<number>} root where the root joint is, from index `rootAt` on
+   * @param {ArrayLike<number>} root position of the root joint, from index `rootAt` on
    * @param {number} rootAt
-   * @param {ArrayLike<number>} offsets places of the joints against their parents
+   * @param {ArrayLike<number>} offsets positions of the joints relative to their parents
    */
   set(rig, turns, at, root, rootAt, offsets = rig.offsets) {
     const { rotations: q, places: p } = this;
@@ -80,7 +80,7 @@ export class Pose {
     return this;
   }
 
-  /** Writes where a point of a joint's own space is in the world. */
+  /** Writes the world position of a point given in a joint's own space. */
   carry(joint, point, from, out, to) {
     const u = joint * 4;
     const [a, b, c, d] = [this.rotations[u], this.rotations[u + 1], this.rotations[u + 2], this.rotations[u + 3]];

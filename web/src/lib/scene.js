@@ -1,4 +1,4 @@
-// What a page needs to show and steer a figure, in one module.
+// Everything a page needs to show and steer a figure, in one module.
 
 export { Chase } from "./chase.js";
 export { Clip } from "./clip.js";

@@ -1,4 +1,4 @@
-// Panels that are sheets at the bottom of a narrow screen: one at a time, below the scene, never over it.
+// Panels that become sheets at the bottom of a narrow screen: one at a time, below the scene.
 
 import { button } from "./dom.js";
 
@@ -26,7 +26,7 @@ export class Sheets {
     });
   }
 
-  /** Opens a panel and closes the others; all for null. */
+  /** Opens a panel and closes the others; null closes all. */
   show(opened) {
     for (const { panel, node } of this.sheets) {
       panel.classList.toggle("open", panel === opened);
@@ -35,7 +35,7 @@ export class Sheets {
     this.#room();
   }
 
-  // The scene ends where the sheet begins.
+  // Shortens the scene to end where the sheet begins.
   #room() {
     const open = this.sheets.find(({ panel }) => panel.classList.contains("open") && getComputedStyle(panel).position === "fixed");
     document.documentElement.style.setProperty("--sheet", `${open ? open.panel.offsetHeight : 0}px`);

@@ -1,4 +1,4 @@
-// Renderer, light, ground and camera; draws only when something changed.
+// Renderer, light, ground and camera; draws only if something has changed.
 
 import {
   BufferGeometry, Color, DirectionalLight, Float32BufferAttribute, Fog, Group, HemisphereLight, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, PCFShadowMap, PerspectiveCamera, PlaneGeometry, Scene,
@@ -11,10 +11,10 @@ export const THEMES = {
   light: { sky: 0xeef1f5, ground: 0xe3e7ed, line: 0xb4bdc9, bold: 0x76839a, shadow: 0.28, hemi: 1.35, key: 2.6, rim: 0.7 },
 };
 const SUN = new Vector3(1.7, 5.6, 2.2);
-const TOO_SLOW = 70; // ms from picture to picture
+const TOO_SLOW = 70; // ms between pictures
 const BOLD = 5; // metres between bold lines
-const LEAST_SHARP = 0.45;
-const SHADOW_REACH = 1.7; // metres around a figure's hips that its shadow may fall on
+const LEAST_SHARP = 0.45; // least resolution, as a share of the full one
+const SHADOW_REACH = 1.7; // metres around the hips within which a figure's shadow falls
 
 export class Stage {
   /** @param {HTMLCanvasElement} canvas */
@@ -77,7 +77,7 @@ export class Stage {
     this.invalidate();
   }
 
-  /** Puts the camera's target somewhere and takes the camera along. */
+  /** Moves the camera's target to a point, and the camera with it. */
   follow(x, y, z) {
     const { target } = this.controls;
     const [dx, dy, dz] = [x - target.x, y - target.y, z - target.z];
@@ -101,7 +101,7 @@ export class Stage {
     this.invalidate();
   }
 
-  /** Draws if anything changed since the last time; returns whether it did. */
+  /** Draws if anything has changed since the last call; returns whether it did. */
   draw() {
     this.controls.update();
     if (!this.dirty) return false;
@@ -111,7 +111,7 @@ export class Stage {
     const distance = this.camera.position.distanceTo(target);
     this.scene.fog.near = 8 + distance;
     this.scene.fog.far = 40 + 5 * distance;
-    // Lines that are drawn one by one stay where they are in the world.
+    // Move the grid in whole periods, so that its lines stay fixed in the world.
     this.grid.position.set(BOLD * Math.round(target.x / BOLD), 0, BOLD * Math.round(target.z / BOLD));
     if (!this.plain) this.grid.material.uniforms.far.value = this.scene.fog.far;
     this.renderer.render(this.scene, this.camera);
@@ -119,7 +119,7 @@ export class Stage {
     return true;
   }
 
-  // Fewer pixels where pictures that follow each other at once still take long.
+  // Lowers the resolution if consecutive pictures take too long.
   #keepUp(now) {
     const passed = now - (this.drawnAt ?? -Infinity);
     this.drawnAt = now;
@@ -131,7 +131,7 @@ export class Stage {
     this.dirty = false;
   }
 
-  /** Says where figures stand, [x, z, x, z, ...], so that their shadows are drawn as sharply as they can be. */
+  /** Sets the figures' positions, [x, z, x, z, ...], so that their shadows are as sharp as possible. */
   shadowsAt(places) {
     const [xs, zs] = [0, 1].map((axis) => places.filter((_, i) => i % 2 === axis));
     const [left, right, back, front] = [Math.min(...xs), Math.max(...xs), Math.min(...zs), Math.max(...zs)];
@@ -144,7 +144,7 @@ export class Stage {
     if (Math.abs(box.right - reach) < 0.02 * reach) return;
     Object.assign(box, { left: -reach, right: reach, top: reach, bottom: -reach, far: 8 * reach });
     box.updateProjectionMatrix();
-    this.shade.scale.setScalar(reach / 200); // no larger than the shadows can be
+    this.shade.scale.setScalar(reach / 200); // no larger than the shadows
   }
 
   #lights() {
@@ -173,19 +173,19 @@ export class Stage {
     this.scene.add(this.grid, this.shade);
   }
 
-  // A shader that reckons every pixel of the ground is what takes longest without a graphics card.
+  // A grid of lines: without a graphics card, a shader for every ground pixel would take most of the time.
   #plainGrid(plane) {
     this.floor = new Mesh(plane, new MeshBasicMaterial({ depthWrite: false }));
     this.lines = new LineSegments(gridLines(24, 2), new LineBasicMaterial({ depthWrite: false, vertexColors: true, transparent: true }));
     this.floor.renderOrder = -3;
     this.bold = new LineSegments(boldLines(45, 3), new LineBasicMaterial({ depthWrite: false, transparent: true }));
     this.lines.renderOrder = -2;
-    this.bold.renderOrder = -1.5; // over the others
+    this.bold.renderOrder = -1.5; // above the other lines
     return new Group().add(this.floor, this.lines, this.bold);
   }
 }
 
-// Without a graphics card every pixel costs: then edges and shadows are coarser.
+// Whether there is no graphics card; edges and shadows are coarser then.
 function drawsInSoftware() {
   const context = document.createElement("canvas").getContext("webgl2");
   if (!context) throw new Error("WebGL is not available");
@@ -195,8 +195,8 @@ function drawsInSoftware() {
   return /swiftshader|llvmpipe|software|basic render/i.test(name);
 }
 
-// Lines every metre, so many metres each way, in short pieces: software renderers lose lines that reach behind the camera.
-// They fade away from the middle, where they would be closer together than pixels and flicker.
+// Lines every metre, up to `reach`, in short pieces: software renderers lose lines that reach behind the camera. They
+// fade with distance, where they would flicker.
 function gridLines(reach, piece) {
   const points = [];
   for (let n = -reach; n <= reach; n++) {
@@ -209,7 +209,7 @@ function gridLines(reach, piece) {
   return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3)).setAttribute("color", new Float32BufferAttribute(colors, 4));
 }
 
-// Every fifth line as a thin band: lines are a pixel wide, whatever they are asked to be.
+// Every fifth line as a thin band, because lines are always one pixel wide.
 function boldLines(reach, piece) {
   const points = [];
   for (let n = -reach; n <= reach; n += BOLD) {
@@ -220,7 +220,8 @@ function boldLines(reach, piece) {
   return new BufferGeometry().setAttribute("position", new Float32BufferAttribute(points, 3));
 }
 
-// Lines every metre, bold ones every five, squares in two shades, finer ones every quarter, fading into the distance; as wide as a pixel anywhere.
+// Lines every metre, bold every five, finer every quarter, over squares in two shades; one pixel wide at any distance,
+// fading out.
 function gridMaterial() {
   return new ShaderMaterial({
     uniforms: {
@@ -230,7 +231,7 @@ function gridMaterial() {
       sky: { value: new Color() },
       far: { value: 60 },
     },
-    depthWrite: false, // drawn first; what lies on the ground never fights with it for depth
+    depthWrite: false, // drawn first, so that marks on the ground never compete with it for depth
     vertexShader: `
       varying vec3 world;
       void main() {

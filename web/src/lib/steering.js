@@ -1,9 +1,9 @@
-// What the user wants: held keys, a gamepad's sticks and buttons, a stick on the screen.
+// User input: held keys, gamepad sticks and buttons, an on-screen stick.
 
 const WAYS = {
   w: [0, 1], arrowup: [0, 1], s: [0, -1], arrowdown: [0, -1], a: [-1, 0], arrowleft: [-1, 0], d: [1, 0], arrowright: [1, 0],
 };
-const DEAD = 0.18; // of a stick's way
+const DEAD = 0.18; // share of a stick's range that is ignored
 // Buttons of a gamepad with the standard mapping.
 const FAST = [5, 7]; // right shoulder and trigger
 const CROSS = { 12: [0, 1], 13: [0, -1], 14: [-1, 0], 15: [1, 0] };
@@ -23,7 +23,7 @@ export class Steering {
     this.thumb?.release();
   }
 
-  /** Takes a key; whether it steers. */
+  /** Handles a key; returns whether it steers. */
   key(event, down) {
     if (event.key === "Shift") {
       this.fast = down;
@@ -37,7 +37,7 @@ export class Steering {
     return true;
   }
 
-  /** Where to: [right, ahead] as seen by the camera, at most 1 long, and whether to go fast. */
+  /** The direction [right, ahead] in the camera's view, at most 1 long, and whether to go fast. */
   way() {
     let [right, ahead] = sum([...this.held].map((key) => WAYS[key]));
     let { fast } = this;
@@ -54,21 +54,21 @@ export class Steering {
   }
 
   /**
-   * The gamepad that steers. Only one with the standard mapping: others have triggers or nothing where a stick is
-   * expected, and would go off by themselves. Like keys, it steers only the page that has the focus.
+   * The gamepad that steers. It must have the standard mapping: on others, triggers or missing axes would act as
+   * sticks and steer by themselves. Like keys, it steers only the page with the focus.
    */
   pad() {
     if (!document.hasFocus()) return null;
     return [...(navigator.getGamepads?.() ?? [])].find((one) => one?.connected && one.mapping === "standard") ?? null;
   }
 
-  /** Turn of the camera by the right stick: [right, down]. */
+  /** Camera rotation by the right stick: [right, down]. */
   look() {
     const pad = this.pad();
     return pad ? stick(pad.axes[2], pad.axes[3]) : [0, 0];
   }
 
-  /** Buttons of the gamepad that went down since the last time. */
+  /** Gamepad buttons that were pressed since the last call. */
   newButtons() {
     const down = (this.pad()?.buttons ?? []).flatMap((one, n) => (one.pressed ? [n] : []));
     const fresh = down.filter((n) => !this.pressed.has(n));
@@ -77,7 +77,7 @@ export class Steering {
   }
 }
 
-// Ways put together, at most 1 long.
+// The sum of directions, at most 1 long.
 function sum(ways) {
   const [x, y] = ways.reduce(([a, b], [c, d]) => [a + c, b + d], [0, 0]);
   const length = Math.max(1, Math.hypot(x, y));

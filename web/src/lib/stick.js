@@ -1,10 +1,10 @@
-// A stick under the thumb: it stands where a finger first touches its zone, and says where the finger is pushed.
+// An on-screen stick: it appears where a finger touches its zone, and reports where the finger is pushed.
 
 const REACH = 46; // pixels from the middle to the rim
-const PAST = 1.35; // of the reach; pushed so far past the rim it is fast
+const PAST = 1.35; // share of REACH beyond which a push means fast
 
 export class ThumbStick {
-  /** @param {HTMLElement} zone where a thumb may come down; it gets the ring and the knob */
+  /** @param {HTMLElement} zone area for the thumb; the ring and the knob are added to it */
   constructor(zone) {
     Object.assign(this, { zone, right: 0, ahead: 0, fast: false });
     this.ring = Object.assign(document.createElement("div"), { className: "ring" });
@@ -41,7 +41,7 @@ export class ThumbStick {
     this.knob.style.translate = `${this.right * REACH}px ${-this.ahead * REACH}px`;
   }
 
-  /** Lets go, as when the finger leaves the screen. */
+  /** Releases the stick, as when the finger leaves the screen. */
   release() {
     Object.assign(this, { finger: undefined, right: 0, ahead: 0, fast: false });
     this.zone.classList.remove("held", "fast");

@@ -1,10 +1,10 @@
-// The connection to the server, as docs/live.md tells: requests and events as JSON, frames as bytes.
+// The connection to the server (docs/live.md): requests and events as JSON, frames as bytes.
 
-const HEADER = 24;
-const CHARACTER = 396;
-const KEPT = 30; // frames
-const DRIFT = 0.0005; // seconds a frame by which the clocks' difference is taken to grow, until a frame comes early
-const AGAIN = 1000; // ms until a lost connection is tried again
+const HEADER = 24; // bytes of a binary frame before its characters
+const CHARACTER = 396; // bytes of each character
+const KEPT = 30; // frames kept for interpolation
+const DRIFT = 0.0005; // seconds per frame by which the clock offset may grow, until a frame arrives early
+const AGAIN = 1000; // ms before a lost connection is retried
 
 export class Link {
   /** @param {{hello: Function, event: Function, frame: Function, lost: Function}} listeners */
@@ -34,14 +34,14 @@ export class Link {
     return this.seq;
   }
 
-  /** The figure of a body; asked for until the server answers or the connection is a new one. */
+  /** The figure of a body; repeats the request until the server answers or the connection changes. */
   async figure(name) {
     const { hello } = this;
     const number = hello.bodies.findIndex((body) => body.name === name);
     while (hello === this.hello) {
       const answer = await fetch(`/figures/${number}`).catch(() => null);
       if (answer?.status === 200) return answer.json();
-      if (answer?.status !== 202) await new Promise((done) => setTimeout(done, AGAIN)); // not one that is being made
+      if (answer?.status !== 202) await new Promise((done) => setTimeout(done, AGAIN)); // 202: still being made
     }
     throw new Error("the connection was lost");
   }
@@ -59,7 +59,7 @@ export class Link {
 
   #frame(data) {
     const frame = readFrame(data);
-    if (!frame) return; // a kind this page does not know
+    if (!frame) return; // a kind of message that this page does not know
     const arrived = performance.now() / 1000;
     this.offset = Math.min(this.offset + DRIFT, arrived - frame.time);
     this.frames.push(frame);
@@ -68,8 +68,8 @@ export class Link {
   }
 
   /**
-   * The two newest frames to show between at a moment, and how far between: one step behind the newest
-   * at most, so that a frame that is a little late is not missed.
+   * The two frames around a moment and the fraction between them: at most one step behind the newest, so that a
+   * slightly late frame is not missed.
    */
   around(now) {
     const { frames } = this;
@@ -83,7 +83,7 @@ export class Link {
   }
 }
 
-/** A binary frame as an object; null for anything else. Rotations and root stay views of the message. */
+/** A binary frame as an object; null for other messages. Rotations and root are views of the message. */
 export function readFrame(data) {
   const view = new DataView(data);
   if (data.byteLength < HEADER || view.getUint8(0) !== 1 || view.getUint8(1) !== 1) return null;

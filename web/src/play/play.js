@@ -1,4 +1,4 @@
-// The page of `motionkit play`, and of `motionkit demo`: shows a session's characters and steers one's own.
+// The page of `motionkit play` and `motionkit demo`: shows the characters of a session and steers the user's own.
 
 import { CircleGeometry, Color, Group, Mesh, MeshBasicMaterial, Plane, Raycaster, RingGeometry, Shape, ShapeGeometry, Vector2, Vector3 } from "three";
 import { button, element, fillHelp, initialTheme, toggle } from "../lib/dom.js";
@@ -8,27 +8,27 @@ const CM = 0.01;
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227"];
 const OTHERS = "#8d97a8";
 const PATH_COLOR = "#f5c542";
-// Letters for types people look for first; the others have numbers only.
+// Letter keys of popular types; other types have digits only.
 const LETTERS = {
   cartwheel: "c", kicking: "k", punching: "u", "jumping-b": "j", backflip: "b", "dance-salsa": "x", handspring: "h",
   "dive-roll": "r", duck: "z", "martial-arts": "m", "jumping-l": "j",
 };
-const WALK = 130;
-const RUN = 330; // cm/s, where the model has no such type
-const FASTEST_WALK = 200; // cm/s
-const SLOWEST = 40; // cm/s a stick gives at least
-const TURNED = 0.03; // radians the way must change before the server is told
-const PATH_STEP = 0.08; // metres between the points of a drawn path
-const REST = 700; // ms that the hand rests where the path is to stop
-const STOP = 2; // seconds
-const SPARE = 1.25; // of the server's limit of messages, left to other requests
-const EYE = 0.8;
+const WALK = 130; // cm/s, default walk
+const RUN = 330; // cm/s, if the model has no run
+const FASTEST_WALK = 200; // cm/s; faster gaits count as runs
+const SLOWEST = 40; // cm/s, smallest speed of a stick
+const TURNED = 0.03; // radians of change before a new direction is sent
+const PATH_STEP = 0.08; // metres between points of a drawn path
+const REST = 700; // ms for which the hand must rest to add a stop to a drawn path
+const STOP = 2; // seconds of a stop
+const SPARE = 1.25; // factor on the time between wishes, which leaves part of the server's message limit to other requests
+const EYE = 0.8; // metres, height of the camera target
 const $ = (id) => document.getElementById(id);
 
 export class Play {
   /**
-   * @param {(listeners: object) => object} connect makes the link to a session: that of link.js, or one like it
-   * @param {(play: Play) => Node[]} tools more buttons
+   * @param {(listeners: object) => object} connect makes the link to a session, such as that of link.js
+   * @param {(play: Play) => Node[]} tools makes additional buttons
    */
   constructor(connect, tools = () => []) {
     this.tools = tools;
@@ -39,13 +39,13 @@ export class Play {
     this.steering = new Steering();
     this.steering.thumb = new ThumbStick($("stick"));
     this.sheets = new Sheets($("dock"), [{ name: "Types", panel: $("types") }, { name: "More", panel: $("tools") }]);
-    this.characters = new Map(); // id to what is shown of it
-    this.told = new Map(); // id to what the server says of it
-    this.recordedFroms = new Map(); // id to when its recording began
+    this.characters = new Map(); // id -> figure and state on the page
+    this.told = new Map(); // id -> the server's facts
+    this.recordedFroms = new Map(); // id -> start of the recording
     Object.assign(this, { chosen: null, mode: null, touched: null, drawing: false, facing: false, waiting: [], responses: [], shownFrames: 0 });
     this.theme = initialTheme();
     this.stage.look(new Vector3(0, EYE, 0), 0.55 + Math.PI, 0.22, 4.4 * Math.max(1, 0.75 / this.stage.camera.aspect));
-    $("figures").hidden ||= matchMedia("(max-width: 700px), (max-height: 480px)").matches; // there it would hide the body
+    $("figures").hidden ||= matchMedia("(max-width: 700px), (max-height: 480px)").matches; // on a small screen they would hide the body
     this.#marker();
     this.#keys();
     this.#mouse();
@@ -72,21 +72,21 @@ export class Play {
     return document.documentElement.dataset.theme;
   }
 
-  /** The character that is steered, as it is shown; undefined while there is none. */
+  /** The steered character as shown; undefined if there is none. */
   get own() {
     return this.characters.get(this.chosen);
   }
 
-  // ---- what the server says ----
+  // ---- server events ----
 
   #hello(hello) {
     for (const id of [...this.characters.keys()]) this.#remove(id);
-    this.rigs.clear(); // it may be another server
+    this.rigs.clear(); // the server may have changed
     Object.assign(this, { hello, chosen: hello.character, waiting: [], sent: null });
     this.behind = null;
     this.#pace();
-    this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // screens may be faster than the server takes wishes
-    // Types may have any name: forward gaits are told by how they go.
+    this.apart = (1000 * SPARE) / hello.limits.messages_per_second; // ms between wishes: screens may be faster than the server allows
+    // Types may have any name, so forward gaits are recognized by their facing.
     const ahead = hello.types
       .filter(({ name, speed, facing }) => hello.steered.includes(name) && speed > SLOWEST && Math.abs(facing) < 0.8)
       .map(({ speed }) => speed);
@@ -109,7 +109,7 @@ export class Play {
       this.#pace();
     } else if (event.event === "error") {
       this.say(event.message);
-      this.#who(); // a list whose choice was refused shows again what is
+      this.#who(); // a refused choice is shown in the list again
     }
   }
 
@@ -131,7 +131,7 @@ export class Play {
 
   async #show(id, body) {
     const rig = await this.#rig(body).catch(() => null);
-    if (!rig || this.told.get(id)?.body !== body) return; // overtaken
+    if (!rig || this.told.get(id)?.body !== body) return; // outdated: the body has changed since
     const place = this.mine.indexOf(id);
     const color = place < 0 ? OTHERS : COLORS[place % COLORS.length];
     const known = this.characters.get(id);
@@ -141,7 +141,7 @@ export class Play {
     }
     this.#remove(id);
     const figure = new Figure(rig, new Color(color), this.stage.plain);
-    figure.visible = false; // until its first frame
+    figure.visible = false; // hidden until its first frame
     this.stage.scene.add(figure);
     this.characters.set(id, { id, body, owner: this.told.get(id).owner, color, figure, rig, pose: new Pose(rig.count) });
   }
@@ -170,9 +170,9 @@ export class Play {
     }
   }
 
-  // ---- every picture ----
+  // ---- drawing ----
 
-  /** One picture: its time as the browser counts them, and the moment (ms) that it is to show. */
+  /** Draws one picture: the browser's time, and the moment (ms) to show. */
   tick(now, moment) {
     const passed = Math.min(0.1, (now - (this.last ?? now)) / 1000);
     this.last = now;
@@ -192,7 +192,7 @@ export class Play {
       this.shownFrames += 1;
       this.#label();
     }
-    // The first picture that obeys is on its way to the screen now.
+    // The first picture that shows the response is being drawn now.
     if (this.answered && around && around.after.number >= this.answered.number) {
       this.responses.push(performance.now() - this.answered.at);
       if (this.responses.length > 50) this.responses.shift();
@@ -210,7 +210,7 @@ export class Play {
       one.figure.visible = Boolean(b);
       if (!b) continue;
       for (let i = 0; i < 92; i += 4) {
-        // The shorter way round; what comes out is made a unit quaternion by the pose.
+        // Interpolate the shorter way; the pose normalizes the quaternion.
         let dot = 0;
         for (let k = i; k < i + 4; k++) dot += a.rotations[k] * b.rotations[k];
         const sign = dot < 0 ? -1 : 1;
@@ -231,7 +231,7 @@ export class Play {
     this.chase.to([x, EYE, z], passed);
   }
 
-  // A ring under one's own character, with an arrow to where it is asked to go.
+  // A ring under the user's character, with an arrow in the requested direction.
   #marker() {
     const material = new MeshBasicMaterial({ transparent: true, opacity: 0.8, depthWrite: false });
     this.ring = new Group();
@@ -272,9 +272,9 @@ export class Play {
     this.labels.show(labels);
   }
 
-  // ---- what the user wants ----
+  // ---- user input ----
 
-  /** The wish of this moment, sent when it differs from the last one. */
+  /** Sends the present wish if it differs from the last one. */
   #wish() {
     const { right, ahead, fast } = this.steering.way();
     const length = Math.hypot(right, ahead);
@@ -284,20 +284,20 @@ export class Play {
     if (length > 0) {
       this.#setMode(null);
       const speed = Math.max(SLOWEST, length * (fast ? this.speeds.running || RUN : this.speeds.walking || WALK));
-      const angle = look - Math.atan2(right, ahead); // what is right on the screen is -X for one who faces +Z
+      const angle = look - Math.atan2(right, ahead); // the right of the screen is -X if one faces +Z
       wish.velocity = [speed * Math.sin(angle), speed * Math.cos(angle)];
       if (this.facing) wish.facing = look;
     } else if (this.mode) Object.assign(wish, { velocity: null, type: this.mode });
     else if (this.facing) wish.facing = look;
     if (this.chosen === null || !changed(this.sent, wish, this.chosen)) return;
-    // On a path nothing is sent until the user wants something else.
+    // On a path, nothing is sent until the user steers.
     if (this.pathOf === this.chosen && length === 0 && !this.mode) return;
     if (this.pathOf === this.chosen) this.#forgetPath();
     this.sent = { ...wish, character: this.chosen };
     this.#ask("wish", { character: this.chosen, ...wish });
   }
 
-  // Asks, and measures how long it takes until a picture obeys.
+  // Sends a request and measures the time until a picture shows the response.
   #ask(what, fields) {
     const at = this.touched ?? performance.now();
     const seq = this.link.ask(what, fields, true);
@@ -305,7 +305,7 @@ export class Play {
     this.touched = null;
   }
 
-  /** Shows a type: once if it is a performance, else until it is asked for again or the user walks on. */
+  /** Shows a type: once if it is a performance, else until requested again or until the user steers. */
   perform(name) {
     const type = this.hello.types.find((one) => one.name === name);
     if (!type || this.chosen === null) return;
@@ -330,7 +330,7 @@ export class Play {
     this.#who();
   }
 
-  /** Sends points [x, z] in metres as a path, with the numbers of the points to stop at. */
+  /** Sends points [x, z] in metres as a path, with the indices of its stops. */
   followPath(points, stops = []) {
     if (points.length < 2 || this.chosen === null) return;
     const share = Math.max(1, (points.length - 1) / (this.hello.limits.path_points - 1));
@@ -344,7 +344,7 @@ export class Play {
     });
   }
 
-  /** Asks for nothing until the user wants something: the character is on its way already. */
+  /** Sends nothing until the user steers, because the character is moving already. */
   watch() {
     this.#setMode(null);
     this.pathOf = this.chosen;
@@ -420,7 +420,7 @@ export class Play {
 
   #setDrawing(on) {
     this.drawing = on;
-    if (on) this.sheets.show(null); // there must be ground to draw on
+    if (on) this.sheets.show(null); // drawing needs the ground to be visible
     this.stage.controls.enabled = !on;
     $("scene").classList.toggle("drawing", on);
     this.pathType.parentNode.hidden = !on;
@@ -438,11 +438,11 @@ export class Play {
         return;
       }
       if (event.repeat) return;
-      const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code); // with Shift held too, and wherever digits need it
+      const digit = /^(?:Digit|Numpad)(\d)$/.exec(event.code); // also with Shift, and on layouts where digits need it
       const key = digit ? digit[1] : event.key.length === 1 ? event.key.toLowerCase() : event.key;
       const type = this.typeKeys.get(key);
       const action = type ? () => this.perform(type) : this.commands[key];
-      // Shift and Tab reach the buttons, and from a button, or with one character, Tab goes on as anywhere.
+      // Shift+Tab always moves the focus. Tab does so too, unless several characters exist and the scene has the focus.
       const onPage = target === document.body || target === $("scene");
       if (!action || (key === "Tab" && (this.mine.length < 2 || event.shiftKey || !onPage))) return;
       action();
@@ -451,7 +451,7 @@ export class Play {
     addEventListener("keyup", (event) => {
       if (this.steering.key(event, false)) this.touched = event.timeStamp;
     });
-    // No pictures are asked of a hidden page, so nothing would tell the server that keys and sticks are let go.
+    // A hidden page draws nothing, so released keys and sticks must be reported here.
     document.addEventListener("visibilitychange", () => {
       this.steering.release();
       if (this.hello) this.#wish();
@@ -483,7 +483,7 @@ export class Play {
   #controls() {
     const { hello } = this;
     const shown = hello.types.filter(({ name }) => !hello.steered.includes(name));
-    // Performances first: they are what one presses a key for.
+    // Performances come first, because keys are mostly used for them.
     shown.sort((a, b) => (b.seconds > 0) - (a.seconds > 0));
     this.typeKeys = new Map();
     this.typeButtons = new Map();
@@ -582,7 +582,7 @@ export class Play {
     this.link.ask("add", { body: this.told.get(this.chosen)?.body ?? "default" });
   }
 
-  // What it has recorded is downloaded first.
+  // Downloads the character's recording first.
   #dismiss(character) {
     if (this.told.get(character)?.recording) this.link.ask("record", { character, on: false });
     this.link.ask("remove", { character });
@@ -599,7 +599,7 @@ export class Play {
     this.link.ask("reset", { character: this.chosen });
   }
 
-  /** Begins to record, or ends it. */
+  /** Starts or ends a recording. */
   record() {
     if (this.chosen === null) return;
     this.link.ask("record", { character: this.chosen, on: !this.told.get(this.chosen)?.recording });
@@ -615,7 +615,7 @@ export class Play {
     this.recordButton.replaceChildren(element("span", { className: "dot" }), on ? "0.0 s" : "Record");
   }
 
-  // Downloads a recording; others are what makes its address in other formats, by their endings.
+  // Downloads a recording; others maps endings to functions that make its address in that format.
   #save({ character, url, format, seconds, others = {} }) {
     const name = (ending) => `motionkit-recording.${ending}`;
     const link = element("a", { href: url, download: name(format) }, `${format.toUpperCase()} again`);
@@ -634,7 +634,7 @@ export class Play {
     this.say(`Recorded ${seconds.toFixed(1)} s: `, link, ...more);
   }
 
-  /** A line to the user, for a while. */
+  /** Shows a line to the user for a while. */
   say(...parts) {
     clearTimeout(this.forgetting);
     $("hint").replaceChildren(...parts);
@@ -671,7 +671,7 @@ export class Play {
     this.smoothed = this.smoothed ? 0.7 * this.smoothed + 0.3 * drawn : drawn;
     const { newest, link, responses, hello } = this;
     if (this.behind) {
-      this.behind.fps = newest.fps; // what it said when it fell behind is soon out of date
+      this.behind.fps = newest.fps; // the event's own rate is soon out of date
       this.#pace();
     }
     const middle = [...responses].sort((a, b) => a - b)[Math.floor(responses.length / 2)];
@@ -689,7 +689,7 @@ export class Play {
   }
 }
 
-// Whether a wish says something else than the last one that was sent.
+// Whether a wish differs from the last one sent.
 function changed(sent, wish, character) {
   if (!sent || sent.character !== character || sent.type !== wish.type) return true;
   if ((sent.facing === null) !== (wish.facing === null) || (sent.velocity === null) !== (wish.velocity === null)) return true;
@@ -699,7 +699,7 @@ function changed(sent, wish, character) {
   return Math.hypot(wish.velocity[0] - sent.velocity[0], wish.velocity[1] - sent.velocity[1]) > (size > 0 ? TURNED * size : 0);
 }
 
-/** The page, made and put at hand for tests and the curious; null, and the reason on the screen, where it cannot be. */
+/** Makes the page and exposes it for tests; on failure shows the reason and returns null. */
 export function open(make) {
   try {
     return (window.motionkit = make());

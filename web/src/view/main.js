@@ -1,4 +1,4 @@
-// The page of `motionkit view`: reads the motions in it and plays them.
+// The page of `motionkit view`: reads its motions and plays them.
 
 import { Color, Group, Vector3 } from "three";
 import { button, element, fillHelp, icon, initialTheme, toggle } from "../lib/dom.js";
@@ -7,8 +7,8 @@ import { Timeline } from "./timeline.js";
 
 const COLORS = ["#4f86e8", "#e8853d", "#3fae74", "#a873de", "#dd5567", "#2ba7ac", "#c7a227", "#8d97a8"];
 const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 4];
-const FAR_OFF = 2.5; // metres a motion may wander before the camera goes along
-const REACH = 0.9; // metres to either side that a body and its arms take in the picture
+const FAR_OFF = 2.5; // metres of travel beyond which the camera follows a motion
+const REACH = 0.9; // metres on either side that a body and its arms take in the picture
 const $ = (id) => document.getElementById(id);
 
 class Viewer {
@@ -64,7 +64,7 @@ class Viewer {
     return document.documentElement.dataset.theme;
   }
 
-  /** Puts motions side by side along x, or all where they were recorded. */
+  /** Places motions side by side along x, or all where they were recorded. */
   #arrange() {
     const boxes = this.tracks.map(({ clip }) => clip.box);
     const widths = boxes.map((box) => Math.max(0.9, box[2] - box[0]));
@@ -84,9 +84,9 @@ class Viewer {
     return Math.max(box[2] - box[0], box[3] - box[1]) > FAR_OFF;
   }
 
-  /** Looks at the whole of what is shown, or at the figure that is followed. */
+  /** Frames everything visible, or the followed figure. */
   frameAll() {
-    this.stage.resize(); // the page may have been laid out since
+    this.stage.resize(); // the layout of the page may have changed
     const shown = this.tracks.filter((track) => track.shown);
     const angle = this.tracks.length > 1 ? 0.5 : this.#goodSide(this.track.clip);
     if (this.followed) {
@@ -109,13 +109,13 @@ class Viewer {
     return 0.9;
   }
 
-  /** Where the body of a motion is now, on the ground: x, z. */
+  /** The body's present position on the ground: x, z. */
   #place({ clip, group }) {
     const frame = clip.frameAt(this.time);
     return [clip.middle[frame * 2] + group.position.x, clip.middle[frame * 2 + 1] + group.position.z];
   }
 
-  /** The middle of some motions as they are now, and how far a camera in this direction stands off to have each in the picture. */
+  /** The middle of motions, and the distance at which a camera in this direction sees them all. */
   #standBack(tracks, angle) {
     const { aspect, fov } = this.stage.camera;
     const wide = Math.tan((fov * Math.PI) / 360) * aspect;
@@ -130,7 +130,7 @@ class Viewer {
     return { middle: [side * cos + depth * sin, depth * cos - side * sin], distance };
   }
 
-  // Someone who travels is seen from the side, a little from the front; someone who stays from the front.
+  // Travelling bodies are seen from the side and slightly from the front, others from the front.
   #goodSide(clip) {
     const last = clip.hips.length - 3;
     const way = [clip.hips[last] - clip.hips[0], clip.hips[last + 2] - clip.hips[2]];
@@ -138,7 +138,7 @@ class Viewer {
     return Math.atan2(way[0], way[1]) + 0.95;
   }
 
-  /** Shows a moment of all motions; by hand it also stops. */
+  /** Shows a moment of all motions; a seek by hand also stops playback. */
   seek(time, byHand = false) {
     if (byHand) this.playing = false;
     this.time = Math.max(0, Math.min(this.timeline.seconds, time));
@@ -187,7 +187,7 @@ class Viewer {
     if (this.playing) {
       let time = this.time + passed * this.speed;
       const { seconds } = this.timeline;
-      // The last frame is shown as long as any other.
+      // The last frame is shown as long as the others.
       const end = seconds + Math.min(...this.tracks.map(({ clip }) => 1 / clip.fps));
       if (time >= end) {
         time = this.looping ? (time - end) % end : seconds;
@@ -200,7 +200,7 @@ class Viewer {
 
   #advance(time) {
     this.seek(time);
-    this.time = time; // past the last frame, until its time is over
+    this.time = time; // beyond the last frame while that is still shown
   }
 
   #label() {
@@ -233,7 +233,7 @@ class Viewer {
     this.playButton.setAttribute("aria-label", on ? "Pause" : "Play");
   }
 
-  /** So many frames of the chosen motion on or back. */
+  /** Steps the chosen motion by a number of frames, forward or back. */
   step(frames) {
     const { clip } = this.track;
     this.play(false);
@@ -369,7 +369,7 @@ class Viewer {
     canvas.addEventListener("pointerup", (event) => {
       if (at && Math.hypot(event.clientX - at[0], event.clientY - at[1]) < 4) this.play();
     });
-    this.stage.controls.enableZoom = false; // the wheel is the page's around it
+    this.stage.controls.enableZoom = false; // the wheel scrolls the surrounding page
     if (theme) this.theme = theme;
   }
 
@@ -407,7 +407,7 @@ async function start() {
   viewer.choose(0);
   viewer.frameAll();
   if (data.bare) viewer.bare(data.theme);
-  window.motionkit = viewer; // for tests and the curious
+  window.motionkit = viewer; // for tests
   viewer.play(!matchMedia("(prefers-reduced-motion: reduce)").matches);
   document.documentElement.dataset.ready = "true";
 }

@@ -1,8 +1,8 @@
-// Type bands, contacts and curves over one axis of time, with a cursor to drag.
+// Type bands, contacts and curves over a common time axis, with a cursor to drag.
 
 import { CONTACT_COLORS, SLIDE_COLOR } from "../lib/marks.js";
 
-const LEFT = 92;
+const LEFT = 92; // pixels, like the following sizes
 const RIGHT = 14;
 const BAND = 17;
 const STRIPE = 9;
@@ -35,7 +35,7 @@ export class Timeline {
     new ResizeObserver(() => this.redraw()).observe(canvas);
   }
 
-  // On a low screen, a phone held across, the figures need the place of the curves.
+  // On a low screen, such as a phone held sideways, the figures need the space of the curves.
   #layout() {
     const low = this.low.matches;
     const rows = [];
@@ -71,7 +71,7 @@ export class Timeline {
     return dark ? `hsl(${hue} 42% 36%)` : `hsl(${hue} 62% 80%)`;
   }
 
-  /** Draws everything that does not move with the cursor, once. */
+  /** Draws everything that does not move with the cursor. */
   redraw() {
     this.#layout();
     const scale = Math.min(window.devicePixelRatio, 2);
@@ -209,7 +209,7 @@ export class Timeline {
     for (const { clip, color, values, factor } of row.curves) {
       pen.strokeStyle = color;
       pen.beginPath();
-      // Half a pixel a point is enough.
+      // One point per half pixel is enough.
       const stride = Math.max(1, Math.floor(values.length / (2 * this.width)));
       for (let frame = 0; frame < values.length; frame += stride) pen.lineTo(this.#x(frame / clip.fps), row.y(values[frame] * factor));
       pen.stroke();
@@ -259,7 +259,7 @@ export class Timeline {
   }
 }
 
-// The nearest of 1, 2, 5 times a power of ten at or above a length.
+// The smallest of 1, 2, 5 times a power of ten that is not below a length.
 function tick(length) {
   const power = 10 ** Math.floor(Math.log10(Math.max(length, 1e-6)));
   return power * [1, 2, 5, 10].find((factor) => factor * power >= length * 0.999);

@@ -1,4 +1,4 @@
-"""`motionkit experiment`: the paper's experiments, their tables, figures and user study."""
+"""`motionkit experiment`: the paper's experiments, tables, figures and user study."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options that the commands of `motionkit experiment` share, and what all of them need."""
+"""Options that the commands of `motionkit experiment` share, and their check for torch."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 SETS = ["D_L", "all", "no-dances", "locomotion"]
 RESULTS = Path("experiments/results")
-# What the commands write for one model goes into folders of these names beside that of the results.
+# Folders for results of single models, beside the results folder.
 SCENES, LONG, BODIES = (RESULTS.parent / name for name in ("scenes", "long", "bodies"))
 
 
@@ -42,7 +42,7 @@ set_option = click.option(
 
 
 def plan_options(function: Callable) -> Callable:
-    """The options that say which data set, how much training, and where results go."""
+    """Options for the data set, the amount of training, and the results folder."""
     options: list[Callable] = [
         data_option,
         set_option,
@@ -69,7 +69,7 @@ def plan_options(function: Callable) -> Callable:
 
 
 def make_plan(options: dict[str, Any], device: str = "auto") -> Plan:
-    """The plan that plan_options ask for."""
+    """The plan described by plan_options."""
     from motionkit.lab.paper.runs import Plan
 
     results = options["results"]
@@ -86,7 +86,7 @@ def make_plan(options: dict[str, Any], device: str = "auto") -> Plan:
 
 
 def output_option(default: str, folder: bool) -> Callable:
-    """-o: the folder, or else the page, to write."""
+    """-o: the folder or the page to write."""
     return click.option(
         "-o",
         "--output",
@@ -110,7 +110,7 @@ def results_option(function: Callable) -> Callable:
 
 
 def needs_torch() -> None:
-    """Raise MotionkitError where torch is not installed, before anything imports it."""
+    """Raise MotionkitError if torch is not installed, before anything imports it."""
     from importlib.util import find_spec
 
     if find_spec("torch") is None:

@@ -1,4 +1,4 @@
-"""`motionkit experiment tables` and `figures`: what runs left behind, beside the paper's figures."""
+"""`motionkit experiment tables` and `figures`: results of finished runs, compared with the paper's."""
 
 from __future__ import annotations
 

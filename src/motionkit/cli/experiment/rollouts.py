@@ -1,4 +1,4 @@
-"""`motionkit experiment scenes`, `long` and `bodies`: one model shows what the paper's figures show."""
+"""`motionkit experiment scenes`, `long` and `bodies`: roll-outs of one model for the paper's figures."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from motionkit.cli.fitting_table import print_fitting
 from motionkit.files import write_json
 from motionkit.names import counted
 
-# Columns of the tables that a narrow terminal can do without, the first first.
+# Columns to omit on a narrow terminal, in this order.
 LONG_SPARE, BODIES_SPARE = (8, 1, 7, 5, 3), (6, 5, 4, 3)
 
 

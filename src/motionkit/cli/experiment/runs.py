@@ -1,4 +1,4 @@
-"""`motionkit experiment list`, `run` and `shipped`: networks are trained and measured."""
+"""`motionkit experiment list`, `run` and `shipped`: train and measure networks."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def run_command(
     with progress_bar() as bar:
         task = bar.add_task("running", total=100)
         try:
-            # Closed at once on Ctrl-C, so that runs in processes of their own have stopped before the last line.
+            # Ctrl-C closes this at once, so that runs in other processes stop before the last line is printed.
             with closing(
                 run_all(plan, left, jobs, remark, lambda share: bar.update(task, completed=100 * share))
             ) as made:

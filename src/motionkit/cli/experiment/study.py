@@ -67,7 +67,7 @@ def ttest_command(answers: tuple[Path, ...], model: str, paper_table: str | None
     if not rows:
         raise MotionkitError(f"no model is left to compare {model} with")
     paper = STUDIES.get(paper_table or "", {})
-    if model != "TPTN":  # the paper has no t and p of another
+    if model != "TPTN":  # the paper gives t and p for TPTN only
         paper = {name: StudyRow(row.mean, row.std) for name, row in paper.items()}
     if paper_table and not paper.keys() & {row.rival.name for row in rows}:
         remark(f"the paper's table {paper_table} has none of these models, but {', '.join(paper)}")
@@ -78,7 +78,7 @@ def ttest_command(answers: tuple[Path, ...], model: str, paper_table: str | None
 
 
 def _comparisons(found: dict[str, Score], model: str) -> list[Comparison]:
-    """Hold a model against each other one; those without anything to test are left out, with a line that says so."""
+    """Compare a model with each other one; report and skip those without anything to test."""
     from motionkit.lab.paper.ttest import NothingToTest, compare
 
     if model not in found:
@@ -101,7 +101,7 @@ def _score_facts(score: Score) -> dict[str, Any]:
 def _ttest_facts(
     mine: Score, rows: Sequence[Comparison], raters: int, paper: dict[str, StudyRow]
 ) -> dict[str, Any]:
-    """The t-test as --json prints it; the paper's figures stand where they were asked for and there are some."""
+    """The t-test for --json, with the paper's numbers if requested and available."""
 
     def beside(facts: dict[str, Any]) -> dict[str, Any]:
         return {**facts, "paper": paper[facts["model"]]._asdict()} if facts["model"] in paper else facts
@@ -134,7 +134,7 @@ def _print_ttest(mine: Score, rows: Sequence[Comparison], raters: int, paper: di
 
 
 def _paper_cells(row: StudyRow | None) -> list[str]:
-    """The cells of a row of the paper's table, empty where it has none."""
+    """The cells of a row of the paper's table; empty if it has no such row."""
     shapes = (".3f", ".3f", ".3f", ".3e")
     values = row or (None,) * len(shapes)
     return ["" if value is None else f"{value:{shape}}" for value, shape in zip(values, shapes, strict=True)]
