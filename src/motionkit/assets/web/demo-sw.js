@@ -1,9 +1,9 @@
-// Keeps the files of this version, so that the page works without a network after the first visit.
+// Caches the files of this version, so that the page works offline after the first visit.
 
 const NAME = "motionkit-__VERSION__";
 const FILES = ["./", "index.html", "model.bin", "motionkit.wasm"];
 
-// What the browser has kept may be of another version: it is to ask whether it is not.
+// Revalidates with the server, because the browser's cache may hold another version.
 const anew = (file) => new Request(file, { cache: "no-cache" });
 
 self.addEventListener("install", (event) => {
