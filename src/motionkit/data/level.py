@@ -29,7 +29,7 @@ class TiltRule:
 
     # A slow toe this much above standing ones is held in the air and left out. With larger values it counts as floor.
     held_up: float = 12.0
-    cell: float = 30.0  # side of a floor cell; footfalls in one cell count once. Chosen: about a foot's length
+    cell: float = 30.0  # side of a floor cell, in which footfalls count once. Chosen: a foot's length
     usual: float = 0.01  # standard deviation of slopes around zero, the prior of the fit
     # Only slopes between these two are removed: feet are too uncertain for smaller ones, larger ones are real ramps.
     least: float = 0.003
