@@ -6,9 +6,7 @@ import numpy as np
 
 from motionkit.arrays import Array, length
 
-PACE_SECONDS = (
-    0.2  # time over which a velocity is measured, and between the two velocities of an acceleration
-)
+PACE_SECONDS = 0.2  # time over which velocities are measured, and between the two of an acceleration
 
 
 def ground_velocity(root_positions: Array, fps: float) -> Array:
