@@ -79,15 +79,15 @@ class Pops:
     """
 
     jump: float = math.radians(8.0)  # smallest jump away and back, for pops of one or two frames
-    ratio: float = 3.0  # jump over the steps around it and over the steps left after interpolation
+    ratio: float = 3.0  # smallest ratio of the jump to the steps around it, and to those after interpolation
     # The same for longer pops, which look more like real motion.
     long_jump: float = math.radians(30.0)
     long_ratio: float = 4.0
     long_seconds: float = 0.034  # longest pop: 4 frames at 120 fps; at 30 fps toes of a run roll in 2 frames
     neighbours: int = 4  # steps before and after that are compared with the jump
     away: float = 0.7  # share of the jump by which each frame of a pop is off the interpolation
-    root_jump: float = 1.2  # cm between the root and the middle of its neighbours
-    root_ratio: float = 4.0  # times the same distance in the frames nearby
+    root_jump: float = 1.2  # smallest distance in cm of the root from the middle of its neighbours
+    root_ratio: float = 4.0  # smallest ratio of this distance to the largest one in frames nearby
 
 
 @dataclass(frozen=True)

@@ -36,8 +36,8 @@ MOST = 0.6
 # and at least FAR (cm per joint).
 APART, FAR = 2.5, 6.0
 GROUPED = 6  # fewest clips of a type that are searched for two groups
-# A clip looks like another type if that type's centre is nearer than this share of the distance to its own centre,
-# which must exceed FAR.
+# A clip looks like another type if the distance to that type's centre is below this share of the distance to its own
+# type's centre, and the latter exceeds FAR.
 NEARER = 0.5
 HELD_OUT = ("validation", "test")
 SPEED_SCALE = 10.0  # cm/s over the ground that weigh as much as 1 cm per joint

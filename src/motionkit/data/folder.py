@@ -181,7 +181,7 @@ def _lock(handle: int) -> bool:
 class ArrayWriter:
     """Writes an .npy file row by row.
 
-    A memory map would not do: a full disk would kill the process.
+    It does not use a memory map, because a full disk would then kill the process.
     """
 
     def __init__(self, folder: Path, name: str, shape: tuple[int, ...], dtype: type) -> None:

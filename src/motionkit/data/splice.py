@@ -121,8 +121,8 @@ def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
     to_come = np.arange(held, 0, -1, dtype=np.float32)  # frames left until the piece's first
     share = np.clip((held - 1 - to_come) / pause, 0.0, None)
     motion = piece.motion
-    # Remaining distance in steps of the first frame: for the root on the ground, and for height and joints, which end
-    # where they start.
+    # Distance to the first frame, in units of the first frame's step. `ahead` is for the root on the ground. `back` is
+    # for height and joints, which leave the first pose and return to it.
     ahead = np.append(np.cumsum(share[:0:-1])[::-1], 0.0)[:, None] + 1.0
     back = _decay_curves(to_come, float(pause))[1]
 

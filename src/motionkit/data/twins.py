@@ -18,9 +18,10 @@ EVERY = 8  # frames between the poses that are compared
 # Fewest and most poses of a type that are compared. Fewer would not do: half a stride looks like the mirror image of
 # the other half.
 LEAST_POSES, MOST_POSES = 12, 400
-# Two sets of poses differ by this quantile of the distances to the nearest pose, in cm per joint: a high one, because
-# most poses of a kick are standing poses. A type is the mirror image of another if the mirrored poses differ from that
-# type by less than NEARER times what they, and the unmirrored poses, differ by otherwise.
+# Quantile of the distances to the nearest pose (cm per joint) that is the distance between two sets of poses. It is
+# high, because most poses of a kick are standing poses.
+# A type is the mirror image of another if the distance from its mirrored poses to the other type is below NEARER times
+# two distances: from its mirrored poses to its own type, and from its unmirrored poses to the other type.
 QUANTILE, NEARER = 0.9, 0.8
 _LAYOUT = feature_layout(DEFAULT_LAYOUT)
 _POSE = _LAYOUT.blocks["joint_positions"]

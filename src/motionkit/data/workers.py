@@ -42,7 +42,7 @@ def worker_processes(count: int) -> Iterator[Map]:
             yield each
         except BaseException:
             for process in started:
-                process.kill()  # a worker that is still importing ignores weaker signals
+                process.kill()  # not terminate: a worker that is still importing ignores other signals
             raise
 
 

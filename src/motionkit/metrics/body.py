@@ -190,7 +190,7 @@ class Body:
         return float(euler_movement(self.rotations).sum(axis=-1).mean())
 
     def poses(self, every: int = 1) -> Array:
-        """Return joint positions (T', 69) of every so-many-th frame in the heading frame, in cm."""
+        """Return joint positions (T', 69) in cm in the heading frame, of one frame in `every`."""
         positions = self.positions[::every]
         root = positions[:, HIPS] * np.array([1.0, 0.0, 1.0], np.float32)
         turn = quat_from_yaw(-self.heading[::every])

@@ -78,7 +78,7 @@ def _running(body: Body) -> bool:
 # ---- jumps ----
 
 JUMP_SECONDS = 0.2  # shortest flight of a jump
-TAKE_OFF_SECONDS = 0.15  # time before a flight from which the take-off foot is told
+TAKE_OFF_SECONDS = 0.15  # time before a flight in which the lower foot is the take-off foot
 ONE_FOOT = 5.0  # cm; in a take-off from one foot the other foot is at least this much higher
 
 

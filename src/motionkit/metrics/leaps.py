@@ -18,7 +18,7 @@ SAME_LEAP = 3  # frames within which later jumps belong to the same leap
 
 
 def leap_frames(positions: Array) -> Array:
-    """Frames (N,) that a leap leads to: its step differs by more than LEAP from the step before and the step after.
+    """Frames (N,) right after a leap, a step that differs by more than LEAP from the steps before and after it.
 
     Steps are compared as vectors, so a joint that jumps away and back within a frame leaps too.
 

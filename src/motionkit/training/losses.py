@@ -34,7 +34,7 @@ class LossOptions:
     outlier: float = math.inf  # number of standard deviations beyond which gaussian_loss is linear
     beta_nll: float = 0.0  # beta of gaussian_loss; 0 is the plain likelihood
     slip_weight: float = 1.0  # weight of foot slip in fk_loss
-    step_weight: float = 0.0  # weight in fk_loss of the movement of low feet; docs/results-log.md tries 50
+    step_weight: float = 0.0  # weight of the step loss in fk_loss; docs/results-log.md tries 50
     step_except: tuple[str, ...] = ()  # types whose step_weight is 0
     likelihood: str = "gauss"  # or "l2", the paper's ablation "L2 loss": squared errors, sigma untrained
     # Foot slip: "ground" measures it over the ground, "paper" as eq. 8 is written (fk_loss, paper_foot_slip).

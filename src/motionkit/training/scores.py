@@ -108,7 +108,7 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Array:
-    """At most MAX_REAL_FRAMES frames of a type, evenly from all its training clips, which begin with standing."""
+    """At most MAX_REAL_FRAMES training frames of a type, evenly spread, because clips begin with standing."""
     clips = [(clip, np.flatnonzero(dataset.clip_types(clip) == kind)) for clip in dataset.select("train")]
     every = 1 + sum(len(rows) for _, rows in clips) // MAX_REAL_FRAMES
     parts = [dataset.read(clip).features[rows[::every]] for clip, rows in clips if len(rows)]

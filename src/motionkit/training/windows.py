@@ -41,7 +41,7 @@ class ControlSampling:
     reference_dropout: float = 0.5
     reference_gaps: float = 0.25  # share of windows with a gap in their reference poses (GAP_FRAMES)
     lead_share: float = 0.5  # share of windows whose type weights change before the motion does
-    lead_frames: int = 30  # most frames by which they do
+    lead_frames: int = 30  # largest number of frames between the two
 
 
 @dataclass(frozen=True)
