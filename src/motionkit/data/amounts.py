@@ -1,4 +1,4 @@
-"""How much there is to learn each type from."""
+"""How many clips and seconds of training motion each type has."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from motionkit.data.repeat import FEW_SECONDS, LEAST_FRAMES
 
 
 def type_amounts(dataset: Dataset) -> dict[str, tuple[int, float]]:
-    """Clips and seconds of the training recordings of each type; mirrored copies do not count."""
+    """Clips and seconds of training motion for each type, without mirrored copies."""
     recordings = {clip.start: clip for clip in reversed(dataset.select("train"))}
     none, size = np.zeros(0, np.int64), len(dataset.types)
     tracks = [none, *map(dataset.clip_types, recordings.values())]
@@ -19,7 +19,7 @@ def type_amounts(dataset: Dataset) -> dict[str, tuple[int, float]]:
 
 
 def small_types(dataset: Dataset) -> list[str]:
-    """A line for each type that is hard to learn: without training clips, with one clip, or with a few seconds."""
+    """A warning for each type with no training clip, one clip, or only a few seconds."""
     lines, least = [], LEAST_FRAMES / dataset.fps
     for kind, (clips, seconds) in type_amounts(dataset).items():
         if clips == 0:

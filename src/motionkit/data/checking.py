@@ -1,4 +1,4 @@
-"""Checks the manifest and arrays of a dataset as it is opened, so that readers can rely on shapes and ranges."""
+"""Checks shapes and ranges of a dataset's manifest and arrays when the dataset is opened."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from motionkit.names import nfc
 
 MAX_ROWS = 2**40
 MAX_ARRAY_BYTES = 2**50
-# Largest absolute value; results computed from such features stay within float32.
+# Largest absolute value; what is computed from it still fits float32.
 MAX_VALUE = 1e12
-# Columns, type, and smallest and largest value of each array.
+# Shape of a row, dtype, smallest and largest value of each array.
 ARRAY_KINDS: dict[str, tuple[tuple[int, ...], type, float, float]] = {
     "features": ((FEATURE_COUNT,), np.float32, -MAX_VALUE, MAX_VALUE),
     "contacts": ((4,), np.uint8, 0, 1),
@@ -34,12 +34,12 @@ ARRAY_KINDS: dict[str, tuple[tuple[int, ...], type, float, float]] = {
 
 
 def check_manifest(path: Path, manifest: Mapping[str, Any], clip_type: type) -> None:
-    """Raise DatasetError, naming file and entry, unless every entry of a manifest has its type, shape and range.
+    """Raise DatasetError, naming file and entry, if an entry of a manifest has a wrong type, shape or value.
 
     Args:
-        path: file of the manifest, for the message.
+        path: the manifest's file, for the message.
         manifest: its contents.
-        clip_type: the dataclass of its clips.
+        clip_type: the dataclass of a clip.
     """
 
     def check(key: str, good: bool, wanted: str) -> None:
@@ -101,7 +101,7 @@ def _mapping(value: object) -> bool:
 
 
 def _table(value: object, shape: tuple[int, ...]) -> bool:
-    """Whether nested lists have a shape and contain only numbers."""
+    """Whether nested lists of numbers have this shape."""
     if not shape:
         return is_number(value, -MAX_VALUE, MAX_VALUE)
     return (
@@ -125,14 +125,14 @@ def _is_clip(value: object, clip_type: type, bodies: int) -> bool:
 
 
 def open_array(path: Path, name: str, rows: int) -> np.ndarray:
-    """Open an array of a dataset, memory-mapped; raises DatasetError for a wrong shape or type or too few rows."""
+    """Open an array of a dataset, memory-mapped; raises DatasetError for a wrong shape or dtype, or too few rows."""
     columns, dtype, _, _ = ARRAY_KINDS[name]
     check_regular(path, MAX_ARRAY_BYTES, "an array of the dataset", DatasetError)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error")  # a header that numpy has to guess is invalid
+            warnings.simplefilter("error")  # numpy warns where it guesses a header
             array = np.lib.format.open_memmap(path, mode="r")
-    except Exception as error:  # numpy parses headers with Python's parser, which raises many types
+    except Exception as error:  # numpy evaluates headers as Python, which can raise many types
         said = (str(error).splitlines() or [type(error).__name__])[0][:200]
         raise DatasetError(f"{path}: cannot be read ({said})") from None
     if array.ndim != 1 + len(columns) or array.shape[1:] != columns or array.dtype != np.dtype(dtype):
@@ -146,7 +146,13 @@ def open_array(path: Path, name: str, rows: int) -> np.ndarray:
 
 
 def check_range(path: Path, name: str, values: np.ndarray, first: int = 0, most: float | None = None) -> None:
-    """Raise DatasetError for a value outside the array's range; values are its rows from `first` on."""
+    """Raise DatasetError for a value outside the array's range.
+
+    Args:
+        values: some rows of the array.
+        first: index of the first of these rows in the array, for the message.
+        most: largest value allowed, if it is not that of ARRAY_KINDS.
+    """
     _, _, low, high = ARRAY_KINDS[name]
     high = high if most is None else most
     if values.size and not (values.min() >= low and values.max() <= high):  # True for NaN
@@ -157,7 +163,7 @@ def check_range(path: Path, name: str, values: np.ndarray, first: int = 0, most:
 
 
 def same_length(folder: Path, arrays: Mapping[str, np.ndarray]) -> None:
-    """Raise DatasetError unless all arrays of a folder have the same number of rows."""
+    """Raise DatasetError if arrays of a folder differ in their number of rows."""
     lengths: Iterable[str] = (f"{name} {len(array)}" for name, array in arrays.items())
     if len({len(array) for array in arrays.values()}) > 1:
         raise DatasetError(f"{folder}: the arrays have different numbers of rows: {', '.join(lengths)}")

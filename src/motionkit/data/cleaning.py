@@ -1,7 +1,7 @@
-"""Repairs capture artefacts: T-pose lead-ins, pops, flipped knees and wrong floor heights.
+"""Repairs capture artefacts: T-poses at the ends, pops, flipped knees and elbows, and wrong floor heights.
 
-Takes a canonical motion and returns the repaired motion and a report. Every detector compares a frame with its
-neighbours, so that kicks, flips and cartwheels, which are fast for several frames in a row, are left alone.
+A pop is a joint or root that jumps away for a few frames and returns. Every detector compares a frame with its
+neighbours. Kicks, flips and cartwheels are fast for many frames in a row, so they pass unchanged.
 docs/dataset.md has the measurements behind the constants.
 """
 
@@ -29,8 +29,8 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_NAMES
 
-# Upper, middle and end joint of a leg or arm, which flips where hip and ankle stay, but knee and toes jump to the
-# other side of the line between them and return some frames later.
+# Upper, middle and end joint of a leg or arm. In a flipped leg, hip and ankle stay in place, but knee and toes point
+# to the other side for some frames.
 Limb = tuple[int, int, int]
 LIMBS: tuple[Limb, ...] = tuple(
     (JOINT_NAMES.index(side + upper), JOINT_NAMES.index(side + middle), JOINT_NAMES.index(side + end))
@@ -41,67 +41,69 @@ LIMBS: tuple[Limb, ...] = tuple(
 
 @dataclass(frozen=True)
 class Breaks:
-    """When frames at an end are cut off: the body stands still, or leaps and does not go on as it leapt.
+    """Thresholds for cutting frames off the ends of a clip: frozen frames, T-poses, and breaks.
 
-    Seconds, radians and cm; steps are those from frame to frame at 60 fps, and larger at a lower rate.
+    A break is one step from frame to frame that is far larger than the steps after it. Angles are in radians, distances
+    in cm, for steps at 60 fps; they grow at lower rates.
     """
 
-    # How far from the ends leaps of the whole body and of single joints count. Chosen: T-poses and their blends are
-    # within half a second, and what a joint does after a tenth is motion. Longer ones cut motion that begins fast.
+    # Seconds from the ends within which breaks of the whole body, and of single joints, are searched. T-poses and the
+    # blends out of them last up to half a second. Larger values cut motion that begins fast.
     lead_seconds: float = 0.5
     edge_seconds: float = 0.1
-    # Mean angle to the rest pose of a first frame that is a T-pose. Measured: these are at 4.8 to 6.7 degrees, no
-    # frame of real motion is within 11.5.
+    # Mean angle to the rest pose below which the first frame is a T-pose. Measured: T-poses have 4.8 to 6.7 degrees,
+    # real motion at least 11.5.
     rest_angle: float = math.radians(10.0)
-    # Blends out of a T-pose end where the step falls to so many times the median that follows. Chosen; with less,
-    # more of the calm beginning goes.
+    # A blend out of a T-pose ends where a step falls below this multiple of the later median step. Smaller values cut
+    # more of a calm beginning.
     blend_ratio: float = 2.0
-    # Steps below which a body is frozen. Chosen; with more, a body that only breathes would count.
+    # Steps below which a body is frozen. Larger values would count a body that only breathes.
     frozen_angle: float = math.radians(0.01)
     frozen_distance: float = 1e-3
-    # Steps that may be leaps: all joints on average, the root, one joint near the ends. Measured on 76 clips that
-    # labels say begin badly: all are found, and one besides. With less, fast starts are cut.
+    # Smallest step of a break: mean over all joints, root, single joint. Measured on 76 clips labelled as badly
+    # begun: all are found, with one false alarm. Smaller values cut fast starts.
     body: float = math.radians(6.0)
     root: float = 8.0
     joint: float = math.radians(30.0)
-    # A leap is so many times any of the next `look_ahead` steps. Measured likewise: with less, kicks are cut.
+    # A break is this many times larger than each of the next `look_ahead` steps. Smaller values cut kicks.
     ratio: float = 3.5
     look_ahead: int = 8
 
 
 @dataclass(frozen=True)
 class Pops:
-    """When a joint, or the root's place, jumps away and back and is bridged. Radians, cm, seconds and ratios.
+    """Thresholds for pops: a joint or the root jumps away and back, and is interpolated. Angles are in radians.
 
-    Measured on CMU clips (docs/cleaning.md): single frames off by 8 degrees are no motion, kicks and flips have fast
-    steps beside their fastest ones. Smaller jumps or ratios would flatten these, larger ones leave glitches.
+    Measured on CMU clips (docs/dataset.md): a single frame that is off by 8 degrees is never real, and the fastest
+    steps of kicks and flips have fast neighbours. Smaller values would flatten kicks, larger ones leave glitches.
     """
 
-    jump: float = math.radians(8.0)  # least jump away and back, of one or two frames
-    ratio: float = 3.0  # times the steps around, and the gap that bridging leaves
-    # The same of longer pops, which motion comes nearer to.
+    jump: float = math.radians(8.0)  # smallest jump away and back, for pops of one or two frames
+    ratio: float = 3.0  # smallest ratio of the jump to the steps around it, and to those after interpolation
+    # The same for longer pops, which look more like real motion.
     long_jump: float = math.radians(30.0)
     long_ratio: float = 4.0
-    long_seconds: float = 0.034  # of the longest: four frames at 120 fps; toes roll in a run in two at 30
-    neighbours: int = 4  # steps before and after that count as around
-    away: float = 0.7  # of the jump, by which all frames of the pop are off the bridge
-    root_jump: float = 1.2  # distance of the root from the line of its neighbours
-    root_ratio: float = 4.0  # times the distances nearby
+    long_seconds: float = 0.034  # longest pop: 4 frames at 120 fps; at 30 fps toes of a run roll in 2 frames
+    neighbours: int = 4  # steps before and after that are compared with the jump
+    away: float = 0.7  # share of the jump by which each frame of a pop is off the interpolation
+    root_jump: float = 1.2  # smallest distance in cm of the root from the middle of its neighbours
+    root_ratio: float = 4.0  # smallest ratio of this distance to the largest one in frames nearby
 
 
 @dataclass(frozen=True)
 class Flips:
-    """When a knee or elbow is on the wrong side. Measured on CMU subject 05, 24 flips in 8 clips (docs/cleaning.md)."""
+    """Thresholds for knees and elbows on the wrong side. Measured on 24 flips of CMU subject 05 (docs/dataset.md)."""
 
-    jump: float = math.radians(40.0)  # of thigh and foot, away and back; with less, fast swings would count
-    seconds: float = 0.25  # of the longest; what stays longer may be meant
-    # Share of the jump that the good frames around may be apart: with more, turns that happen to pause are undone.
+    jump: float = math.radians(40.0)  # smallest jump of upper and end joint; smaller values count fast swings
+    seconds: float = 0.25  # longest flip; a longer one may be real
+    # Largest difference between the good frames around a flip, as a share of the jump. With larger values, a real turn
+    # with a pause would be undone.
     back: float = 0.5
 
 
 BREAKS, POPS, FLIPS = Breaks(), Pops(), Flips()
-JUMP_LEFT = math.radians(60.0)  # a step that is noted, if it is left; 15 of 248 CMU clips have such
-MOST_JUMPS_TOLD = 20
+JUMP_LEFT = math.radians(60.0)  # a remaining step above this gets a note; 15 of 248 CMU clips have one
+MOST_JUMPS_TOLD = 20  # notes per clip
 
 
 @dataclass(frozen=True)
@@ -111,7 +113,7 @@ class CleaningReport:
     Attributes:
         lead_in: frames cut at the start (T-pose, the blend out of it, bad first frames).
         lead_out: frames cut at the end.
-        pops: (source frame, joint) of every repaired frame; "root position" means the root's place.
+        pops: (source frame, joint) of every repaired frame; "root position" for the root's position.
             A flipped limb is listed under its thigh or upper arm.
         floor_shift: cm added to the root height.
         notes: artefacts that were found but not repaired.
@@ -127,12 +129,12 @@ class CleaningReport:
 def clean(motion: Motion) -> tuple[Motion, CleaningReport]:
     """Repair a motion of the 23 canonical joints, in cm, at its own frame rate.
 
-    At least two frames are kept; for a motion of one or two frames only the floor is set.
+    At least two frames are kept. In a motion of one or two frames, only the floor height is corrected.
 
     Returns:
         The repaired motion and a report.
     """
-    cut, pops = mend(motion)  # first, so that a pop near an end is not mistaken for a break
+    cut, pops = mend(motion)  # first, so that a pop near an end is not taken for a break
     start, end = _good_span(cut)
     if end - start < len(motion):
         cut, pops = mend(motion.cut(start, end))
@@ -149,8 +151,8 @@ def mend(motion: Motion, limbs: Sequence[Limb] = LIMBS) -> tuple[Motion, list[tu
     """The motion without flips and pops, and the repaired frames and joints.
 
     Args:
-        motion: of any rig, in cm with Y up.
-        limbs: upper, middle and end joint of the legs and arms; those of the canonical skeleton by default.
+        motion: any rig, in cm with Y up.
+        limbs: upper, middle and end joint of each leg and arm; those of the canonical skeleton by default.
     """
     unflipped, flips = _mend_flips(motion, limbs)
     mended, pops = _mend_pops(unflipped)
@@ -164,7 +166,7 @@ def _steps(motion: Motion) -> tuple[Array, Array]:
 
 
 def _angle(a: Array, b: Array) -> Array:
-    """Angles (...) between rotations (..., 4), from the chord of the difference: exact for small ones too, and fast."""
+    """Angles (...) between rotations (..., 4), from their chord, which is fast and exact for small angles too."""
     same = (a * b).sum(axis=-1, keepdims=True) >= 0
     squared = (np.where(same, a - b, a + b) ** 2).sum(axis=-1)
     return 4.0 * np.arcsin(np.minimum(0.5 * np.sqrt(squared), 1.0))
@@ -185,7 +187,7 @@ def _lead(angles: Array, distances: Array, fps: float) -> int:
     half = len(angles) // 2
     edge = min(max(3, round(BREAKS.edge_seconds * fps)), half)
     window = min(round(BREAKS.lead_seconds * fps), half)
-    coarse = max(1.0, 60.0 / fps)  # real steps are larger at lower frame rates
+    coarse = max(1.0, 60.0 / fps)  # a step covers more time at a lower rate
     body = angles.mean(axis=1)
     lead = max(
         _last_true(_breaks(body, coarse * BREAKS.body, window)),
@@ -222,36 +224,36 @@ def _tail(angles: Array, distances: Array, fps: float) -> int:
 
 
 def _edge_breaks(angles: Array, edge: int, coarse: float) -> int:
-    """Number of frames before the last break of a joint within the first steps (T - 1, J)."""
+    """Number of frames before the last break of a single joint within the first steps (T - 1, J)."""
     joints = _breaks(angles, coarse * BREAKS.joint, edge)
-    joints[2:, list(TOES)] = False  # toes jitter; cut only the outermost frames for them
+    joints[2:, list(TOES)] = False  # toes jitter, so only the two outermost steps count
     return _last_true(np.asarray(joints.any(axis=1)))
 
 
 def _breaks(steps: Array, least: float, window: int) -> Array:
-    """Which of the first steps (window, ...) far exceed the BREAKS.look_ahead steps that follow."""
+    """Flags (window, ...): whether each of the first steps far exceeds the BREAKS.look_ahead steps after it."""
     ahead = np.concatenate([steps, np.broadcast_to(steps[-1:], (BREAKS.look_ahead, *steps.shape[1:]))])
     following = sliding_window_view(ahead[1:], BREAKS.look_ahead, axis=0)[:window].max(axis=-1)
     return (steps[:window] > least) & (steps[:window] > BREAKS.ratio * following)
 
 
 def _frozen(angles: Array, distances: Array) -> int:
-    """Number of steps at the start without any movement; 0 if nothing ever moves."""
+    """Number of steps at the start without movement; 0 if the whole motion has none."""
     still = (angles.max(axis=1) < BREAKS.frozen_angle) & (distances < BREAKS.frozen_distance)
     moving = np.flatnonzero(~still)
     return int(moving[0]) if len(moving) else 0
 
 
 def _last_true(flags: Array) -> int:
-    """One more than the index of the last true flag, 0 if there is none."""
+    """Index after the last true flag; 0 without one."""
     found = np.flatnonzero(flags)
     return int(found[-1]) + 1 if len(found) else 0
 
 
 def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
-    """The motion with short pops bridged, and their frames and joints."""
+    """The motion with its pops interpolated, and their frames and joints."""
     rotations, places = motion.local_rotations.copy(), motion.root_positions.copy()
-    # At a low frame rate, two frames away and back are real motion: toes roll off that fast in a run.
+    # In frames: at a low rate, toes that roll off in a run are away for two frames.
     longest = max(1, round(POPS.long_seconds * motion.fps))
     coarse = max(1.0, 60.0 / motion.fps)
     steps = _angle(rotations[:-1], rotations[1:])
@@ -277,9 +279,8 @@ def _mend_pops(motion: Motion) -> tuple[Motion, list[tuple[int, str]]]:
 def _joint_pops(rotations: Array, steps: Array, span: int, coarse: float) -> list[tuple[int, int]]:
     """First frame and joint of every pop of `span` frames in rotations (T, J, 4) with steps (T - 1, J).
 
-    The steps out and back must far exceed the steps before and after, and the steps that remain after
-    interpolation. This separates a pop from a fast swing, whose neighbours are fast too. The smallest jump is
-    multiplied by coarse, because real steps are larger at lower frame rates.
+    The steps away and back must far exceed the steps around them and the steps left after interpolation. A fast swing
+    fails this test, because its neighbours are fast too. coarse scales the smallest jump for lower frame rates.
     """
     least, ratio = (POPS.jump, POPS.ratio) if span <= 2 else (POPS.long_jump, POPS.long_ratio)
     jump = np.minimum(steps[: len(steps) - span], steps[span:])
@@ -315,8 +316,8 @@ def _step_at(steps: Array, frames: Array, joints: Array) -> Array:
 def _mend_flips(motion: Motion, limbs: Sequence[Limb]) -> tuple[Motion, list[tuple[int, str]]]:
     """Repair flipped knees and elbows; returns the motion and the repaired frames and upper joints.
 
-    The limb is rotated about the line from its first to its last joint, which both stay in place, to the
-    interpolation between the good frames around it; the end joint is interpolated too.
+    The limb turns about the line from its upper to its end joint, which both stay in place. The angle comes from
+    interpolating the upper joint between the good frames around. The end joint's rotation is interpolated too.
     """
     rotations = motion.local_rotations.copy()
     mended: list[tuple[int, str]] = []
@@ -338,7 +339,7 @@ def _mend_flips(motion: Motion, limbs: Sequence[Limb]) -> tuple[Motion, list[tup
 
 
 def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]]:
-    """First and last frame of every short span in which a limb (T, 4), (T, 4) is on the wrong side."""
+    """First and last frame of each flip of a limb, from the rotations (T, 4) of its upper and end joint."""
     jumps = (_angle(upper[:-1], upper[1:]) > FLIPS.jump) & (_angle(end[:-1], end[1:]) > FLIPS.jump)
     events = np.flatnonzero(jumps).tolist()
     spans: list[tuple[int, int]] = []
@@ -354,33 +355,33 @@ def _flipped_spans(upper: Array, end: Array, fps: float) -> list[tuple[int, int]
 
 
 def _bridge(before: Array, after: Array, count: int) -> Array:
-    """Rotations (count, 4) interpolated evenly between two (4,)."""
+    """Rotations (count, 4) at even steps between two rotations (4,)."""
     fractions = np.arange(1, count + 1, dtype=before.dtype) / (count + 1)
     return quat_slerp(np.broadcast_to(before, (count, 4)), np.broadcast_to(after, (count, 4)), fractions)
 
 
 def _twist(rotations: Array, axes: Array) -> Array:
-    """The part (..., 4) of rotations (..., 4) that turns about unit axes (..., 3)."""
+    """The twist (..., 4) of rotations (..., 4) about unit axes (..., 3)."""
     along = (rotations[..., 1:] * axes).sum(axis=-1, keepdims=True)
     part = np.concatenate([rotations[..., :1], along * axes], axis=-1)
-    # Half a turn about a perpendicular axis has no such part; use the identity.
+    # Half a turn about a perpendicular axis has no defined twist; use the identity.
     none = np.linalg.norm(part, axis=-1, keepdims=True) < 1e-6
     return quat_normalize(np.where(none, quat_identity(dtype=part.dtype), part))
 
 
 def _root_pops(places: Array) -> list[int]:
-    """Frames whose place (T, 3) deviates from the line of its neighbours far more than nearby frames do."""
+    """Frames whose position (T, 3) is much further from the middle of its neighbours than in frames nearby."""
     if len(places) < 2 * POPS.neighbours:
         return []
     residual = np.zeros(len(places), places.dtype)
     residual[1:-1] = np.linalg.norm(places[1:-1] - 0.5 * (places[:-2] + places[2:]), axis=-1)
     found = []
     for frame in np.flatnonzero(residual > POPS.root_jump).tolist():
-        # A pop shows at half its size in its two neighbours, so they do not count as nearby.
+        # The two neighbours of a pop show half its size, so they are left out.
         nearby = np.concatenate(
             [residual[max(0, frame - 6) : max(0, frame - 1)], residual[frame + 2 : frame + 7]]
         )
-        # A jump without a return gives two equal residuals side by side.
+        # A jump without return gives two equal residuals side by side.
         beside = max(float(residual[frame - 1]), float(residual[frame + 1]))
         level = max(0.1, float(nearby.max())) if len(nearby) else math.inf
         if residual[frame] > max(1.4 * beside, POPS.root_ratio * level):
@@ -389,7 +390,7 @@ def _root_pops(places: Array) -> list[int]:
 
 
 def _jumps_left(motion: Motion, start: int) -> tuple[str, ...]:
-    """Notes on jumps without a return, which cannot be interpolated."""
+    """Notes on jumps without return, which interpolation cannot repair."""
     if len(motion) < 3:
         return ()
     angles, _ = _steps(motion)

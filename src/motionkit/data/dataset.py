@@ -43,16 +43,16 @@ from motionkit.motion.skeleton import Skeleton, canonical_skeleton
 from motionkit.names import nfc
 
 FORMAT = 1
-SAME_BODY = 1e-3  # cm by which offsets of one body may differ
-# Number of frames to fit the pose embedding to; balance 0 weights all frames equally, 1 all types equally.
+SAME_BODY = 1e-3  # cm; offsets that differ by less belong to one body
+# Frames that the pose embedding is fitted to. Balance 0 weights all frames equally, 1 all types equally.
 EMBEDDING_FRAMES, EMBEDDING_BALANCE = 200_000, 0.75
 
 
 @dataclass(frozen=True)
 class Clip:
-    """Consecutive frames of one recording: rows start to start + frames of the arrays.
+    """Rows start to start + frames of the arrays: consecutive frames of one recording.
 
-    A mirrored clip has the same rows and is mirrored when read.
+    A mirrored clip shares the rows of its original and is mirrored as it is read.
     """
 
     name: str
@@ -127,12 +127,8 @@ class Dataset:
         same_length(self.folder, self._arrays)
         if _identity(path) != opened:
             raise DatasetError(f"{self.folder}: was replaced while it was being opened; try again")
-        for name in (
-            "contacts",
-            "ground",
-            "types",
-            "phases",
-        ):  # features, ten times as large, as they are read
+        # Features are ten times as large; they are checked as they are read.
+        for name in ("contacts", "ground", "types", "phases"):
             most = len(self.types) - 1 if name == "types" else None
             check_range(self._path(name), name, self._arrays[name], most=most)
 
@@ -143,13 +139,13 @@ class Dataset:
         phase_seconds: Mapping[str, float],
         bodies: Sequence[int] | None = None,
     ) -> None:
-        """Add new types, or training clips of known ones, in memory; the folder stays as it is.
+        """Add types and training clips in memory; the folder does not change.
 
         Args:
-            types: names that the dataset does not have; their ids count on from its own.
-            recordings: clips that follow each other; their reference poses are not kept.
-            phase_seconds: length of a performance of the new types, 0 for those without a phase.
-            bodies: of each recording, an index into bodies; the canonical body by default.
+            types: new names; their ids follow the dataset's own.
+            recordings: the new clips; their reference poses are dropped.
+            phase_seconds: seconds of a performance of each new type, 0 for a type without a phase.
+            bodies: index into self.bodies for each recording; the canonical body by default.
         """
         self.types = (*self.types, *types)
         if bodies is None:
@@ -171,7 +167,7 @@ class Dataset:
             self.__dict__.pop(name, None)
 
     def _canonical_body(self) -> int:
-        """The index of the canonical body, which is added if no clip has it."""
+        """The index of the canonical body; adds the body if no clip has it."""
         body = canonical_skeleton().offsets
         known = [i for i, offsets in enumerate(self.bodies) if np.allclose(offsets, body)]
         if not known:
@@ -199,12 +195,12 @@ class Dataset:
 
     @cached_property
     def reference_rotations(self) -> Array:
-        """Rotations (23, 4) that the exponential maps are relative to."""
+        """Reference rotations (23, 4), which the exponential maps are relative to."""
         return np.array(self.manifest["references"], np.float32)
 
     @cached_property
     def pose_embedding(self) -> PoseEmbedding:
-        """The pose embedding, fitted to the training poses with more weight on rare types."""
+        """The pose embedding, fitted to training poses; rare types have more weight."""
         train = self.select("train")
         if not train:
             raise no_training_clips(self.folder)
@@ -219,17 +215,17 @@ class Dataset:
 
     @cached_property
     def bodies(self) -> tuple[Array, ...]:
-        """Offsets (23, 3) in cm of every body in the data; Clip.body is an index into it."""
+        """Offsets (23, 3) in cm of every body; Clip.body is an index into them."""
         return tuple(np.array(body, np.float32) for body in self.manifest["bodies"])
 
     @cached_property
     def characters(self) -> dict[str, Array]:
-        """Offsets (23, 3) in cm of the performers named in the labels."""
+        """Offsets (23, 3) in cm of each performer named in the labels."""
         return {name: np.array(body, np.float32) for name, body in self.manifest["characters"].items()}
 
     @cached_property
     def own_bodies(self) -> bool:
-        """Whether performers have their own bone lengths, not one body for all."""
+        """Whether performers keep their own bone lengths; otherwise all clips share one body."""
         body = canonical_skeleton().offsets
         return not all(np.allclose(offsets, body, atol=SAME_BODY) for offsets in self.bodies)
 
@@ -240,16 +236,16 @@ class Dataset:
 
     @property
     def phase_events(self) -> dict[str, str]:
-        """The event that the phase of a type follows: "kick", "punch", "jump", or "" for whole stretches."""
+        """For each type with a phase, what one cycle spans: "kick", "punch", "jump", or "" for a whole stretch."""
         return self.manifest.get("phase_events", dict.fromkeys(self.phase_seconds, ""))
 
     @cached_property
     def sided_types(self) -> Array:
-        """For each type (N,), whether the halves of its phase are left and right."""
+        """Flags (N,): whether the first half of a type's phase is a left strike and the second a right one."""
         return np.array([self.phase_events.get(name) in SIDED for name in self.types], bool)
 
     def motion(self, clip: Clip, data: ClipData) -> Motion:
-        """The motion of frames of a clip, as read gives them, where they were recorded."""
+        """The motion of frames that read() returned, at the place where they were recorded."""
         return decode_motion(
             data.features,
             self.skeleton(clip),
@@ -265,7 +261,7 @@ class Dataset:
 
     @cached_property
     def mirrored_type_ids(self) -> Array:
-        """For each type (N,), the id of its mirror image's type."""
+        """Type ids (N,) of the mirror image of each type."""
         found = self.manifest.get("mirrored_types", {})
         names = [found.get(name) or mirrored_type(name) for name in self.types]
         return np.array(
@@ -277,13 +273,13 @@ class Dataset:
         return [clip for clip in self.clips if clip.split == split]
 
     def stretches(self) -> Iterator[tuple[Clip, int, int, int]]:
-        """Each stretch of one type in the training clips: its clip, first and last frame (exclusive), and type id."""
+        """Yield each stretch of one type in the training clips: clip, first frame, end frame (exclusive), type id."""
         for clip in self.select("train"):
             for start, end, kind in type_stretches(self.clip_types(clip)):
                 yield clip, start, end, kind
 
     def check_layout(self, layout: str, needing: str) -> None:
-        """Raise DatasetError unless the features have this layout; needing says who needs it."""
+        """Raise DatasetError if the features have another layout; needing begins the reason in the message."""
         if self.layout.version != layout:
             raise DatasetError(
                 f"{self.folder}: layout {self.layout.version}, but {needing} {layout}: run preprocess with "
@@ -291,7 +287,7 @@ class Dataset:
             )
 
     def digest(self, split: str = "train") -> str:
-        """A digest of what a run sees: the types, the scalings, and the ways and types of the clips of a split."""
+        """A hash of what training depends on: types, scalings, and the ground tracks and types of a split's clips."""
         names = ("feature_scaling", "trajectory_scaling")
         facts = [self.types, self.layout.version, {name: self.manifest[name] for name in names}]
         digest = hashlib.sha256(json.dumps(facts).encode())
@@ -312,7 +308,7 @@ class Dataset:
         """Frames start to end (exclusive) of a clip, mirrored if the clip is."""
         stop = clip.frames if end is None else min(end, clip.frames)
         rows = slice(clip.start + start, clip.start + stop)
-        # Reference poses look ahead of the last frame.
+        # Reference poses look ahead, beyond the last frame.
         beyond = clip.start + min(stop + REFERENCE_OFFSETS[-1], clip.frames)
         poses = self._features(rows.start, beyond)
         features = poses[: rows.stop - rows.start]
@@ -331,7 +327,7 @@ class Dataset:
 
 
 def no_training_clips(folder: Path) -> DatasetError:
-    """The error where all clips of a dataset are held out."""
+    """The error for a dataset whose clips are all held out."""
     return DatasetError(
         f"{folder}: no training clips; the split column of labels.csv holds all of them out: mark some as train and "
         "run preprocess again"
@@ -341,9 +337,9 @@ def no_training_clips(folder: Path) -> DatasetError:
 def mirror_clip(
     data: ClipData, layout: FeatureLayout, mirrored_type_ids: Array, sided_types: Array
 ) -> ClipData:
-    """Mirror a clip, except for its reference.
+    """Mirror a clip, except for its reference poses.
 
-    For features this is a permutation with signs, because the reference rotations are symmetric.
+    Features only change columns and signs, because the reference rotations are symmetric.
     """
     columns, signs = layout.mirror_map()
     ground = data.ground * np.array([-1.0, 1.0, -1.0], np.float32)
@@ -358,7 +354,7 @@ def mirror_clip(
 
 
 def _names_composed(manifest: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries of a manifest that hold names of types and characters, with these in NFC."""
+    """The manifest's entries with names of types and characters, converted to NFC."""
     out: dict[str, Any] = {"types": [nfc(name) for name in manifest["types"]]}
     for key in ("phase_seconds", "phase_events", "characters"):
         if key in manifest:
@@ -368,7 +364,7 @@ def _names_composed(manifest: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _identity(path: Path) -> tuple[int, ...]:
-    """A key that changes when another file replaces this one."""
+    """A key of a file that changes when the file is replaced."""
     try:
         facts = path.stat()
     except OSError as error:

@@ -1,6 +1,6 @@
-"""Looks at a folder of BVH files before training: what each clip is, how much there is of each type, what looks wrong.
+"""Describes a folder of BVH files before training: facts of each clip, amounts of each type, and warnings.
 
-Nothing here goes by the names of types: a clip is compared with the others of its type, by poses, speed and flights.
+Names of types are not interpreted. A clip is compared with the others of its type by poses, speed and flights.
 """
 
 from __future__ import annotations
@@ -29,33 +29,35 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT
 from motionkit.rig.retarget import RetargetReport
 
-FEW_SECONDS = 10.0  # of a type; it is learnt badly from less
-# A type leaves the ground if this share of its clips does; the others are then suspect.
+FEW_SECONDS = 10.0  # a type with less motion gets a warning
+# If this share of a type's clips leave the ground, the others get a warning.
 MOST = 0.6
-# A type falls into two groups if their centres are this many times as far apart as clips are from their own centre,
-# and at least so far (cm per joint); likewise a clip is like another type if it is so much nearer to its centre.
+# Two groups of clips are separate if their centres are APART times further apart than clips are from their own centre,
+# and at least FAR (cm per joint).
 APART, FAR = 2.5, 6.0
-GROUPED = 6  # clips of a type that may fall into groups; fewer always lie somewhere
+GROUPED = 6  # fewest clips of a type that are searched for two groups
+# A clip looks like another type if the distance to that type's centre is below this share of the distance to its own
+# type's centre, and the latter exceeds FAR.
 NEARER = 0.5
 HELD_OUT = ("validation", "test")
-SPEED_SCALE = 10.0  # cm/s over the ground that count as 1 cm per joint
+SPEED_SCALE = 10.0  # cm/s over the ground that weigh as much as 1 cm per joint
 
 
 @dataclass(frozen=True)
 class ClipFacts:
-    """What one file is.
+    """Facts about one file.
 
     Attributes:
-        name: the file, below the folder.
+        name: the file's path below the folder.
         types: motion types of its labelled stretches.
         seconds: length of these stretches.
-        fps: the file's own rate.
+        fps: the file's own frame rate.
         rig: number of joints and the name of the first one.
         unit: the unit, and how it was determined.
         up: the axis that points up.
-        floor: cm by which the motion had to be raised to stand on the floor.
-        glitches: repaired pops, and leaps that cut the clip.
-        tilt: slopes (2,) of the floor along x and z that the performer's clips show, in cm per cm.
+        floor: cm by which the motion was raised to stand on the floor.
+        glitches: number of repaired pops, and of discontinuities at which the clip is cut.
+        tilt: slopes (2,) of the performer's floor along x and z, in cm per cm.
         notes: missing joints, rest-pose differences and the like.
         fault: why the file cannot be used; empty if it can.
     """
@@ -76,16 +78,16 @@ class ClipFacts:
 
 @dataclass(frozen=True)
 class TypeFacts:
-    """What there is of one type.
+    """Facts about one type.
 
     Attributes:
-        clips, seconds: its stretches and their length.
+        clips, seconds: number of its stretches, and their length.
         speed: mean speed over the ground in cm/s.
         flights: share of the clips that leave the ground.
-        in_the_air: share of the time in flights, which last a sixth of a second at least.
-        unlearnable: why training cannot learn it, and what to do; empty if it can.
+        in_the_air: share of the time spent in flights of at least a sixth of a second.
+        unlearnable: why training cannot learn the type, and what to do; empty if it can.
         warnings: what looks wrong, unlearnable included.
-        notes: what else to know before training.
+        notes: other facts to know before training.
     """
 
     name: str
@@ -101,7 +103,13 @@ class TypeFacts:
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """All files and types of a folder, and the label table used, if any; skipped are files that are passed over."""
+    """Facts about all files and types of a folder.
+
+    Attributes:
+        labels: the label table, if there is one.
+        warnings: what looks wrong with the folder as a whole.
+        skipped: files that are not used, each with the reason.
+    """
 
     clips: tuple[ClipFacts, ...]
     types: tuple[TypeFacts, ...]
@@ -111,7 +119,7 @@ class Diagnosis:
 
     @property
     def lines(self) -> list[str]:
-        """What looks wrong with the folder and its types, and what else to know, as lines to print."""
+        """All warnings and notes, as lines to print."""
         types = [(kind, line) for kind in self.types for line in kind.warnings]
         notes = [f"note: {kind.name}: {line}" for kind in self.types for line in kind.notes]
         warnings = [*self.warnings, *(f"{kind.name}: {line}" for kind, line in types)]
@@ -123,11 +131,11 @@ class _Shown:
     """One stretch of a type.
 
     Attributes:
-        clip: its file.
+        clip: name of its file.
         seconds, speed: its length, and its speed over the ground in cm/s.
         flying: seconds in the air.
-        place: where its poses are (D,).
-        split: as the labels have it.
+        place: (D,) description by poses and velocity, in cm per joint.
+        split: the split in the labels.
         moves: its kicks, punches and jumps.
     """
 
@@ -144,7 +152,7 @@ class _Shown:
         return self.split not in HELD_OUT
 
 
-Standing = tuple[str, tuple[Array, ...]]  # a performer, and where the toes of a clip stand: (F, 3) each
+Standing = tuple[str, tuple[Array, ...]]  # performer, and footfalls (F, 3) of each toe in a clip
 
 
 def diagnose(
@@ -152,10 +160,10 @@ def diagnose(
     labels: Path | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Diagnosis:
-    """Look at BVH files and folders of them.
+    """Describe BVH files and folders of them.
 
     Args:
-        labels: label table; found beside the files by default, else types are folder and file names.
+        labels: label table; by default one beside the files. Without any, types come from folder and file names.
         progress: called with the number of files done and of all files.
 
     Raises:
@@ -196,7 +204,7 @@ def diagnose(
 
 
 def _with_tilts(clips: list[ClipFacts], standing: list[Standing | None]) -> list[ClipFacts]:
-    """The clips with the tilt of the floor under their performers."""
+    """The clips with their floor's tilt filled in."""
     tilts = floor_tilts(filter(None, standing))
     return [
         clip if stands is None else replace(clip, tilt=tuple(tilts[stands[0]].round(4).tolist()))
@@ -205,7 +213,7 @@ def _with_tilts(clips: list[ClipFacts], standing: list[Standing | None]) -> list
 
 
 def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Standing | None]:
-    """The facts of a file, its stretches by type, and where its toes stand."""
+    """The facts of a file, its stretches by type, and its footfalls."""
     try:
         reading = read_source(source, PreprocessOptions(), plant=False)
     except MotionkitError as error:
@@ -241,7 +249,7 @@ def _look(source: SourceFile) -> tuple[ClipFacts, list[tuple[str, _Shown]], Stan
 
 
 def _up(rig: RetargetReport) -> str:
-    """The file's up axis, from the note that retargeting leaves where it is not +Y."""
+    """The file's up axis, from the note that retargeting makes if it is not +Y."""
     return next((note.split()[2] for note in rig.notes if note.startswith("up axis ")), "Y")
 
 
@@ -250,7 +258,7 @@ def _describe(name: str, motion: Motion, split: str) -> _Shown:
     features = encode_motion(motion).features
     poses = features[:, layout.blocks["joint_positions"]]
     velocity = features[:, layout.blocks["root_xz_velocity"]].mean(axis=0)
-    # In cm per joint: where the joints are, how far they go from there, and how the body moves over the ground.
+    # In cm per joint: mean and deviation of the joint positions, and the root's velocity over the ground.
     scale = np.float32(JOINT_COUNT**-0.5)
     place = np.concatenate([poses.mean(axis=0) * scale, poses.std(axis=0) * scale, velocity / SPEED_SCALE])
     return _Shown(
@@ -265,7 +273,7 @@ def _describe(name: str, motion: Motion, split: str) -> _Shown:
 
 
 def _type_facts(kind: str, shown: dict[str, list[_Shown]], sides: dict[str, tuple[str, str]]) -> TypeFacts:
-    """The facts of a type; sides are those of _one_side of all types."""
+    """The facts of a type; sides has the result of _one_side for every type."""
     mine = shown[kind]
     seconds = sum(stretch.seconds for stretch in mine)
     flights = sum(stretch.flying > 0.0 for stretch in mine) / len(mine)
@@ -289,7 +297,7 @@ def _type_facts(kind: str, shown: dict[str, list[_Shown]], sides: dict[str, tupl
 
 
 def _unlearnable(mine: list[_Shown]) -> str:
-    """Why a type with these stretches cannot be learnt, and what to do; "" if it can."""
+    """Why a type with these stretches cannot be learnt, and what to do; "" if it can be."""
     files: dict[str, float] = defaultdict(float)
     for stretch in mine:
         if stretch.trains:
@@ -308,7 +316,7 @@ def _unlearnable(mine: list[_Shown]) -> str:
 
 
 def _too_little(training: list[_Shown]) -> list[str]:
-    """Lines for a type with few training clips or seconds."""
+    """Warnings for a type with few training clips or seconds."""
     out = []
     if len(training) == 1:
         out.append("one clip only, which will be memorized; give it several")
@@ -323,7 +331,7 @@ def _too_little(training: list[_Shown]) -> list[str]:
 
 
 def _one_side(mine: list[_Shown]) -> tuple[str, str]:
-    """The strike that a type is made of, and its side, if all its strikes are of one; else two empty words."""
+    """A type's strike ("kick" or "punch") and its side if all strikes share one side; else two empty strings."""
     rule = phase_rule([stretch.moves for stretch in mine])
     if rule is None or not rule.sided:
         return "", ""
@@ -332,7 +340,10 @@ def _one_side(mine: list[_Shown]) -> tuple[str, str]:
 
 
 def _sided(kind: str, sides: dict[str, tuple[str, str]]) -> tuple[str, ...]:
-    """A line for a type of one side that its mirrored clips show on both; not if another type has the other side."""
+    """A note for a type that strikes with one side only, which mirrored clips will teach on both sides.
+
+    There is none if another type strikes with the other side.
+    """
     strike, side = sides[kind]
     other = (strike, "left" if side == "right" else "right")
     if not strike or mirrored_type(kind) != kind or other in sides.values():
@@ -345,10 +356,10 @@ def _sided(kind: str, sides: dict[str, tuple[str, str]]) -> tuple[str, ...]:
 
 
 def two_groups(places: Array) -> list[int] | None:
-    """The smaller of two groups of clips that lie far apart, as indices; None for clips that belong together.
+    """Indices of the smaller group if the clips of a type form two groups far apart; else None.
 
     Args:
-        places: (N, D) where each clip's poses are.
+        places: (N, D) description of each clip.
     """
     spread = np.linalg.norm(places[:, None] - places, axis=-1)
     ends = np.unravel_index(int(spread.argmax()), spread.shape)
@@ -367,7 +378,7 @@ def two_groups(places: Array) -> list[int] | None:
 
 
 def _misplaced(kind: str, shown: dict[str, list[_Shown]]) -> list[str]:
-    """A line for each other type that clips of this one are like, more than like their own."""
+    """A warning for each other type that clips of this one resemble more than their own."""
     centres = {
         name: np.mean([stretch.place for stretch in stretches], axis=0)
         for name, stretches in shown.items()

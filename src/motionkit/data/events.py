@@ -1,4 +1,4 @@
-"""Finds kicks, punches and jumps in a motion by the movement of feet and hands."""
+"""Finds kicks, punches and jumps by the movement of feet and hands."""
 
 from __future__ import annotations
 
@@ -15,17 +15,16 @@ KINDS = ("jump", "kick", "punch")
 SIDED = ("kick", "punch")
 
 # Heights in cm, speeds in cm/s, times in frames at 60 fps, on the canonical body.
-KICK_HEIGHT = 0.75  # of the median hip height; a kicking foot rises above it
-FOOT_DOWN = 20.0  # height below which a foot is down; a standing ankle is at about 10
-PUNCH_SPEED = 220.0  # of the hand away from its shoulder
-PUNCH_REACH = 0.85  # of the arm's length, at the end of a punch
-AIR = 4.0  # height of all toes and ankles above their standing heights
-AIR_FRAMES = 10
-STRIDE = (
-    40.0  # from one foot to the other, along the way, in the flights of a run: 46 to 72, of jumps 2 to 26
-)
-LONGEST_LIFT = 60  # most frames between leaving the ground and the height of a kick
-BEFORE = {"kick": 8, "punch": 18, "jump": 20}  # frames added before and after the event
+KICK_HEIGHT = 0.75  # share of the median hip height that the ankle of a kick exceeds
+FOOT_DOWN = 20.0  # ankle height below which a foot is down; a standing ankle is at about 10
+PUNCH_SPEED = 220.0  # smallest peak speed of the hand away from its shoulder
+PUNCH_REACH = 0.85  # smallest distance of the hand at the end of a punch, as a share of the arm's length
+AIR = 4.0  # smallest height of toes and ankles in a flight, above their standing heights
+AIR_FRAMES = 10  # shortest flight
+# Distance between the feet along the facing direction; flights of a run have more, 46 to 72, jumps less, 2 to 26.
+STRIDE = 40.0
+LONGEST_LIFT = 60  # most frames from the ground to KICK_HEIGHT, and back
+BEFORE = {"kick": 8, "punch": 18, "jump": 20}  # frames added before and after what is detected
 AFTER = {"kick": 6, "punch": 18, "jump": 15}
 _STANDING = np.array([10.0, 4.1, 10.0, 4.1])  # ankle and toe joints, left and right
 
@@ -35,8 +34,8 @@ class Event:
     """Frames start to end (exclusive) of a kick, punch or jump.
 
     Attributes:
-        right: the side of a kick or punch.
-        stride: whether the feet are as far apart as in a run while both are in the air.
+        right: whether the right side kicks or punches.
+        stride: whether the feet are as far apart as in the flight of a run.
     """
 
     start: int
@@ -46,7 +45,7 @@ class Event:
 
 
 def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]]:
-    """Events of each kind, in temporal order, in unnormalised features (T, 276)."""
+    """Events of each kind in unnormalised features (T, 276), sorted by time."""
     positions = joint_positions(features, layout.version)
     return {
         "kick": sorted(_kicks(positions), key=lambda event: event.start),
@@ -56,7 +55,7 @@ def find_events(features: Array, layout: FeatureLayout) -> dict[str, list[Event]
 
 
 def frames_in_the_air(features: Array, layout: FeatureLayout) -> int:
-    """How many of the frames of unnormalised features (T, 276) are flights of both feet."""
+    """Number of frames of unnormalised features (T, 276) in which both feet are in the air."""
     return sum(end - start for start, end in _flights(joint_positions(features, layout.version)))
 
 

@@ -1,4 +1,4 @@
-"""The first pass over a folder of BVH files: each is read, retargeted, cleaned, resampled and cut into runs."""
+"""The first pass over BVH files: read, retarget, clean, resample, and cut into stretches of labelled frames."""
 
 from __future__ import annotations
 
@@ -33,7 +33,14 @@ MIN_CLIP_FRAMES = 16
 
 @dataclass
 class FileReport:
-    """The result for one file; skipped is why it was not used, fault whether the file is invalid."""
+    """The result for one file.
+
+    Attributes:
+        skipped: why the file is not used; "" if it is.
+        fault: whether the file is invalid.
+        leaps: number of discontinuities at which the motion was cut.
+        labels: what is wrong with its labels; "" if nothing is.
+    """
 
     name: str
     clips: int = 0
@@ -44,11 +51,14 @@ class FileReport:
     cleaning: dict[str, Any] = field(default_factory=dict)
     leaps: int = 0
     sha256: str = ""
-    labels: str = ""  # what is wrong with them
+    labels: str = ""
 
 
 class Run(NamedTuple):
-    """A stretch of a file at 60 fps: its frames, what they show, and its split and subject if labelled."""
+    """A stretch of a file at 60 fps without gaps, which becomes a clip.
+
+    spans are (first frame, end, type); split and subject are "" if the labels have none.
+    """
 
     start: int
     end: int
@@ -58,16 +68,20 @@ class Run(NamedTuple):
 
     @property
     def main_type(self) -> str:
-        """The type of its longest span."""
+        """The type of the longest span."""
         return max(self.spans, key=lambda span: span[1] - span[0])[2]
 
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """The first pass's result for a file; the arrays are in motion_file.
+    """The first pass's result for a file; the motion itself is in motion_file.
 
-    body is the skeleton of the motion; own_body has the performer's bone lengths; poses are some of each type;
-    footfalls, (F, 3) for each toe, are where it stands.
+    Attributes:
+        body: offsets (23, 3) in cm of the motion's skeleton.
+        own_body: the same with the performer's bone lengths.
+        moment: (23, 4, 4) sum of the outer products of the quaternions, for the mean rotations.
+        poses: some poses of each type.
+        footfalls: (F, 3) places in cm where each toe stands.
     """
 
     report: FileReport
@@ -87,7 +101,7 @@ def read_files(
     each: Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> list[Prepared]:
-    """Prepare all files; raises DatasetError if none is usable, or, with strict, one is not."""
+    """Prepare all files; raises DatasetError if none is usable, or with options.strict if one is not."""
     (staging / MOTIONS).mkdir()
     items = [(source, str(staging / MOTIONS / f"{i}.npz"), options) for i, source in enumerate(sources)]
     prepared = []
@@ -107,13 +121,13 @@ def read_files(
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """A file on the canonical joints, repaired.
+    """A file's motion, retargeted to the canonical joints and cleaned.
 
     Attributes:
-        motion: at FPS, without what cleaning has cut off.
-        rig, cleaning: what was found on the way.
+        motion: at FPS, without the frames that cleaning cut off.
+        rig, cleaning: reports of retargeting and cleaning.
         fps, frames: rate and length of the file itself.
-        leaps: frames of the motion that it leaps to.
+        leaps: first frame of the motion after each discontinuity.
     """
 
     motion: Motion
@@ -124,10 +138,10 @@ class Reading:
     leaps: list[int]
 
     def place(self, segment: Segment, whole: bool = True) -> tuple[int, int]:
-        """First and last frame (exclusive) of the motion within a segment, which counts the frames of the file.
+        """First and last frame (exclusive) of the motion in a segment, which counts frames of the file.
 
         Args:
-            whole: leave out frames that are partly outside; otherwise take the nearest.
+            whole: leave out frames that are partly outside the segment; otherwise round to the nearest frame.
         """
         begin, end = ((at - self.cleaning.lead_in) * FPS / self.fps for at in (segment.start, segment.end))
         first = math.ceil(begin - 1e-6) if whole else round(begin)
@@ -140,7 +154,7 @@ def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = Tr
     """Read, retarget, clean and resample a file; raises BvhError or SkeletonError.
 
     Args:
-        plant: as in retarget.
+        plant: as for retarget.
     """
     fps = options.fps or next((s.fps for s in source.segments if s.fps), None)
     motion, rig = retarget_file(source.path, options.scale, fps, options.own_bodies, plant)
@@ -151,7 +165,7 @@ def read_source(source: SourceFile, options: PreprocessOptions, plant: bool = Tr
 
 
 def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
-    """Prepare one file: its motion is written to motion_file."""
+    """Prepare one file and write its motion to motion_file."""
     source, motion_file, options = item
     report = FileReport(source.name)
     if source.skip_reason:
@@ -190,9 +204,9 @@ def prepare_file(item: tuple[SourceFile, str, PreprocessOptions]) -> Prepared:
 
 
 def _runs(segments: Sequence[Segment], reading: Reading) -> tuple[Run, ...]:
-    """Stretches of 60 fps frames without gaps and leaps, each with its typed spans, split and subject.
+    """Stretches of a motion without gaps and discontinuities, of at least MIN_CLIP_FRAMES frames.
 
-    Adjacent segments stay together, so that the model learns from real transitions.
+    Adjacent segments stay together, so that the model learns real transitions between types.
     """
     runs: list[Run] = []
     for segment in segments:

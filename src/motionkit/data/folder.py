@@ -1,7 +1,7 @@
-"""Writes a dataset folder atomically: it is made beside its place, and the old one is kept until the new one is there.
+"""Writes a dataset folder atomically: a new folder is written beside the old one and then takes its name.
 
-Names beside a dataset "ds": .ds.new-* is being made, .ds.old-* was moved aside, .ds.lock is the lock. The next run
-restores or removes what a killed run left. Only files that preprocess wrote are removed.
+Beside a dataset "ds", .ds.new-* is being written, .ds.old-* is the old one moved aside, and .ds.lock is the lock.
+The next run restores or removes what a killed run left. Only files that preprocess wrote are removed.
 """
 
 from __future__ import annotations
@@ -21,16 +21,16 @@ from motionkit.interrupts import uninterrupted
 MANIFEST = "manifest.json"
 ARRAYS = ("features", "contacts", "ground", "types", "phases")
 DATASET_NAMES = frozenset({MANIFEST, *(f"{name}.npy" for name in ARRAYS)})
-MOTIONS = "motions"  # subfolder of the staging folder for intermediate files of the first pass
+MOTIONS = "motions"  # subfolder of the staging folder for the first pass's motions
 
 
 def may_replace(folder: Path) -> bool:
-    """Whether a new dataset may go here: the folder is missing, empty or a dataset."""
+    """Whether a dataset may be written here: the folder is missing, empty or a dataset."""
     if not folder.exists():
         return True
     if not folder.is_dir():
         return False
-    try:  # a manifest.json of another program does not name motionkit
+    try:  # other programs also write a manifest.json, but it does not name motionkit
         manifest = read_json(folder / MANIFEST)
         return isinstance(manifest, dict) and "motionkit" in manifest
     except MotionkitError:
@@ -38,21 +38,21 @@ def may_replace(folder: Path) -> bool:
 
 
 def remove_dataset(folder: Path) -> None:
-    """Remove a dataset that is to be made anew; other files in its folder stay."""
+    """Remove a dataset; other files in its folder stay."""
     if may_replace(folder):
         _remove(folder, DATASET_NAMES)
 
 
 def set_aside(folder: Path) -> list[Path]:
-    """Old datasets of this place that a killed run moved aside and did not restore."""
+    """Old datasets that a killed run moved aside and did not restore."""
     return _beside(folder, "old")
 
 
 @contextmanager
 def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
-    """Lock target and make a new folder beside it; yields the folder, and notes on leftovers of earlier runs.
+    """Lock target and make a folder beside it; yields the folder, and notes on leftovers of earlier runs.
 
-    The lock is held until the block ends; the folder is removed then, unless put_in_place has renamed it.
+    When the block ends, the lock is released, and the folder is removed unless put_in_place has renamed it.
 
     Raises:
         DatasetError: another run holds the lock.
@@ -72,7 +72,7 @@ def staging_folder(target: Path) -> Iterator[tuple[Path, list[str]]]:
 def put_in_place(staging: Path, target: Path) -> None:
     """Rename a finished staging folder to target; the old dataset is moved aside first and deleted last.
 
-    Other files in the old dataset are moved to the new one.
+    Files that are not the dataset's own move to the new folder.
     """
     former = target.parent / staging.name.replace(f".{target.name}.new-", f".{target.name}.old-", 1)
     try:
@@ -96,7 +96,7 @@ def _beside(target: Path, kind: str) -> list[Path]:
 
 
 def _put_right(target: Path) -> list[str]:
-    """Restore or remove what a killed run left beside target; returns notes."""
+    """Restore or remove leftovers of killed runs beside target; returns notes about them."""
     notes = []
     for former in _beside(target, "old"):
         if target.exists():
@@ -112,7 +112,7 @@ def _put_right(target: Path) -> list[str]:
 
 
 def _retire(former: Path, target: Path) -> None:
-    """Delete a dataset that was moved aside; other files in it move to the new one."""
+    """Delete a dataset that was moved aside; its other files move to the new one."""
     for path in list(former.iterdir()):
         if path.name not in DATASET_NAMES and not os.path.lexists(target / path.name):
             path.rename(target / path.name)
@@ -128,7 +128,7 @@ def _remove_staging(staging: Path) -> None:
 
 def _remove(folder: Path, names: frozenset[str] | set[str]) -> None:
     """Remove files of a folder, and the folder if it is then empty."""
-    with suppress(OSError):  # what cannot be removed stays
+    with suppress(OSError):  # files that cannot be removed stay
         for name in names:
             (folder / name).unlink(missing_ok=True)
         folder.rmdir()
@@ -136,7 +136,7 @@ def _remove(folder: Path, names: frozenset[str] | set[str]) -> None:
 
 @contextmanager
 def _locked(target: Path) -> Iterator[None]:
-    """Hold the lock of a target; the system releases it when the process ends, even if it is killed."""
+    """Hold the lock of a target; the operating system releases it if the process is killed."""
     path = target.parent / f".{target.name}.lock"
     handle, ours = None, False
     try:
@@ -149,7 +149,9 @@ def _locked(target: Path) -> Iterator[None]:
             )
         yield
     finally:
-        if ours and os.name != "nt":  # before releasing the lock, so that no other run locks an unlinked file
+        if (
+            ours and os.name != "nt"
+        ):  # before the lock is released, so that nobody else locks an unlinked file
             path.unlink(missing_ok=True)
         if handle is not None:
             os.close(handle)

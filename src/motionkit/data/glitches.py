@@ -1,4 +1,4 @@
-"""Finds leaps that cleaning cannot repair: a joint jumps and the motion continues elsewhere. Clips are cut there."""
+"""Finds leaps: a joint jumps and does not return. Cleaning cannot repair them, so clips are cut there."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from motionkit.arrays import Array, lower_median
 
-# A joint leaps if it moves more than this per frame at 60 fps, relative to the root, and far more than in the frames
-# around; the fastest real feet in CMU flips move 16 to 23 cm per frame.
-LEAP_DISTANCE = 25.0  # cm
+# A joint leaps if its step relative to the root at 60 fps exceeds LEAP_DISTANCE (cm), and LEAP_RATIO times the median
+# of the steps around it. The fastest feet in CMU flips move 16 to 23 cm per frame.
+LEAP_DISTANCE = 25.0
 LEAP_RATIO = 2.2
-# cm per frame for the whole body (600 m/s); larger steps would dominate the scaling.
+# cm per frame of the root (600 m/s); a larger step would dominate the scaling of the features.
 ROOT_LEAP = 1000.0
-_REACH = 4  # frames compared on each side, without the two nearest
+_REACH = 4  # steps on each side of a step; the nearest one is left out of the comparison
 
 
 def find_leaps(global_positions: Array) -> list[int]:
-    """Frames t such that the root leaps between t - 1 and t, or some joint relative to the root.
+    """Frames t that follow a leap: between t - 1 and t the root jumps, or a joint relative to the root.
 
     Args:
         global_positions: (T, 23, 3) in cm at 60 fps.
@@ -35,7 +35,7 @@ def find_leaps(global_positions: Array) -> list[int]:
 
 
 def cut_at_leaps(start: int, end: int, leaps: list[int]) -> list[tuple[int, int]]:
-    """The stretches of start to end (exclusive) between leaps, without the frame on each side of a leap."""
+    """The stretches between leaps of frames start to end (exclusive), without the frames next to a leap."""
     out = []
     for leap in sorted(leaps):
         if start <= leap <= end:

@@ -1,4 +1,4 @@
-"""Motion types of the frames of each file: from a labels.csv, or else from folder and file names."""
+"""Motion types of the frames of each file, from a labels.csv or from folder and file names."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ SPLITS = ("train", "validation", "test", "")
 
 @dataclass(frozen=True)
 class Segment:
-    """A stretch of one type: frames start to end (exclusive; -1 means the end) at the file's own rate.
+    """Frames start to end (exclusive) of one type, at the file's own rate; an end of -1 is the file's end.
 
-    split is "train", "validation", "test" or "" (undecided); fps replaces a wrong rate in the file's header.
+    split is "train", "validation", "test" or "" (undecided). fps replaces a wrong rate in the file's header.
     """
 
     start: int
@@ -41,9 +41,10 @@ BEYOND_END = "labelled up to frame"
 
 
 def beyond_end(segments: Sequence[Segment], frames: int) -> str:
-    """What is wrong with segments that go on after the last of a clip's frames; "" for none.
+    """What is wrong with segments that end after a clip's last frame; "" if none does.
 
-    A table may count the last frame in or start counting at 1. More is a table of another clip or frame rate.
+    One frame beyond the end is allowed, for tables that count from 1 or include the end frame. More means that the
+    table belongs to another clip or frame rate.
     """
     last = max((segment.end for segment in segments), default=0)
     return f"{BEYOND_END} {last:,}, but the clip has {frames:,}" if last > frames + 1 else ""
@@ -51,7 +52,7 @@ def beyond_end(segments: Sequence[Segment], frames: int) -> str:
 
 @dataclass(frozen=True)
 class SourceFile:
-    """A BVH file with its segments; a file without segments is skipped for skip_reason."""
+    """A BVH file with its segments; a file without segments is skipped, and skip_reason says why."""
 
     path: Path
     name: str
@@ -60,22 +61,22 @@ class SourceFile:
 
 
 def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[list[SourceFile], Path | None]:
-    """All BVH files below the folders with their segments, each file once, and the label table used, if any.
+    """All BVH files below the folders with their segments, each file once, and the label table if there is one.
 
-    Without `labels`, a labels.csv in one of the folders or its parent is used. Without a table, the type of a file is
-    the name of its folder, or, for files directly in a given folder, the file's name without its number.
+    By default a labels.csv in one of the folders or their parents is used. Without a table, the type of a file is
+    the name of its folder. For a file directly in a given folder it is the file's name without its number.
 
     Raises:
         DatasetError: there are no BVH files, or the label table is invalid.
     """
     found: list[tuple[Path, Path]] = []
     for folder in folders:
-        if folder.exists() and not folder.is_dir():  # reading it reports a pipe
+        if folder.exists() and not folder.is_dir():  # a pipe is refused later, as it is read
             found.append((folder, folder.parent))
             continue
         found.extend((path, folder) for path in files_below(folder, ".bvh"))
     once: dict[str, tuple[Path, Path]] = {}
-    for path, folder in found:  # a folder may be given along with one inside it
+    for path, folder in found:  # one of the folders may be inside another
         once.setdefault(_key(path), (path, folder))
     found = list(once.values())
     if not found:
@@ -96,7 +97,7 @@ def find_sources(folders: Sequence[Path], labels: Path | None = None) -> tuple[l
 
 
 def _by_path(table: Path, rows: dict[str, list[Segment]]) -> dict[str, list[Segment]]:
-    """Segments by the files they belong to; raises DatasetError if the table has a file under two names."""
+    """Segments by path; raises DatasetError if the table has one file under two names."""
     names: dict[str, str] = {}
     for name in rows:
         other = names.setdefault(_key(table.parent / name), name)
@@ -106,7 +107,7 @@ def _by_path(table: Path, rows: dict[str, list[Segment]]) -> dict[str, list[Segm
 
 
 def _key(path: Path) -> str:
-    """The path without links, in NFC; with its links if the system cannot resolve it (a name that is too long)."""
+    """The path in NFC with links resolved; unresolved if the system cannot, as for a name that is too long."""
     try:
         return nfc(str(path.resolve()))
     except (OSError, RuntimeError):  # before Python 3.13 a loop of links is a RuntimeError
@@ -138,16 +139,16 @@ def _by_name(path: Path, folder: Path) -> SourceFile:
 
 
 def type_from_file_name(stem: str) -> str:
-    """The motion type of a file name: "Walk_Fast-02" gives "walk-fast"."""
+    """The motion type that a file name means: "Walk_Fast-02" gives "walk-fast"."""
     words = [word for word in re.split(r"[\s_\-.,:;]+", stem) if word]
     words = [re.sub(r"\d+$", "", word) for word in words]
     return "-".join(word.lower() for word in words if word) or "motion"
 
 
 def type_fault(kind: str) -> str:
-    """Why a motion type cannot have this name, or "" if it can.
+    """Why a motion type cannot have this name; "" if it can.
 
-    Commands take types as running:4,cartwheel:3, so names must not contain ':' and ','.
+    Commands take types as running:4,cartwheel:3, so a name must not contain ':' or ','.
     """
     marks = [mark for mark in ",:" if mark in kind]
     if marks:
@@ -160,12 +161,12 @@ def _name_fault(name: str) -> str:
         return f"{name[:40]!r}, which is empty or has spaces around it"
     if len(name) > MAX_NAME:
         return f"{name[:40]!r}..., which has {len(name)} characters, expected at most {MAX_NAME}"
-    # isprintable() is also False for the surrogates of undecodable bytes.
+    # isprintable() is False for the surrogates of undecodable bytes too.
     return "" if name.isprintable() else f"{name[:40]!r}, which has unprintable characters"
 
 
 def read_labels(path: Path) -> dict[str, list[Segment]]:
-    """Segments by file name as written in a label table, sorted by start.
+    """Segments by file name, as the label table spells it, sorted by start.
 
     Raises:
         DatasetError: columns are missing, a value is invalid, or segments overlap; the message names the line.
@@ -202,7 +203,7 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
         if not word:
             return None
         try:
-            value = float(word.replace("_", "?"))  # Python would read 1_0 as 10
+            value = float(word.replace("_", "?"))  # float("1_0") would be 10
         except ValueError:
             value = math.nan
         if not math.isfinite(value):
@@ -240,6 +241,6 @@ def _segment(path: Path, line: int, row: dict[str, str]) -> Segment:
 
 
 def mirrored_type(kind: str) -> str:
-    """The type of a mirrored motion: jumping-l becomes jumping-r, kickL kickR, walking stays walking."""
+    """The type of a mirrored motion: jumping-l becomes jumping-r, kickL becomes kickR, walking stays walking."""
     words = re.split(r"([\s_\-.]+|(?<=[a-z])(?=[A-Z])|(?=[左右])|(?<=[左右]))", kind)
     return "".join(other_side(word) for word in words)

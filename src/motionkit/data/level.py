@@ -1,7 +1,7 @@
-"""The tilt of a recorded floor, found from where the feet of one performer stand, and taken out.
+"""Finds and removes the tilt of a recorded floor, from the places where one performer's feet stand.
 
-Volumes of optical systems are calibrated by hand. Where one is off by a degree, the floor rises by 2 cm a metre, and
-one shift of the height fits only the middle of a clip.
+Optical capture volumes are calibrated by hand. If a calibration is off by one degree, the floor rises by 2 cm a metre,
+and no single height shift fits the whole clip.
 """
 
 from __future__ import annotations
@@ -22,47 +22,44 @@ from motionkit.motion.rotations import quat_multiply, quat_normalize, quat_rotat
 
 @dataclass(frozen=True)
 class TiltRule:
-    """How the tilt of a floor is found. Measured on CMU subjects (docs/cleaning.md), if nothing else is said.
+    """Constants of the fit of a floor. Measured on CMU subjects (docs/dataset.md) except where "chosen".
 
     Slopes are in cm per cm, distances and heights in cm.
     """
 
-    held_up: float = (
-        12.0  # a toe so much higher than standing ones is held in the air; with more, it counts as floor
-    )
-    cell: float = 30.0  # size of the cells of the floor of which each counts once. Chosen: about a foot
-    # Slopes are sought around zero with this deviation, and those between the two others are taken out: a steeper one
-    # is a ramp and no error of the recording, a smaller one is within what feet tell.
-    usual: float = 0.01
+    # A slow toe this much above standing ones is held in the air and left out. With larger values it counts as floor.
+    held_up: float = 12.0
+    cell: float = 30.0  # side of a floor cell, in which footfalls count once. Chosen: a foot's length
+    usual: float = 0.01  # standard deviation of slopes around zero, the prior of the fit
+    # Only slopes between these two are removed: feet are too uncertain for smaller ones, larger ones are real ramps.
     least: float = 0.003
     steepest: float = 0.04
-    certain: float = (
-        3.0  # deviations by which a slope must differ from none; with less, walks in one place tilt floors
-    )
-    evener: float = 0.85  # share of the unevenness that may be left; with more, floors are turned for nothing
-    stray: float = 5.0  # distance from a floor that counts as the most in its unevenness. Chosen
-    # Deviation of the heights of footfalls, at least, and the height off the plane beyond which they count linearly.
+    # Standard deviations by which a slope must differ from zero. With smaller values, a walk in one place tilts floors.
+    certain: float = 3.0
+    evener: float = 0.85  # share to which levelling must reduce the unevenness; more turns floors needlessly
+    stray: float = 5.0  # largest distance from the floor that one footfall adds to the unevenness. Chosen
+    # Smallest standard deviation of footfall heights, and the height off the plane beyond which they count linearly.
     # Chosen: toes of one performer stand within half a centimetre.
     noise: float = 0.5
     outlier: float = 1.0
-    rounds: int = 20  # of least squares; the weights have settled
+    rounds: int = 20  # iterations of reweighted least squares; the weights have converged by then
 
 
 TILT = TiltRule()
 
 
 def performer(named: Iterable[str], body: Array) -> str:
-    """Whose clip it is: the first performer that labels name, or else the body (23, 3) to within 0.01 mm."""
+    """A key for a clip's performer: the first name in the labels, else the body's offsets (23, 3) in cm."""
     return next(filter(None, named), "") or json.dumps(np.round(body, 3).tolist())
 
 
 def footfalls(motion: Motion) -> tuple[Array, ...]:
-    """Places (F, 3) in cm where each toe stands: one for each cell of the floor, however often it stands there.
+    """Places (F, 3) in cm where each toe stands, one per cell of the floor.
 
-    Toes of one performer may be some millimetres higher than the other's, so each is by itself.
+    The two toes are kept apart, because one may stand some millimetres higher than the other.
 
     Args:
-        motion: its standing toes are at TOE_HEIGHT in the middle of the clip.
+        motion: a clip shifted so that its standing toes are at TOE_HEIGHT on average.
     """
     toes = motion_kinematics(motion)[1][:, list(TOES)].astype(np.float64)
     standing = standing_toes(toes, motion.fps) & (toes[..., 1] < TOE_HEIGHT + TILT.held_up)
@@ -80,7 +77,7 @@ def _cells(places: Array) -> Array:
 
 
 def floor_tilts(standing: Iterable[tuple[str, Sequence[Array]]]) -> dict[str, Array]:
-    """The tilt (2,) of the floor under each performer, from all of the performer's clips.
+    """The tilt (2,) of each performer's floor, from all clips of the performer.
 
     Args:
         standing: performer and footfalls of each clip.
@@ -92,10 +89,11 @@ def floor_tilts(standing: Iterable[tuple[str, Sequence[Array]]]) -> dict[str, Ar
 
 
 def floor_tilt(groups: Sequence[Array]) -> Array:
-    """Slopes (2,) of the floor along x and z, in cm per cm, shared by toes and clips whose heights may differ.
+    """Slopes (2,) of the floor along x and z, in cm per cm; each toe and clip may have its own height.
 
-    Least squares with outliers counted linearly and slopes drawn towards none, so that a few steps in one place say
-    nothing. A direction in which the slope is not certain gets none, and so does a floor that becomes little evener.
+    A least-squares fit in which outliers count linearly (Huber) and a prior keeps slopes near zero, so that a few steps
+    in one place have no effect. A slope is zero along directions where it is uncertain, and everywhere if levelling
+    hardly makes the floor more even.
 
     Args:
         groups: footfalls (F, 3) of each toe in each clip.
@@ -126,23 +124,23 @@ def floor_tilt(groups: Sequence[Array]) -> Array:
 
 
 def _unevenness(groups: Sequence[Array], slope: Array) -> float:
-    """Mean distance in cm of footfalls from a floor of some slope, far ones counted as TILT.stray."""
+    """Mean distance in cm of footfalls from a floor with this slope; each counts at most TILT.stray."""
     above = [each[:, 1] - each[:, [0, 2]] @ slope for each in groups]
     apart = np.concatenate([np.abs(each - np.median(each)) for each in above])
     return float(np.minimum(apart, TILT.stray).mean())
 
 
 def levelled(motion: Motion, tilt: Array) -> Motion:
-    """The motion turned so that a floor of some tilt is level, with its standing toes at TOE_HEIGHT again.
+    """The motion turned so that a tilted floor becomes level, and shifted so that toes stand at TOE_HEIGHT again.
 
     Args:
-        tilt: (2,) from floor_tilt.
+        tilt: (2,) slopes from floor_tilt.
     """
     if not tilt.any():
         return motion
     x, z = tilt
     up = np.array([-x, 1.0, -z]) / np.sqrt(1.0 + x * x + z * z)
-    # The shortest turn from the floor's own up to +Y.
+    # The shortest rotation from the floor's normal to +Y.
     turn = quat_normalize(np.array([1.0 + up[1], -up[2], 0.0, up[0]])).astype(motion.local_rotations.dtype)
     rotations = motion.local_rotations.copy()
     rotations[:, 0] = quat_multiply(np.broadcast_to(turn, rotations[:, 0].shape), rotations[:, 0])

@@ -1,4 +1,4 @@
-"""What a person may choose where a dataset is made of BVH files."""
+"""The options of preprocess."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from motionkit.features.layout import DEFAULT_LAYOUT
 class PreprocessOptions:
     """The options of preprocess; the command's help describes them.
 
-    reference_rotations (23, 4) are those of the model that training is to begin from; by default the mean rotations
-    of the data itself. held_out names the splits that clips are taken for, where labels do not say.
+    Attributes:
+        reference_rotations: (23, 4) of the model that training will start from; by default the data's mean rotations.
+        held_out: the splits that take clips which the labels leave undecided.
     """
 
     labels: Path | None = None

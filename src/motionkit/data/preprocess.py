@@ -1,7 +1,7 @@
-"""Folders of BVH files to a dataset folder, in two passes of constant memory.
+"""Turns folders of BVH files into a dataset folder, in two passes of constant memory.
 
-The first pass reads, retargets, cleans and resamples each file and computes the mean rotation of every joint. The
-second pass encodes the files relative to these means and writes the arrays. Both distribute files over processes.
+The first pass reads, retargets, cleans and resamples each file, and computes the mean rotation of every joint. The
+second pass encodes the files relative to these means and writes the arrays. Both run on several processes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from motionkit.files import MAX_TEXT_BYTES
 
 @dataclass
 class PreprocessReport:
-    """The result of preprocess(); notes are about leftovers of an interrupted run, and labels that look wrong."""
+    """The result of preprocess(); notes tell of leftovers of an interrupted run and of labels that look wrong."""
 
     folder: Path
     labels: Path | None
@@ -44,14 +44,14 @@ def preprocess(
     options: PreprocessOptions | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> PreprocessReport:
-    """Make a dataset folder from BVH files, atomically; arguments as for motionkit.preprocess.
+    """Write a dataset folder from BVH files, atomically; arguments as for motionkit.preprocess.
 
     Raises:
         DatasetError: no file is usable, a file is inside output, or, with strict, a file is unusable.
     """
     options = options or PreprocessOptions()
     output = Path(output)
-    target = Path(os.path.realpath(output))  # write through a link, do not replace it
+    target = Path(os.path.realpath(output))  # a link stays; what it points to is replaced
     if not may_replace(target):
         raise DatasetError(f"{output}: exists and is not a dataset folder; choose another folder")
     sources, table = find_sources([Path(f) for f in folders], options.labels)
@@ -103,13 +103,13 @@ def _drop_motions(prepared: list[Prepared], staging: Path) -> None:
     (staging / MOTIONS).rmdir()
 
 
-# With fewer files per process, starting a process takes longer than it saves.
+# With fewer files than this per process, starting the process takes longer than it saves.
 _FILES_PER_PROCESS = 40
 
 
 @contextmanager
 def _processes(jobs: int, files: int) -> Iterator[Map]:
-    """A map over files; one pool of processes serves both passes if it is worth starting."""
+    """A map over files, on one pool of processes for both passes if the pool is worth starting."""
     wanted = jobs if jobs > 0 else min(os.cpu_count() or 1, files // _FILES_PER_PROCESS)
     with worker_processes(wanted) as each:
         yield each

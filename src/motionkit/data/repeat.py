@@ -1,8 +1,8 @@
-"""Types with a few seconds of recordings, such as one cycle of a walk, repeated so that there is enough to learn from.
+"""Loops short recordings, such as one cycle of a walk, so that there is enough to learn from.
 
-A type is to go on for as long as it is asked for, and reference poses look half a second ahead. A recording shorter
-than a training window shows neither. Its end is therefore joined to its beginning where the two are most alike, or to
-that of its mirror image, because a single step is half a cycle.
+A recording shorter than a training window does not show how the motion continues, and reference poses look half a
+second ahead. So its end is joined to its beginning, where the two are most alike. A recording of one step is half a
+cycle; its end is joined to the beginning of its mirror image.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ from motionkit.features.encode import encode_motion
 from motionkit.motion.motion import Motion
 from motionkit.motion.rotations import quat_continuous
 
-FEW_SECONDS = 2.5  # types with less in all are repeated; of longer ones the joins do more harm than good
-REPEATED_SECONDS = 10.0  # length of a repeated recording
-LEAST_FRAMES = 24  # of a recording that can be repeated; shorter ones show no cycle
-LEAST_CYCLE = 0.5  # share of the recording that a cycle has at least
-LONGEST_DECAY = 20  # frames over which the difference at a join decays
-MIRROR_GAIN = 0.7  # a mirror image follows where it fits so much better
+FEW_SECONDS = 2.5  # types with less motion in all are looped; with more, the joins do more harm than good
+REPEATED_SECONDS = 10.0  # length of a looped recording
+LEAST_FRAMES = 24  # shortest recording that can be looped; shorter ones show no cycle
+LEAST_CYCLE = 0.5  # shortest cycle, as a share of the recording
+LONGEST_DECAY = 20  # most frames over which the difference at a join decays
+MIRROR_GAIN = 0.7  # the mirror image follows if its join costs less than this share of the other
 
 
 def repeat_short_types(dataset: Dataset) -> tuple[str, ...]:
-    """Replace the training recordings of types that have few by repeated ones, in memory.
+    """Replace the training recordings of types with little motion by looped ones, in memory.
 
-    Strikes, jumps and performances have a phase and are left as they are: they happen once.
+    Types with a phase are left alone, because a strike, jump or flip happens once.
 
     Returns:
-        The names of these types.
+        The names of the looped types.
     """
     stretches: dict[int, list[tuple[Clip, int, int]]] = defaultdict(list)
-    recorded: dict[int, dict[int, int]] = defaultdict(dict)  # frames by first row: a mirror image adds none
+    # Frames by first row, so that a clip and its mirror image count once.
+    recorded: dict[int, dict[int, int]] = defaultdict(dict)
     for clip, start, end, kind in dataset.stretches():
         stretches[kind].append((clip, start, end))
         recorded[kind][clip.start + start] = end - start
@@ -63,7 +64,7 @@ def repeat_short_types(dataset: Dataset) -> tuple[str, ...]:
 
 
 def repeat_stretch(dataset: Dataset, clip: Clip, start: int, end: int) -> ClipData:
-    """A stretch of one type over and over for REPEATED_SECONDS, in turn with its mirror image if that fits better."""
+    """A stretch of one type looped for REPEATED_SECONDS, alternating with its mirror image if that fits better."""
     kind = int(dataset.clip_types(clip)[start])
     piece = cut_piece(dataset, clip, start, end)
     i, j, cost = _best_cycle(piece, piece)
@@ -80,9 +81,9 @@ def repeat_stretch(dataset: Dataset, clip: Clip, start: int, end: int) -> ClipDa
 
 
 def _best_cycle(a: Piece, b: Piece) -> tuple[int, int, float]:
-    """The frame of a after which b goes on from the frame after j, and the cost of this join.
+    """The best join, as (i, j, cost): frame i of a is followed by frame j + 1 of b.
 
-    A cycle that leaves out much of a recording costs more.
+    A join costs more if its cycle leaves out much of the recording.
     """
     frames = len(a.motion)
     ends, starts = np.arange(frames // 2, frames - 1), np.arange(1, frames // 2)
@@ -94,7 +95,7 @@ def _best_cycle(a: Piece, b: Piece) -> tuple[int, int, float]:
 
 
 def _repeated(first: Piece, cycle: list[Piece], i: int, j: int, frames: int) -> Motion:
-    """Frames 0 to i of a piece, then j + 1 to i of those of a cycle in turn, each where the one before has ended."""
+    """Frames 0 to i of a piece, then frames j + 1 to i of each piece of the cycle in turn, joined end to end."""
     last = first.cut(i + 1)
     rotations, roots = [last.motion.local_rotations], [last.motion.root_positions]
     made = i + 1

@@ -1,4 +1,4 @@
-"""The second pass: motions are encoded relative to the mean rotations of all, and the arrays are written."""
+"""The second pass: encode all motions relative to their mean rotations, and write the arrays."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ from motionkit.version import __version__
 
 @dataclass(frozen=True, eq=False)
 class _Plan:
-    """What the second pass knows of all files before it encodes the first.
+    """Decisions that need all files, made before the first file is encoded.
 
     Attributes:
-        references: (23, 4) rotations that exponential maps are relative to.
+        references: (23, 4) reference rotations, which exponential maps are relative to.
         types: all motion types.
-        twin_types: for each type the type of its mirror image.
-        splits: of the runs (file, run) that labels leave open.
-        tilts: (2,) slopes of the floor under each performer; none where floors stay as they are.
+        twin_types: for each type, the type of its mirror image.
+        splits: split of each (file, run) that the labels leave undecided.
+        tilts: (2,) slopes of each performer's floor; empty if floors are not levelled.
     """
 
     options: PreprocessOptions
@@ -55,9 +55,9 @@ class _Plan:
 
 
 def _plan(files: list[Prepared], options: PreprocessOptions) -> _Plan:
-    """Choose references, types, splits and tilts; raises DatasetError for too many types."""
+    """Choose reference rotations, types, splits and tilts; raises DatasetError for too many types."""
     given = options.reference_rotations
-    if options.layout == "expmap-root-1":  # the paper's features have plain exponential maps
+    if options.layout == "expmap-root-1":  # the paper's exponential maps are relative to the identity
         given = identity_reference_rotations()
     references = _references(files) if given is None else given.astype(np.float32)
     types = tuple(sorted({kind for p in files for run in p.runs for _, _, kind in run.spans}))
@@ -73,7 +73,7 @@ def _plan(files: list[Prepared], options: PreprocessOptions) -> _Plan:
 
 
 class _Clips:
-    """The clips whose rows have been written, their bodies, and the moments of those for training."""
+    """The clips written so far, their bodies, and the moments of the training clips."""
 
     def __init__(self, plan: _Plan) -> None:
         self.plan = plan
@@ -83,7 +83,7 @@ class _Clips:
         self.features, self.trajectories = RunningMoments(FEATURE_COUNT), RunningMoments(TRAJECTORY_COUNT)
 
     def add(self, run: Run, name: str, split: str, body: list[list[float]], data: ClipData) -> None:
-        """Add a run, and its mirrored twin if it has one."""
+        """Add a run as a clip, and its mirrored clip if it gets one."""
         if body not in self.bodies:
             self.bodies.append(body)
         frames = run.end - run.start
@@ -110,7 +110,7 @@ def write_arrays(
     each: Map,
     progress: Callable[[str, int, int], None] | None,
 ) -> tuple[dict[str, Any], dict[str, dict[str, float]]]:
-    """Write the arrays of a dataset to a folder; returns its manifest and the table of its types."""
+    """Write the arrays of a dataset to a folder; returns its manifest and its table of types."""
     files = [p for p in prepared if p.runs]
     plan = _plan(files, options)
     written = _Clips(plan)
@@ -175,14 +175,14 @@ def _all_poses(prepared: list[Prepared]) -> dict[str, np.ndarray]:
 
 
 def _found_by_motion(twin_types: Mapping[str, str]) -> dict[str, str]:
-    """The types whose mirror image is a type that no name tells."""
+    """The types whose mirror image was found by motion, because its name does not follow from the type's name."""
     return {kind: other for kind, other in twin_types.items() if other != mirrored_type(kind)}
 
 
 def _write_phases(
     phases: ArrayWriter, features: np.ndarray, types: np.ndarray, clips: list[Clip], layout: str
 ) -> dict[int, PhaseRule]:
-    """Write the phase column, clip by clip in row order; returns the rule of each type with a phase."""
+    """Write the phases, clip by clip in row order; returns the rule of each type with a phase."""
     rows = {clip.start: slice(clip.start, clip.start + clip.frames) for clip in clips}.values()
 
     def shown() -> Iterator[tuple[Array, np.ndarray]]:
@@ -196,9 +196,9 @@ def _write_phases(
 
 
 def _characters(prepared: list[Prepared], own_bodies: bool) -> dict[str, list[list[float]]]:
-    """The body (23, 3) in cm of each performer named in the labels, from the performer's first file.
+    """Offsets (23, 3) in cm of each performer named in the labels, from the performer's first file.
 
-    Without such names, the distinct bodies that the dataset keeps.
+    If no performer is named and bodies are kept, the distinct bodies of the files.
     """
     out: dict[str, list[list[float]]] = {}
     for item in prepared:
@@ -219,7 +219,7 @@ def _rounded(body: list[list[float]]) -> list[list[float]]:
 
 
 def _references(prepared: list[Prepared]) -> Array:
-    """Mean rotation of each joint over the data and its mirror image, so that twins have mirrored means."""
+    """Mean rotations (23, 4) over the data and its mirror image, so that left and right joints have mirrored means."""
     moment = np.sum([p.moment for p in prepared if p.moment is not None], axis=0)
     flip = np.diag([1.0, 1.0, -1.0, -1.0])
     moment = moment + flip @ moment[list(MIRROR_JOINTS)] @ flip
@@ -230,7 +230,7 @@ def _references(prepared: list[Prepared]) -> Array:
 
 @contextmanager
 def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
-    """A writer for each array of the dataset, with this many rows; all are closed at the end."""
+    """A writer for each array of the dataset, with this many rows; all are closed when the block ends."""
     kinds: dict[str, tuple[tuple[int, ...], type]] = {
         "features": ((rows, FEATURE_COUNT), np.float32),
         "contacts": ((rows, 4), np.uint8),
@@ -249,12 +249,15 @@ def _array_writers(folder: Path, rows: int) -> Iterator[dict[str, ArrayWriter]]:
 
 
 def _encode_file(item: tuple[Prepared, Array, Array, tuple[str, ...], PreprocessOptions]) -> list[ClipData]:
-    """The data of each run, encoded from the whole recording so that ends have neighbours, on a floor of this tilt."""
+    """The data of each run of a file, smoothed, levelled and encoded.
+
+    The whole recording is encoded at once, so that velocities at the ends of a run have neighbouring frames.
+    """
     prepared, tilt, references, types, options = item
     with np.load(prepared.motion_file, allow_pickle=False) as arrays:
         rotations, root = arrays["rotations"], arrays["root"]
     for start, end, *_ in prepared.runs if options.smooth else ():
-        # Run by run, so that frames cut out between runs have no effect.
+        # Run by run, so that frames between runs, which are left out, have no effect.
         rotations[start:end] = smooth_rotations(rotations[start:end])
         root[start:end] = smooth(root[start:end])
     skeleton = canonical_skeleton(np.array(prepared.body, np.float32))
@@ -273,7 +276,7 @@ def _encode_file(item: tuple[Prepared, Array, Array, tuple[str, ...], Preprocess
 def _with_twin(
     clip: Clip, spans: Sequence[tuple[int, int, str]], twin_types: Mapping[str, str], mirror: bool
 ) -> list[Clip]:
-    """The clip and, if it has one, its mirrored twin."""
+    """The clip, and its mirrored clip if it gets one."""
     base = asdict(clip)
     twin = {**base, "name": clip.name + " (mirrored)", "mirrored": True}
     if clip.split == "mirror":
@@ -281,7 +284,7 @@ def _with_twin(
         if hashed(clip.name)[0] % 2:
             trains, tests = {**twin, "split": "train"}, {**base, "split": "test"}
         return [Clip(**trains), Clip(**tests)]
-    # The mirror image of a one-sided type has no correct label if the data lacks the other side.
+    # If the data lacks the type of the other side, the mirror image has no correct label.
     known = all(twin_types[kind] in twin_types for _, _, kind in spans)
     if clip.split == "train" and mirror and known:
         return [clip, Clip(**twin)]
@@ -295,7 +298,7 @@ def _plain(scaling: Scaling) -> dict[str, list[float]]:
 def _type_table(
     clips: list[Clip], types_array: np.ndarray, types: Sequence[str], twin_types: Mapping[str, str]
 ) -> dict[str, dict[str, float]]:
-    """For each type: number of clips, mirrored, validation and test clips, and seconds of recordings in each split."""
+    """For each type: numbers of clips, of mirrored and of held-out clips, and seconds recorded in each split."""
     held_out, splits = ("validation", "test"), ("train", "validation", "test")
     table: dict[str, dict[str, float]] = {
         kind: {"clips": 0, "mirrored": 0}
@@ -303,7 +306,7 @@ def _type_table(
         | {f"{split}_seconds": 0.0 for split in splits}
         for kind in types
     }
-    trained: set[int] = set()  # first rows of counted clips: a clip and its twin are one recording
+    trained: set[int] = set()  # first rows of counted clips: a clip and its mirrored clip are one recording
     for clip in clips:
         counted = clip.start in trained
         if clip.split == "train":

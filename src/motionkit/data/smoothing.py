@@ -1,9 +1,8 @@
 """Filters marker jitter out of recorded rotations.
 
-Optical capture solves joints from noisy markers: in CMU walking, the changes of spine, toes and shoulders from frame
-to frame are more noise than movement. A network cannot predict noise and learns to damp all movement instead. The
-filter is that of Savitzky and Golay (1964): a cubic fitted to 9 frames, which passes frequencies below about 7 Hz at
-60 fps.
+Optical capture solves joints from noisy markers. In CMU walking, spine, toes and shoulders change more by noise than
+by movement from frame to frame. A network cannot predict noise and learns to damp all movement instead. The filter
+is that of Savitzky and Golay (1964): a cubic fitted to 9 frames, which passes frequencies below about 7 Hz at 60 fps.
 """
 
 from __future__ import annotations
@@ -21,19 +20,19 @@ DEGREE = 3
 
 @lru_cache
 def _kernel(window: int) -> Array:
-    """Weights (window,) that give the value of the fitted cubic in the middle."""
+    """Weights (window,) whose product with a window is the value of the fitted cubic in its middle."""
     place = np.arange(window, dtype=np.float64) - window // 2
     powers = place[:, None] ** np.arange(DEGREE + 1, dtype=np.float64)
     return np.linalg.pinv(powers)[0]
 
 
 def window_at(fps: float) -> int:
-    """Frames of the filter at another rate, odd, that pass the same frequencies as WINDOW at 60 fps; at least 5."""
+    """Odd filter length in frames, at least 5, that passes the same frequencies at this rate as WINDOW at 60 fps."""
     return max(5, 2 * round((WINDOW / 2 * fps / 60.0) - 0.5) + 1)
 
 
 def smooth(values: Array, window: int = WINDOW) -> Array:
-    """Filter values (T, ...) over time; beyond the ends they are continued by point reflection.
+    """Filter values (T, ...) over time, continued beyond their ends by point reflection.
 
     Sequences shorter than half a window are returned unchanged.
     """
@@ -51,5 +50,5 @@ def smooth(values: Array, window: int = WINDOW) -> Array:
 
 
 def smooth_rotations(rotations: Array, window: int = WINDOW) -> Array:
-    """Filter rotations (T, ..., 4) by component and normalise them again."""
+    """Filter quaternions (T, ..., 4) by component and normalise them again."""
     return normalized(smooth(quat_continuous(rotations), window))

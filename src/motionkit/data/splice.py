@@ -2,7 +2,7 @@
 
 The clips are joined where their poses are closest. The second clip is moved and turned so that its root continues from
 the first one's. The differences in pose and velocity at the join decay over the following frames (inertialization,
-Bollo 2018). Feet that would slide meanwhile stand where they are, or take their new places by steps.
+Bollo 2018). Foot locking keeps planted feet from sliding meanwhile.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from motionkit.motion.rotations import (
 
 TAIL = 64  # frames kept of the first clip before the join
 HEAD = 150  # frames kept of the second clip after it
-SEARCH = 24  # frames at the end of the first and the start of the second clip that are searched for the join
+SEARCH = 24  # frames at the end of the first and the start of the second clip in which the join is searched
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A stretch of a clip, to be joined to others.
+    """A stretch of a clip, prepared for joining.
 
     Attributes:
         motion: its T frames in the world.
         ground: (T, 3) root x, z (cm) and heading (radians).
-        positions, velocities: (T, 23, 3) of the joints in the heading frame of each frame.
+        positions, velocities: (T, 23, 3) of the joints in each frame's heading frame, in cm and cm/s.
         contacts, types, phases, reference: as in ClipData.
     """
 
@@ -71,11 +71,11 @@ def splice_clips(
     """Join the end of one stretch to the start of another.
 
     Args:
-        first, second: (clip, start, end) stretches of one type each.
-        decay: frames over which the difference at the join decays; over a pause, all of it.
-        pick: returns a random number below its argument; selects one of the best joins.
-        pause: frames from the last of the first stretch to the first of the second, as reference poses pause between
-            two performances, in which the body goes over from one to the other.
+        first, second: (clip, start, end) stretches, each of one type.
+        decay: frames over which the difference at the join decays; ignored with a pause, over which it then decays.
+        pick: returns a random number below its argument, to choose among the best joins.
+        pause: frames between the two stretches, in which the body moves from one to the other. Reference poses pause
+            like this between two performances.
     """
     clip, start, end = first
     a = cut_piece(dataset, clip, max(start, end - TAIL - SEARCH), end)
@@ -106,22 +106,23 @@ def splice_clips(
     encoded = encode_motion(motion, dataset.reference_rotations, dataset.layout.version)
     types = np.concatenate([a.types[a_start : i + 1], b.types[j + 1 : b_end]])
     phases = np.concatenate([a.phases[a_start : i + 1], b.phases[j + 1 : b_end]])
-    # The reference is not blended: it is the request, not what the body can follow at once.
+    # Reference poses are not blended: they are what is asked for, not what the body can follow at once.
     reference = np.concatenate([a.reference[a_start : i + 1], b.reference[j + 1 : b_end]])
     return ClipData(encoded.features, encoded.contacts, encoded.ground, types, phases, reference)
 
 
 def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
-    """A piece with so many frames and two more before its first, in which the body gathers its speed.
+    """A piece with pause + 2 frames added at its start, in which the body speeds up from standing.
 
-    The root gets faster evenly; height and joints arrive from a pose that is nearly the first. Reference poses go over
-    from those given (72,) to its first.
+    The root accelerates evenly. Root height and joints start from nearly the first pose. The reference poses change
+    linearly from the given ones (72,) to the piece's first.
     """
     held = pause + 2
-    to_come = np.arange(held, 0, -1, dtype=np.float32)  # frames to the first
+    to_come = np.arange(held, 0, -1, dtype=np.float32)  # frames left until the piece's first
     share = np.clip((held - 1 - to_come) / pause, 0.0, None)
     motion = piece.motion
-    # Steps of the first speed that are still to come: along the way, and of what comes back to where it started.
+    # Distance to the first frame, in units of the first frame's step. `ahead` is for the root on the ground. `back` is
+    # for height and joints, which leave the first pose and return to it.
     ahead = np.append(np.cumsum(share[:0:-1])[::-1], 0.0)[:, None] + 1.0
     back = _decay_curves(to_come, float(pause))[1]
 
@@ -150,7 +151,7 @@ def _after_pause(piece: Piece, pause: int, reference: Array) -> Piece:
 
 
 def _contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array:
-    """Contacts (T, 4) of which only those are left that touch frames start to end: all else is as recorded."""
+    """Contacts (T, 4) that overlap frames start to end; all others are zero, so that recorded frames stay unlocked."""
     out = np.zeros_like(contacts)
     for foot in (slice(0, 2), slice(2, 4)):
         for first, last in locked_spans(contacts[:, foot], fps):
@@ -160,7 +161,7 @@ def _contacts_around(contacts: Array, start: int, end: int, fps: float) -> Array
 
 
 def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
-    """Frames start to end (exclusive) of a clip."""
+    """Frames start to end (exclusive) of a clip, as a piece."""
     data = dataset.read(clip, start, end)
     motion = dataset.motion(clip, data)
     _, positions = motion_kinematics(motion)
@@ -181,7 +182,7 @@ def cut_piece(dataset: Dataset, clip: Clip, start: int, end: int) -> Piece:
 
 
 def _best_join(a: Piece, b: Piece, pick: Callable[[int], int]) -> tuple[int, int]:
-    """Frames (i of a, j of b) with similar poses and velocities: one of the three best pairs."""
+    """Frames (i of a, j of b) with similar poses and velocities, picked from the three best pairs."""
     ends = (
         np.arange(max(8, len(a.motion) - SEARCH), len(a.motion) - 2)
         if len(a.motion) > 12
@@ -195,8 +196,8 @@ def _best_join(a: Piece, b: Piece, pick: Callable[[int], int]) -> tuple[int, int
 
 
 def join_cost(a: Piece, b: Piece, ends: Array, starts: Array) -> Array:
-    """How far poses and velocities of frames ends (E,) of a are from those of frames starts (S,) of b: (E, S) in cm."""
-    # Velocities are weighted by the distance they cover in a tenth of a second.
+    """Distances (E, S) in cm of poses and velocities between frames ends (E,) of a and frames starts (S,) of b."""
+    # A velocity counts as the distance it covers in 0.1 s.
     before, after = (
         np.concatenate([piece.positions[frames], 0.1 * piece.velocities[frames]], axis=1).reshape(
             len(frames), -1
@@ -209,7 +210,7 @@ def join_cost(a: Piece, b: Piece, ends: Array, starts: Array) -> Array:
 def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
     """Frames j + 1 onwards of b, moved and turned so that they continue frame i of a.
 
-    The difference in pose and velocity at the join decays over so many frames.
+    The difference in pose and velocity at the join decays over `decay` frames.
     """
     turn = a.ground[i, 2] - b.ground[j, 2]
     yaw = quat_from_yaw(turn)
@@ -247,7 +248,7 @@ def join_pieces(a: Piece, b: Piece, i: int, j: int, decay: int) -> Piece:
 
 
 def _decay_curves(time: Array, decay: float) -> tuple[Array, Array]:
-    """Weights (T,) of the offset and velocity difference; they and their slopes reach zero after decay frames."""
+    """Weights (T,) of the differences in pose and velocity; weights and slopes reach zero after `decay` frames."""
     x = np.minimum(time / decay, 1.0)
     offset = 1.0 - x**3 * (10.0 - 15.0 * x + 6.0 * x**2)
     velocity = decay * (x - x**3 * (6.0 - 8.0 * x + 3.0 * x**2))

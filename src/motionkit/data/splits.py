@@ -1,4 +1,4 @@
-"""Which clips of a dataset are for training, for validation and for the test, where labels do not say."""
+"""Divides clips into training, validation and test where the labels do not."""
 
 from __future__ import annotations
 
@@ -8,19 +8,19 @@ from collections.abc import Mapping, Sequence
 
 from motionkit.data.first_pass import Prepared
 
-TEST_SHARE = 0.15  # of the clips of a type
-# Of the files with training clips of a type, at least one; a type of fewer files spares none.
+TEST_SHARE = 0.15  # share of a type's clips that are held out for the test
+# Share of a type's files that are held out for validation, at least one; none if the type has fewer files than this.
 VALIDATION_SHARE, VALIDATION_FILES = 0.1, 4
 
 
 def decide_splits(
     prepared: Sequence[Prepared], mirror: bool, twin_types: Mapping[str, str], test: bool
 ) -> dict[tuple[int, int], str]:
-    """Choose a split for each (file, run) without one; with test, whole clips of each type are held out for testing.
+    """Choose a split for each (file, run) without one.
 
-    A type with a single clip gets "mirror": the clip is for training and its mirror image for testing, or, for about
-    half of such clips, the reverse (paper section 3). The mirror image of a one-sided type has another type, so its
-    single clip is for training.
+    With `test`, some clips of each type are held out for the test. A type's single clip gets the split "mirror": the
+    clip trains and its mirror image tests, or the reverse for about half of such clips (paper section 3). If the
+    mirror image belongs to another type, the single clip trains.
     """
     open_runs: dict[str, list[tuple[int, int]]] = defaultdict(list)
     for i, item in enumerate(prepared):
@@ -43,11 +43,10 @@ def decide_splits(
 
 
 def hold_out_validation(prepared: Sequence[Prepared], splits: dict[tuple[int, int], str]) -> None:
-    """Take clips for validation out of the training clips, type by type; changes splits.
+    """Move some training clips of each type to validation, by changing splits.
 
-    All training clips of a type in one file go together, because parts of one take are alike. Files are picked by a
-    hash of their names, so the choice does not change with the order of files or with other types. Nothing is done if
-    the labels name validation clips.
+    All training clips of a type in one file move together, because parts of one take are alike. A hash of the names
+    picks the files, so their order and other types do not matter. If the labels name validation clips, nothing moves.
     """
     if any(run.split == "validation" for item in prepared for run in item.runs):
         return
@@ -65,5 +64,5 @@ def hold_out_validation(prepared: Sequence[Prepared], splits: dict[tuple[int, in
 
 
 def hashed(text: str) -> bytes:
-    """A number that depends on a text alone, to pick clips by."""
+    """The SHA-256 of a text, which picks clips independently of their order."""
     return hashlib.sha256(text.encode("utf-8", "surrogateescape")).digest()

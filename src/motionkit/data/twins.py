@@ -1,4 +1,4 @@
-"""Types whose mirror images are other types: by the sides in their names, else by how they move."""
+"""Finds the type of each type's mirror image, by the sides in the names or by the motion."""
 
 from __future__ import annotations
 
@@ -15,22 +15,24 @@ from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT
 
 EVERY = 8  # frames between the poses that are compared
-LEAST_POSES, MOST_POSES = 12, 400  # of a type; half a stride looks like the mirror image of the other half
-# The mirror image of a type is another one if its poses are nearer to that one's than both are to its own: this
-# quantile of the distances to the nearest pose, in cm per joint, since most poses of a kick are those of standing.
+# Fewest and most poses of a type that are compared. Fewer would not do: half a stride looks like the mirror image of
+# the other half.
+LEAST_POSES, MOST_POSES = 12, 400
+# Quantile of the distances to the nearest pose (cm per joint) that is the distance between two sets of poses. It is
+# high, because most poses of a kick are standing poses.
+# A type is the mirror image of another if the distance from its mirrored poses to the other type is below NEARER times
+# two distances: from its mirrored poses to its own type, and from its unmirrored poses to the other type.
 QUANTILE, NEARER = 0.9, 0.8
 _LAYOUT = feature_layout(DEFAULT_LAYOUT)
 _POSE = _LAYOUT.blocks["joint_positions"]
-ONE_SIDED = (
-    10.0  # cm per joint between the poses of a type and their mirror images; symmetric types have less
-)
+ONE_SIDED = 10.0  # cm per joint; the poses of symmetric types differ less from their mirror images
 
 
 def type_poses(motion: Motion, spans: Sequence[tuple[int, int, str]]) -> dict[str, Array]:
-    """Poses (N, D) of each type in a motion: joints over the ground below the root, relative to the heading, in cm.
+    """Poses (N, D) of each type in a motion: joint positions in the heading frame, in cm.
 
     Args:
-        spans: first and last frame (exclusive) and type of its stretches.
+        spans: first frame, end frame (exclusive) and type of each stretch.
     """
     few = replace(
         motion,
@@ -46,13 +48,13 @@ def type_poses(motion: Motion, spans: Sequence[tuple[int, int, str]]) -> dict[st
 
 
 def mirrored_types(types: Sequence[str], poses: Mapping[str, Array]) -> dict[str, str]:
-    """For each type the type of its mirror image: itself, or the other side's, which may be none of the types.
+    """For each type, the type of its mirror image: itself, or one of the other side, which the data may lack.
 
-    A side in the name tells, as in kick-l. Else two types are twins if the mirror image of each is nearer to the other
-    than to itself.
+    A side in the name decides, as in kick-l. Otherwise two types are mirror images if the mirrored poses of each are
+    nearer to the other type than to their own.
 
     Args:
-        poses: (N, D) poses of each type, of type_poses.
+        poses: (N, D) poses of each type, from type_poses.
     """
     out = {kind: mirrored_type(kind) for kind in types}
     told = [kind for kind in types if out[kind] == kind and len(poses.get(kind, ())) >= LEAST_POSES]
@@ -71,7 +73,7 @@ def mirrored_types(types: Sequence[str], poses: Mapping[str, Array]) -> dict[str
 
 
 def _spread(poses: Array) -> Array:
-    """At most MOST_POSES poses, from all over."""
+    """At most MOST_POSES of the poses, evenly spread."""
     return poses[:: -(-len(poses) // MOST_POSES)]
 
 
@@ -81,6 +83,6 @@ def _mirrored(poses: Array) -> Array:
 
 
 def _apart(poses: Array, others: Array) -> float:
-    """How far poses (N, D) are from the nearest of others (M, D), in cm per joint."""
+    """QUANTILE of the distances from poses (N, D) to the nearest of others (M, D), in cm per joint."""
     nearest = distances_between(poses, others).min(axis=1) / JOINT_COUNT**0.5
     return float(np.quantile(nearest, QUANTILE))

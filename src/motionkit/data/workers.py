@@ -1,4 +1,4 @@
-"""Worker processes that end with the process that started them, even if it is killed."""
+"""Worker processes that end when their parent process ends, even if it is killed."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from contextlib import contextmanager, suppress
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 
-# Maps a function over items, in order.
+# A function like map, whose results come in order.
 Map = Callable[[Callable, list], Iterator]
 
 
 @contextmanager
 def worker_processes(count: int) -> Iterator[Map]:
-    """A map over items with this many processes; a count of one works in this process.
+    """A map over this many processes; a count of one uses the present process.
 
-    If the block is left by an error or Ctrl-C, or this process dies, the workers end at once.
+    The workers end at once if an error or Ctrl-C leaves the block, or if the present process dies.
     """
     if count <= 1:
         yield map
@@ -42,12 +42,15 @@ def worker_processes(count: int) -> Iterator[Map]:
             yield each
         except BaseException:
             for process in started:
-                process.kill()  # even workers that are still importing and ignore signals
+                process.kill()  # not terminate: a worker that is still importing ignores other signals
             raise
 
 
 def _results(waiting: deque[Future]) -> Iterator:
-    """Results in order, each released once it is taken; pool.map would cancel the rest, which breaks a closing pool."""
+    """Results in order, each released once it is taken.
+
+    pool.map would cancel the remaining items, which breaks a pool that is being closed.
+    """
     while waiting:
         yield waiting.popleft().result()
 
@@ -66,7 +69,7 @@ def _end_with(parent: Connection) -> None:
 
 @contextmanager
 def ctrl_c_held() -> Iterator[None]:
-    """Block Ctrl-C; processes started meanwhile never receive it, not even while they import."""
+    """Block Ctrl-C; processes that are started meanwhile never receive it, not even while they import."""
     if not hasattr(signal, "pthread_sigmask"):
         yield
         return

@@ -1,8 +1,8 @@
 """Control signals C_n: skeleton, motion type, root trajectory of the next second, phase and reference poses.
 
-Paper section 3, "Control Signal Representation". Three signals are added to the paper's: the trajectory mask,
-so that one model works with and without a path; the phase of types that turn the body over, which times the
-performance; and reference poses (features/reference.py), which say what the body does next.
+Paper section 3, "Control Signal Representation". Three signals are not in the paper: the trajectory mask, so that one
+model works with and without a path; the phase, which times a performance; and reference poses
+(features/reference.py), which show what the body does next.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from motionkit.motion.skeleton import JOINT_COUNT, Skeleton, canonical_skeleton
 TRAJECTORY_OFFSETS: tuple[int, ...] = (10, 20, 30, 40, 50, 60)  # frames ahead, at 60 fps
 TRAJECTORY_COUNT = 4 * len(TRAJECTORY_OFFSETS)  # 6 positions (x, z), then 6 directions (x, z)
 SKELETON_COUNT = 3 * JOINT_COUNT
-TYPE_BLEND_FRAMES = 40
-MOST_TYPES = 1000  # of a dataset or a model
-# Which signals a control vector holds: "paper": skeleton, types at six frames ahead, trajectory; "extended": types of
-# now, and the three signals added to the paper's.
+TYPE_BLEND_FRAMES = 40  # frames that a change of type takes, as in the paper
+MOST_TYPES = 1000  # in one dataset or model
+# Signals of a control vector. "paper": skeleton, types at six frames ahead, trajectory. "extended": skeleton, present
+# types, trajectory, and the three signals that are not in the paper.
 CONTROL_KINDS = ("extended", "paper")
 # The network sees rest-pose positions as differences from the canonical body, in units of 10 cm.
 SKELETON_UNIT = 10.0
@@ -32,18 +32,18 @@ SKELETON_UNIT = 10.0
 
 @dataclass(frozen=True, eq=False)
 class Controls:
-    """What is asked for, at one frame or many; leading dimensions (...) are frames, characters or both.
+    """The controls of one frame or many; leading dimensions (...) are frames, characters or both.
 
     Attributes:
         type_weights: (..., N) weights of the motion types, which add up to 1.
-        trajectory: (..., 24) where the root is to be, in cm in the heading frame of now.
-        trajectory_mask: (...) 1 where the trajectory counts, else 0.
-        phase: (...) in [0, 1) through a performance, strike or jump, negative for none.
-        reference: (..., 72) pose embeddings of the reference some frames ahead.
-        reference_gain: (...) factor on the reference, 0 where there is none.
-        slip_correction: (...) factor on the root-slip correction of the types.
-        types_ahead: (..., 6, N) type weights at TRAJECTORY_OFFSETS; None for those of now. Only the paper's control
-            signals have them.
+        trajectory: (..., 24) the root's future positions (cm) and directions in the present heading frame.
+        trajectory_mask: (...) 1 with a trajectory, 0 without.
+        phase: (...) in [0, 1) during a performance, strike or jump, else negative.
+        reference: (..., 72) pose embeddings of the reference poses.
+        reference_gain: (...) factor on the difference between reference and present pose, 0 without a reference.
+        slip_correction: (...) factor on the types' root-slip correction.
+        types_ahead: (..., 6, N) type weights at TRAJECTORY_OFFSETS, used by the paper's control signals only; None
+            repeats the present weights.
     """
 
     type_weights: Array
@@ -57,7 +57,7 @@ class Controls:
 
     @staticmethod
     def of_types(type_weights: Array) -> Controls:
-        """Ask for types (..., N) alone: no trajectory, phase or reference."""
+        """Controls with type weights (..., N) only: no trajectory, phase or reference."""
         shape = type_weights.shape[:-1]
         zeros, ones = np.zeros(shape, np.float32), np.ones(shape, np.float32)
         trajectory = np.zeros((*shape, TRAJECTORY_COUNT), np.float32)
@@ -66,12 +66,12 @@ class Controls:
 
     @staticmethod
     def concatenated(parts: Sequence[Controls], axis: int = 0) -> Controls:
-        """Join along an axis: frames one after another, or characters side by side."""
+        """Concatenate controls along an axis, over frames or over characters."""
         return _joined(parts, lambda arrays: np.concatenate(arrays, axis))
 
     @staticmethod
     def side_by_side(characters: Sequence[Controls]) -> Controls:
-        """Stack (T, ...) of B characters as (T, B, ...); shorter ones repeat their last frame."""
+        """Stack controls (T, ...) of B characters as (T, B, ...); shorter ones repeat their last frame."""
         frames = max(len(c.phase) for c in characters)
         rows = [np.minimum(np.arange(frames), len(c.phase) - 1) for c in characters]
         return _joined(
@@ -79,23 +79,23 @@ class Controls:
         )
 
     def at(self, rows: int | slice | Array) -> Controls:
-        """Some rows of the first dimension."""
+        """The controls at some rows of the first dimension."""
         return Controls(**{name: values[rows] for name, values in vars(self).items() if values is not None})
 
     def with_mask(self, mask: float) -> Controls:
-        """The same with a trajectory mask of 1 or 0 everywhere."""
+        """The same controls with this trajectory mask, 1 or 0, everywhere."""
         return replace(self, trajectory_mask=np.full_like(self.trajectory_mask, mask))
 
     @property
     def ahead(self) -> Array:
-        """Type weights (..., 6, N) at TRAJECTORY_OFFSETS, those of now where nothing else is known."""
+        """Type weights (..., 6, N) at TRAJECTORY_OFFSETS: types_ahead, or the present weights repeated."""
         if self.types_ahead is not None:
             return self.types_ahead
         return np.repeat(self.type_weights[..., None, :], len(TRAJECTORY_OFFSETS), axis=-2)
 
 
 def _joined(parts: Sequence[Controls], join: Callable[[list[Array]], Array]) -> Controls:
-    """Controls whose fields are joined; types ahead are dropped unless all parts have them."""
+    """Join each field of several controls; types_ahead is dropped unless all parts have it."""
     ahead = all(part.types_ahead is not None for part in parts)
     names = [name for name in vars(parts[0]) if ahead or name != "types_ahead"]
     return Controls(*(join([getattr(part, name) for part in parts]) for name in names))
@@ -105,7 +105,7 @@ def _joined(parts: Sequence[Controls], join: Callable[[list[Array]], Array]) -> 
 class ControlLayout:
     """Columns of the control vector: skeleton, types, trajectory and its mask, phase, reference and its gain.
 
-    The kind "paper" ends with the trajectory, and has the types six times, one frame ahead after another.
+    The kind "paper" ends with the trajectory and has six sets of types, one for each of TRAJECTORY_OFFSETS.
     """
 
     types: tuple[str, ...]
@@ -118,12 +118,12 @@ class ControlLayout:
 
     @property
     def type(self) -> slice:
-        """The weights of the motion types, one per type; in the kind "paper" one per type and frame ahead."""
+        """The type weights, one per type; in the kind "paper" one per type and frame ahead."""
         return slice(SKELETON_COUNT, SKELETON_COUNT + self.type_samples * len(self.types))
 
     @property
     def type_samples(self) -> int:
-        """How many frames the types are given for."""
+        """Number of frames whose types the control vector holds."""
         return len(TRAJECTORY_OFFSETS) if self.kind == "paper" else 1
 
     @property
@@ -133,7 +133,7 @@ class ControlLayout:
 
     @property
     def flag(self) -> int:
-        """The trajectory mask: 1 with a trajectory, else 0."""
+        """The column of the trajectory mask: 1 with a trajectory, else 0."""
         return self.trajectory.stop
 
     @property
@@ -148,7 +148,7 @@ class ControlLayout:
 
     @property
     def reference_gain(self) -> int:
-        """The reference gain, zero without a reference."""
+        """The column that is 1 with a reference, else 0."""
         return self.reference.stop
 
     @property
@@ -158,14 +158,14 @@ class ControlLayout:
 
 
 def future_trajectory(ground: Array, frames: Array, here: Array | None = None) -> Array:
-    """Trajectory values (..., 24) of frames, each in its own heading frame: positions in cm, then directions.
+    """Trajectory values (..., 24) at frames, each in its own heading frame: positions in cm, then directions.
 
-    Beyond the last frame the root continues with the mean velocity of the last six frames and keeps its facing.
+    Beyond the last frame, the root continues with the mean velocity of the last six frames and keeps its facing.
 
     Args:
         ground: (T, 3) root x, z (cm) and heading (radians).
         frames: (...) indices into ground.
-        here: (..., 3) where a body is that is to go there, and its heading; by default ground at these frames.
+        here: (..., 3) x, z and heading of the body that follows the ground track; by default ground at these frames.
     """
     last = ground.shape[0] - 1
     ahead = frames[..., None] + np.array(TRAJECTORY_OFFSETS)
@@ -184,7 +184,7 @@ def future_trajectory(ground: Array, frames: Array, here: Array | None = None) -
 
 
 def straight_trajectory(velocity: tuple[float, float], fps: float) -> Array:
-    """Trajectory values (24,) of a body that keeps a velocity (x and z in cm/s in its heading frame) and its facing."""
+    """Trajectory values (24,) of a body that keeps its facing and a velocity (x, z in cm/s in its heading frame)."""
     seconds = np.array(TRAJECTORY_OFFSETS, np.float32) / np.float32(fps)
     places = seconds[:, None] * np.array(velocity, np.float32)
     directions = np.tile(np.array([0.0, 1.0], np.float32), len(TRAJECTORY_OFFSETS))
@@ -192,7 +192,7 @@ def straight_trajectory(velocity: tuple[float, float], fps: float) -> Array:
 
 
 def trajectory_mirror() -> Array:
-    """Signs (24,) that mirror trajectory values at the plane x = 0."""
+    """Signs (24,) whose product with trajectory values mirrors them at the plane x = 0."""
     return np.array([-1.0, 1.0] * (2 * len(TRAJECTORY_OFFSETS)), np.float32)
 
 
@@ -202,7 +202,7 @@ def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> 
     Args:
         type_ids: (T,) type of every frame.
         count: number of types.
-        blend: frames that a change takes (40 in the paper).
+        blend: frames that a change takes.
     """
     weights = np.eye(count, dtype=np.float32)[type_ids]
     if blend < 2 or bool((type_ids == type_ids[0]).all()):
@@ -214,7 +214,7 @@ def blend_types(type_ids: Array, count: int, blend: int = TYPE_BLEND_FRAMES) -> 
 
 
 def types_ahead(weights: Array) -> Array:
-    """Type weights (T, 6, N) at TRAJECTORY_OFFSETS after every frame of weights (T, N); the last ones last."""
+    """Type weights (T, 6, N) at TRAJECTORY_OFFSETS after every frame of weights (T, N); the last row is held."""
     frames = np.arange(len(weights))[:, None] + np.array(TRAJECTORY_OFFSETS)
     return weights[np.minimum(frames, len(weights) - 1)]
 
@@ -234,13 +234,13 @@ def control_vector(
     references: ReferenceMap,
     alone: bool = True,
 ) -> Array:
-    """Control vectors (..., C) of controls (...); trajectory and reference are zero where they are not given.
+    """Control vectors (..., C) of controls (...); trajectory and reference are zero where there is none.
 
     Args:
-        skeleton: (69,) of skeleton_signal.
-        x: (..., 276) normalised present frames, which references are relative to.
-        references: maps reference poses to the reference signal.
-        alone: as in ReferenceMap.shown.
+        skeleton: (69,) from skeleton_signal.
+        x: (..., 276) normalised present frames, which reference poses are relative to.
+        references: maps reference poses to the network's input.
+        alone: as for ReferenceMap.shown.
     """
     mask, gain = controls.trajectory_mask[..., None], controls.reference_gain[..., None]
     trajectory = trajectory_scaling.normalize(controls.trajectory) * mask

@@ -1,4 +1,4 @@
-"""Features back to Motion: rotations as predicted, the root's path integrated from its velocities."""
+"""Turns features back into a motion: rotations as predicted, the root's path integrated from its velocities."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from motionkit.motion.skeleton import JOINT_COUNT, Skeleton
 def decode_rotations(
     features: Array, reference_rotations: Array | None = None, layout: str = DEFAULT_LAYOUT
 ) -> Array:
-    """Local rotations (..., 23, 4) of unnormalised features (..., 276), the root's relative to its heading.
+    """Local rotations (..., 23, 4) of unnormalised features (..., 276); the root's is relative to its heading.
 
     Args:
         features: (..., 276) unnormalised.
@@ -47,7 +47,7 @@ def root_height(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
 
 
 def joint_positions(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
-    """Joint positions (T, 23, 3) over the ground below the root, turned to its heading; the root's x and z are zero.
+    """Joint positions (T, 23, 3) in cm in the heading frame; the root's x and z are zero.
 
     Args:
         features: (T, 276) unnormalised.
@@ -61,13 +61,13 @@ def joint_positions(features: Array, layout: str = DEFAULT_LAYOUT) -> Array:
 
 
 def integrate_ground(features: Array, start: Array, fps: float, layout: str = DEFAULT_LAYOUT) -> Array:
-    """Root x, z (cm) and heading (radians) (..., T, 3) over time, integrated from the velocities in the features.
+    """Ground track (..., T, 3), x and z in cm and heading in radians, integrated from the velocities in the features.
 
-    Velocities are those of encode_motion: from the previous frame, in the later frame's heading frame.
+    As in encode_motion, a velocity leads from the previous frame and is in the later frame's heading frame.
 
     Args:
         features: (..., T, 276) unnormalised.
-        start: (..., 3) x, z and heading of the first frame.
+        start: (..., 3) x, z (cm) and heading (radians) of the first frame.
         fps: frames per second.
         layout: version of the columns.
     """
@@ -90,7 +90,7 @@ def decode_motion(
     reference_rotations: Array | None = None,
     layout: str = DEFAULT_LAYOUT,
 ) -> Motion:
-    """The motion of features (T, 276), on a skeleton with the canonical joints.
+    """The motion that features (T, 276) describe, on a skeleton with the canonical joints.
 
     Args:
         features: (T, 276) unnormalised.

@@ -1,4 +1,4 @@
-"""Motion to the 276 features of every frame (paper section 3)."""
+"""Turns a motion into the 276 features of every frame (paper section 3)."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from motionkit.motion.rotations import (
 )
 from motionkit.motion.skeleton import JOINT_COUNT, JOINT_NAMES
 
-# Beyond this angle from its reference, a rotation is written by its shorter equivalent. Following rotations through
-# pi up to this angle keeps dances continuous; allowing a full turn would give one pose two encodings.
+# Largest angle (radians) of an exponential map; beyond it, the shorter equivalent is used. Angles above pi keep dances
+# continuous. Angles up to 2 pi would give one pose two encodings.
 FOLD_ANGLE = 1.4 * np.pi
 
 
@@ -37,7 +37,7 @@ class EncodedMotion:
     Attributes:
         features: (T, 276) unnormalised, columns as in the layout.
         contacts: (T, 4) left foot, left toe, right foot, right toe.
-        ground: (T, 3) root x, root z (cm) and heading (radians) in the world; trajectories are cut from it.
+        ground: (T, 3) root x, root z (cm) and heading (radians) in the world, from which trajectories are made.
     """
 
     features: Array
@@ -46,7 +46,7 @@ class EncodedMotion:
 
 
 def identity_reference_rotations() -> Array:
-    """Reference rotations (23, 4) that leave the exponential maps unchanged, as in the paper."""
+    """Reference rotations (23, 4) of the paper: the identity, so exponential maps are relative to the rest pose."""
     return quat_identity((JOINT_COUNT,))
 
 
@@ -55,12 +55,12 @@ def encode_motion(
 ) -> EncodedMotion:
     """Features, contacts and ground track of a motion on the canonical joints.
 
-    Velocities are differences from the previous frame, in the heading frame of the later one, per second;
-    the first frame repeats the second one's.
+    Velocities are differences from the previous frame, per second, in the heading frame of the later frame. The first
+    frame repeats the velocities of the second.
 
     Args:
         motion: T >= 2 frames on the 23 canonical joints, cm.
-        reference_rotations: (23, 4) the rotations that exponential maps are relative to; identity by default.
+        reference_rotations: (23, 4) that exponential maps are relative to; identity by default.
         layout: version of the columns.
 
     Raises:
@@ -103,7 +103,7 @@ def encode_motion(
         "joint_positions": facing_positions.reshape(frames, -1),
         "joint_velocities": facing_velocities.reshape(frames, -1),
     }
-    if columns.root_is_sixd:  # without the root's x, z and sideways velocity
+    if columns.root_is_sixd:  # drop the root's x, z and sideways velocity
         parts["joint_positions"] = np.concatenate(
             [parts["joint_positions"][:, 1:2], parts["joint_positions"][:, 3:]], -1
         )
@@ -113,7 +113,7 @@ def encode_motion(
 
 
 def _backward(values: Array, fps: float) -> Array:
-    """Differences from the previous frame, per second (T, ...); the first repeats the second."""
+    """Differences (T, ...) from the previous frame, per second; the first repeats the second."""
     steps = np.diff(values, axis=0) * fps
     return np.concatenate([steps[:1], steps])
 
@@ -138,7 +138,7 @@ def relative_expmaps(rotations: Array, reference_rotations: Array) -> Array:
 
 
 def _expmap_any_branch(quat: Array) -> Array:
-    """Exponential maps (..., 3) of angles up to 2 pi; the quaternion's sign decides the direction of rotation."""
+    """Exponential maps (..., 3) with angles up to 2 pi; the quaternion's sign decides which way it turns."""
     sine = np.linalg.norm(quat[..., 1:], axis=-1, keepdims=True)
     angle = 2.0 * np.arctan2(sine, quat[..., :1])
     scale = np.where(sine < 1e-6, np.full_like(sine, 2.0), angle / np.maximum(sine, 1e-6))

@@ -1,4 +1,4 @@
-"""The facing direction of a body on the ground, without jumps while it is upside down."""
+"""The heading of a body: its facing direction on the ground, continuous even while it is upside down."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from motionkit.arrays import Array, normalized
 from motionkit.motion.rotations import wrap_angle
 from motionkit.motion.skeleton import JOINT_NAMES
 
-# The trunk counts as upright within 60 degrees of vertical; beyond that its left-right axis is no reliable measure of
-# the facing direction.
+# A trunk within 60 degrees of vertical is upright. Beyond that, the left-right axis does not show the facing direction.
 UPRIGHT_COSINE = 0.5
-SMOOTHING_SECONDS = 0.08
+SMOOTHING_SECONDS = 0.08  # standard deviation of the Gaussian that smooths the heading
 
 
 def heading_angles(global_positions: Array, fps: float) -> Array:
     """Heading (T,) in radians, continuous over time; 0 faces +Z, pi/2 faces +X.
 
-    Upright frames use the mean of the axes across hips and shoulders. Between them, the heading takes the
-    shortest arc from the last upright frame to the next. The result is smoothed lightly.
+    In upright frames it follows from the mean of the axes across hips and shoulders. Between them, it takes the
+    shortest arc from one upright frame to the next. The result is smoothed lightly.
 
     Args:
         global_positions: (T, 23, 3) positions of the canonical joints in the world.
@@ -44,7 +43,7 @@ def _raw_heading(positions: Array) -> tuple[Array, Array]:
 
 
 def _bridge(yaw: Array, upright: Array) -> Array:
-    """Unroll upright headings along the shortest arcs and interpolate between them."""
+    """Unwrap the headings of upright frames and interpolate between them."""
     known = np.flatnonzero(upright)
     if len(known) == 0:
         known = np.arange(len(yaw))
@@ -60,7 +59,7 @@ def _bridge(yaw: Array, upright: Array) -> Array:
 
 
 def _smooth(values: Array, sigma: float) -> Array:
-    """Gaussian smoothing (T,); beyond its ends the signal is extrapolated linearly."""
+    """Smooth values (T,) by a Gaussian, extrapolated linearly beyond their ends; sigma is in frames."""
     radius = max(1, math.ceil(3 * sigma))
     if len(values) < 3:
         return values

@@ -1,7 +1,7 @@
-"""The table of the 276 feature columns: what each one means.
+"""The table of the 276 feature columns and their meaning (paper section 3).
 
-Paper section 3; docs/network.md explains the split into 6 + 66 + 66 + 69 + 69. Each of the 23 joints owns 12
-columns; both body parts share those of the root.
+docs/network.md explains the split into 6 + 66 + 66 + 69 + 69. Each of the 23 joints has 12 columns; all body parts
+share those of the root.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ CONTACT_COUNT = 4
 LAYOUTS = ("sixd-root-1", "expmap-root-1")
 DEFAULT_LAYOUT = "sixd-root-1"
 
-# Signs of the components of each kind of quantity under a reflection at the plane x = 0.
+# Signs that mirror the components of each kind of quantity at the plane x = 0.
 _VECTOR = (-1.0, 1.0, 1.0)
 _AXIAL = (1.0, -1.0, -1.0)
 _SIXD = (1.0, -1.0, -1.0, -1.0, 1.0, 1.0)
@@ -42,9 +42,9 @@ class FeatureLayout:
     """The columns of one version of the features.
 
     Attributes:
-        version: name of the version, as stored in model files.
-        columns: descriptions of the 276 columns, in order.
-        blocks: block name to its slice.
+        version: name of the version, which model files store.
+        columns: the 276 columns, in order.
+        blocks: slice of columns by block name.
     """
 
     version: str
@@ -53,7 +53,7 @@ class FeatureLayout:
 
     @property
     def root_is_sixd(self) -> bool:
-        """Whether the root's rotation is two matrix columns (6 values) instead of an exponential map (3)."""
+        """Whether the root's rotation is two matrix columns (6 values), not an exponential map (3 values)."""
         return self.version == "sixd-root-1"
 
     @property
@@ -64,7 +64,7 @@ class FeatureLayout:
     def indices(
         self, block: str, joints: Sequence[int], components: Sequence[int] = (0, 1, 2)
     ) -> list[list[int]]:
-        """For each of some joints the columns of its components in a block."""
+        """For each joint, the columns of its components in a block."""
         return [[self._places[block, joint, k] for k in components] for joint in joints]
 
     def joint_columns(self, joint: int) -> list[int]:
@@ -99,10 +99,10 @@ def _block(name: str, joints: range | list[int], signs: tuple[float, ...]) -> li
 def feature_layout(version: str = DEFAULT_LAYOUT) -> FeatureLayout:
     """The layout of a version.
 
-    "expmap-root-1" is the paper's: the root's rotation as an exponential map, its position (0, y, 0).
-    "sixd-root-1" has the root's rotation as two matrix columns, which do not jump when the body turns over. To
-    stay at 276 columns it omits the root's constant x and z position, and its sideways velocity, which
-    root_xz_velocity already holds.
+    "expmap-root-1" is the paper's: the root's rotation is an exponential map, its position (0, y, 0).
+    In "sixd-root-1" the root's rotation is two matrix columns, which do not jump when the body turns over. To keep
+    276 columns, it omits the root's x and z position, which are zero, and its sideways velocity, which
+    root_xz_velocity has too.
 
     Raises:
         ModelError: the version is unknown.
@@ -136,10 +136,10 @@ def _root_vector(name: str, components: tuple[int, ...]) -> list[Column]:
 
 
 def contact_mirror() -> Array:
-    """Indices (4,) that swap the contacts of the left and the right foot."""
+    """Indices (4,) that swap the contacts of left and right foot."""
     return np.array([2, 3, 0, 1])
 
 
 def column_names(version: str = DEFAULT_LAYOUT) -> list[str]:
-    """Readable names of the 276 columns, such as joint_positions.LeftFoot.1, for logs and exports."""
+    """Names of the 276 columns, such as joint_positions.LeftFoot.1, for logs and exports."""
     return [f"{c.block}.{JOINT_NAMES[c.joint]}.{c.component}" for c in feature_layout(version).columns]

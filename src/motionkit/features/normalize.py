@@ -9,10 +9,11 @@ import numpy as np
 from motionkit.arrays import Array
 from motionkit.features.layout import FeatureLayout
 
-# A column that hardly varies (a fixed joint) would be amplified by its own small deviation; no column is divided by
-# less than this share of the RMS deviation of its block.
+# Smallest standard deviation of a column, as a share of its block's RMS deviation. Without it, noise of a joint that
+# hardly moves would be amplified.
 BLOCK_FLOOR = 0.1
-TRAJECTORY_FLOOR = 5.0  # cm
+# The same for the positions (cm) and directions of trajectories.
+TRAJECTORY_FLOOR = 5.0
 DIRECTION_FLOOR = 0.05
 
 
@@ -55,7 +56,7 @@ class RunningMoments:
 
 
 def feature_scaling(moments: RunningMoments, layout: FeatureLayout) -> Scaling:
-    """Scaling of the features, with the block floor applied."""
+    """Scaling of the features; deviations are at least BLOCK_FLOOR of their block's."""
     mean, std = moments.mean_std()
     for block in layout.blocks.values():
         floor = BLOCK_FLOOR * np.sqrt(np.square(std[block]).mean())
@@ -64,7 +65,7 @@ def feature_scaling(moments: RunningMoments, layout: FeatureLayout) -> Scaling:
 
 
 def trajectory_scaling(moments: RunningMoments) -> Scaling:
-    """Scaling of the trajectory values; deviations are at least 5 cm for positions, 0.05 for directions."""
+    """Scaling of the trajectory values; deviations are at least TRAJECTORY_FLOOR and DIRECTION_FLOOR."""
     mean, std = moments.mean_std()
     half = len(std) // 2
     std[:half] = np.maximum(std[:half], TRAJECTORY_FLOOR)

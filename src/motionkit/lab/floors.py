@@ -1,4 +1,4 @@
-"""What a network must beat: the last frame held, the nearest training clip, and motion matching."""
+"""Baselines that a network must beat: the last frame held, the nearest training clip, and motion matching."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from motionkit.features.control import TRAJECTORY_COUNT, future_trajectory
 from motionkit.lab.held_out import Continue, HeldOut
 from motionkit.motion.skeleton import FOOT_JOINTS
 
-MATCHED = (0, 10, 20, 30)  # frames before the end of the initial ones whose poses the nearest clip must match
-REMAINS = 60  # frames of a training clip that must follow the matched one
-# Of motion matching (Clavet 2016): frames between searches, and the weights of the trajectory's centimetres and
-# directions, of foot positions (cm), and of foot and hip velocities (cm/s).
+MATCHED = (0, 10, 20, 30)  # the nearest clip is matched at these frames before the last initial one
+REMAINS = 60  # fewest frames of a training clip after the matched frame
+# Motion matching (Clavet 2016): frames between searches, and weights of the trajectory's positions (cm) and directions,
+# of foot positions (cm), and of foot and hip velocities (cm/s).
 SEARCHED = 20
 WEIGHTS = {"places": 0.02, "directions": 1.0, "feet": 0.05, "velocities": 0.01}
 
 
 def last_frame(dataset: Dataset) -> Continue:
-    """Return the floor that holds the last initial frame: its pose, with no velocity."""
+    """Return the baseline that holds the pose of the last initial frame, without velocity."""
 
     def continues(sequence: HeldOut, number: int) -> Array:
         row = sequence.data.features[sequence.initial - 1].copy()
@@ -38,7 +38,7 @@ def last_frame(dataset: Dataset) -> Continue:
 
 
 class _Library:
-    """All training frames one after another, with what motion matching compares."""
+    """All training frames one after another, with the values that motion matching compares."""
 
     def __init__(self, dataset: Dataset, clips: Sequence[Clip]) -> None:
         data = [dataset.read(clip) for clip in clips]
@@ -54,7 +54,7 @@ class _Library:
         self.speeds = dataset.layout.block_columns("joint_velocities", (*FOOT_JOINTS, 0))
 
     def matched(self, features: Array, trajectories: Array) -> Array:
-        """Return what is compared (N, D), weighted, of features (N, 276) and trajectories (N, 24)."""
+        """Return the weighted values (N, D) to compare, from features (N, 276) and trajectories (N, 24)."""
         half = TRAJECTORY_COUNT // 2
         parts = [
             WEIGHTS["places"] * trajectories[:, :half],
@@ -66,9 +66,9 @@ class _Library:
 
 
 def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
-    """Return the floor that plays on the training clip whose half second before is nearest; its end is held.
+    """Return the baseline that continues with the training clip whose last half second is nearest.
 
-    clips are those to choose from; all training clips by default.
+    The clip's last frame is held beyond its end. clips are those to choose from; all training clips by default.
     """
     library = _Library(dataset, clips or dataset.select("train"))
     usable = np.flatnonzero(
@@ -89,9 +89,9 @@ def nearest_clip(dataset: Dataset, clips: Sequence[Clip] = ()) -> Continue:
 
 
 def motion_matching(dataset: Dataset) -> Continue:
-    """Return the floor that plays recorded frames and searches again every third of a second, as games do.
+    """Return the motion-matching baseline, which plays recorded frames and searches again every SEARCHED frames.
 
-    It is given the types and the trajectory of the test sequence, as the networks are. Jumps are not blended.
+    It gets the types and the trajectory of the test sequence, as the networks do. Transitions are not blended.
     """
     library = _Library(dataset, dataset.select("train"))
     table = library.matched(library.features, library.trajectories)

@@ -1,4 +1,4 @@
-"""Held-out sequences, and what continues them from their first frames: the one protocol of scoreboard and paper."""
+"""Held-out sequences and their continuation by a model: the shared protocol of scoreboard and paper."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from motionkit.models.model import MotionModel
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import Skeleton
 
-INITIAL = (INIT_FRAMES, 30)  # the paper's numbers of initial frames; 30 for sequences too short for 87
-LEAST_REST = 30  # frames to make, at least
+INITIAL = (INIT_FRAMES, 30)  # numbers of initial frames: the paper's, and 30 for sequences too short for it
+LEAST_REST = 30  # fewest frames to generate
 
-# Continues a sequence, the number of which is given: features (T, 276) of the frames to make.
+# A function of a sequence and its number that returns features (T, 276) of the frames to generate.
 Continue = Callable[["HeldOut", int], Array]
 
 
@@ -32,11 +32,11 @@ class HeldOut:
     """A held-out sequence.
 
     Attributes:
-        clip: which recording it is.
+        clip: the recording.
         data: its frames.
-        initial: how many of them are given.
-        frames: how many are to be made after them.
-        kind: the type of most of these.
+        initial: number of initial frames, which are given.
+        frames: number of frames to generate after them.
+        kind: the most frequent type of these frames.
     """
 
     clip: Clip
@@ -49,10 +49,10 @@ class HeldOut:
 def held_out(
     dataset: Dataset, longest: int, split: str = "test", initials: tuple[int, ...] = INITIAL
 ) -> list[HeldOut]:
-    """Return the clips of a split that are long enough, cut to at most so many made frames.
+    """Return the clips of a split that are long enough, with at most `longest` frames to generate.
 
     Args:
-        initials: numbers of initial frames; the first that leaves LEAST_REST frames to make.
+        initials: numbers of initial frames to try; the first that leaves LEAST_REST frames is taken.
     """
     out = []
     for clip in dataset.select(split):
@@ -65,7 +65,7 @@ def held_out(
 
 
 def stretches(dataset: Dataset, split: str, kind: str = "") -> Iterator[tuple[Clip, int, int, str]]:
-    """Yield clip, start, end and type of the stretches of a split: those of one type, or of all if kind is ""."""
+    """Yield clip, start, end and type of each stretch of one type in a split; kind "" means all types."""
     for clip in dataset.select(split):
         for start, end, number in type_stretches(dataset.clip_types(clip)):
             if kind in ("", dataset.types[number]):
@@ -75,7 +75,7 @@ def stretches(dataset: Dataset, split: str, kind: str = "") -> Iterator[tuple[Cl
 def compared(
     motion: Motion, truth: Motion, metrics: Collection[str]
 ) -> dict[str, tuple[float | None, float | None]]:
-    """Return the values of metrics by id, of a motion and of the recorded one; None where there is none."""
+    """Return metrics by id, each as (value of the motion, value of the recorded one); None if there is no value."""
     return {
         row.id: (row.motion.value, row.ground_truth.value if row.ground_truth else None)
         for row in evaluate_motion(motion, truth).rows
@@ -84,7 +84,7 @@ def compared(
 
 
 def recorded_motion(dataset: Dataset, sequence: HeldOut, body: Skeleton) -> Motion:
-    """Return a whole sequence, its initial frames included, on a body."""
+    """Return the motion of a whole sequence, initial frames included, on a body."""
     data, layout = sequence.data, dataset.layout.version
     return decode_motion(
         data.features, body, dataset.fps, data.ground[0], dataset.reference_rotations, layout
@@ -92,7 +92,10 @@ def recorded_motion(dataset: Dataset, sequence: HeldOut, body: Skeleton) -> Moti
 
 
 def decoded(dataset: Dataset, sequence: HeldOut, features: Array, body: Skeleton | None = None) -> Motion:
-    """Return the motion of made features (T, 276) after the initial frames, by default on the performer's own body."""
+    """Return the motion of generated features (T, 276), continuing from the initial frames.
+
+    The body is the performer's own by default.
+    """
     first, layout = sequence.initial, dataset.layout.version
     before = np.concatenate([sequence.data.features[first - 1 : first], features])
     ground = integrate_ground(before, sequence.data.ground[first - 1], dataset.fps, layout)[1]
@@ -111,11 +114,11 @@ def continued(
     seed: int,
     progress: Callable[[int], None] | None = None,
 ) -> Array:
-    """Return what a model makes of a sequence, drawn as the paper draws: features (T, 276) of so many frames.
+    """Return features (T, 276) that a model generates after the initial frames, sampled as in the paper.
 
     Args:
-        body: that of the skeleton control signal.
-        asked: controls of every frame of the sequence, the initial ones included, or of one frame for all.
+        body: body of the skeleton control signal.
+        asked: controls of every frame of the sequence, initial frames included, or of one frame for all.
     """
     first, data = sequence.initial, sequence.data
     last = len(asked.type_weights) - 1

@@ -1,4 +1,4 @@
-"""Figures over seeds, frames and raters: means, spreads, and the t-test."""
+"""Statistics over seeds, frames and raters: means, standard deviations, and the t-test."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Figure:
-    """The mean of a figure over seeds, its standard deviation, and how many seeds there are."""
+    """Mean and standard deviation of a value over seeds, and the number of seeds."""
 
     mean: float
     spread: float
@@ -19,7 +19,7 @@ class Figure:
 
 
 def figure(values: Sequence[float]) -> Figure | None:
-    """Return mean and standard deviation of values; None of none."""
+    """Return mean and standard deviation of values; None without values."""
     if not values:
         return None
     mean = sum(values) / len(values)
@@ -28,19 +28,19 @@ def figure(values: Sequence[float]) -> Figure | None:
 
 
 def rounded(value: float, figures: int = 4) -> float:
-    """Return a value with so many figures: more depend on the machine."""
+    """Return a value rounded to significant figures; further ones depend on the machine."""
     return float(f"{value:.{figures}g}")
 
 
 def upper_tail(t: float, freedom: int) -> float:
-    """Return the probability that Student's t with so many degrees of freedom exceeds t.
+    """Return the probability that Student's t with `freedom` degrees of freedom exceeds t.
 
     With t = sqrt(freedom) tan(angle), the density is proportional to cos(angle) ** (freedom - 1).
     """
     nodes, weights = np.polynomial.legendre.leggauss(200)
 
     def area(start: float) -> float:
-        """The area from an angle to a right one."""
+        """The integral from `start` to pi / 2, by Gauss-Legendre quadrature."""
         half = 0.5 * (0.5 * math.pi - start)
         angles = start + half * (nodes + 1.0)
         return float(half * (weights * np.cos(angles) ** (freedom - 1)).sum())
@@ -49,5 +49,5 @@ def upper_tail(t: float, freedom: int) -> float:
 
 
 def weighted_mean(found: Sequence[tuple[float, float]]) -> float:
-    """Return the mean of values, each with its weight, such as a number of frames."""
+    """Return the weighted mean of (value, weight) pairs."""
     return sum(value * weight for value, weight in found) / sum(weight for _, weight in found)

@@ -1,6 +1,6 @@
-"""Kinematic measures of a body per frame, from which the detectors of motion types are computed.
+"""Kinematic measures of a body per frame, on which the detectors of motion types are based.
 
-Speed over the ground is in m/s here, as gait studies give it. Heights are in cm, as elsewhere in motionkit.
+Speed over the ground is in m/s, as in gait studies. Heights are in cm, as elsewhere in motionkit.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ ARMS = tuple((_AT(f"{s}Arm"), _AT(f"{s}ForeArm"), _AT(f"{s}Hand")) for s in ("Le
 HANDS = tuple(hand for _, _, hand in ARMS)
 
 STANDING_ANKLE, STANDING_TOE = STANDING_HEIGHTS[:2]
-OFF_GROUND = 1.5  # cm; in a jump both feet are at least this high
-# In the flight phase of a run both feet are this far (cm) above the usual height of the lower foot and move at
-# least this fast (cm/s). The height is relative to the clip, because runs are short and their floor is uncertain.
+OFF_GROUND = 1.5  # cm above standing height; both feet are higher in a flight
+# In the flight of a run, both feet are at least RUN_LIFT (cm) above the lowest tenth of the lower foot's heights and
+# faster than RUN_FOOT_SPEED (cm/s). The clip itself is the level, because runs are short and their floor is uncertain.
 RUN_LIFT, RUN_FOOT_SPEED = 2.0, 80.0
 SPEED_SPAN = 0.2  # seconds over which ground speed is measured
 
@@ -71,7 +71,7 @@ class Body:
 
     @cached_property
     def velocity(self) -> Array:
-        """(T, 2) velocity of the root over the ground in m/s, to its left and ahead, measured over SPEED_SPAN."""
+        """(T, 2) velocity of the root over the ground in m/s, to the left and ahead, measured over SPEED_SPAN."""
         span = min(max(1, round(SPEED_SPAN * self.fps)), len(self) - 1)
         ground = self.positions[:, HIPS, [0, 2]]
         steps = (ground[span:] - ground[:-span]) * (self.fps / span / 100.0)
@@ -90,7 +90,7 @@ class Body:
 
     @cached_property
     def lifts(self) -> Array:
-        """(T, 2) height of the left and right foot above the ground in cm, at the lower of ankle and toe."""
+        """(T, 2) height of left and right foot above their standing height in cm, the lower of ankle and toe."""
         feet = self.positions[..., 1]
         left = np.minimum(feet[:, LEFT_FOOT] - STANDING_ANKLE, feet[:, LEFT_TOE] - STANDING_TOE)
         right = np.minimum(feet[:, RIGHT_FOOT] - STANDING_ANKLE, feet[:, RIGHT_TOE] - STANDING_TOE)
@@ -106,7 +106,7 @@ class Body:
         return max((end - start for start, end in self.flights), default=0) / self.fps
 
     def stride_flight_frames(self) -> int:
-        """Return the longest stretch, in frames, in which both feet swing, as between the steps of a run."""
+        """Return the longest stretch, in frames, in which both feet are in the air and swing, as in a run."""
         feet = self.positions[:, [LEFT_FOOT, LEFT_TOE, RIGHT_FOOT, RIGHT_TOE]][..., [0, 2]]
         speeds = np.linalg.norm(np.diff(feet, axis=0), axis=-1) * self.fps
         lower = self.lifts.min(axis=-1)
@@ -124,7 +124,7 @@ class Body:
 
     @cached_property
     def turned(self) -> Array:
-        """(T, 3) angle in radians the hips have turned about their axes: forwards, about the spine, to the right."""
+        """(T, 3) angles in radians by which the hips have turned: forwards, about the spine, to the right."""
         hips = self.rotations[:, HIPS]
         steps = quat_to_expmap(quat_multiply(quat_inverse(hips[:-1]), hips[1:]))
         return np.concatenate([np.zeros((1, 3), np.float32), np.cumsum(steps, axis=0)])
@@ -149,7 +149,7 @@ class Body:
 
     @cached_property
     def arm_extension(self) -> Array:
-        """(T, 2) distance from shoulder to hand divided by the length of the arm."""
+        """(T, 2) distance from each shoulder to its hand, divided by the length of the arm."""
         out = []
         for shoulder, elbow, hand in ARMS:
             joints = self.positions[:, [shoulder, elbow, hand]]
@@ -171,7 +171,7 @@ class Body:
 
     @cached_property
     def arm_thrust(self) -> Array:
-        """(T, 2) speed at which each hand moves away from its shoulder in cm/s."""
+        """(T, 2) speed in cm/s at which each hand moves away from its shoulder."""
         reach = np.stack(
             [np.linalg.norm(self.positions[:, h] - self.positions[:, s], axis=-1) for s, _, h in ARMS],
             axis=-1,
@@ -190,7 +190,7 @@ class Body:
         return float(euler_movement(self.rotations).sum(axis=-1).mean())
 
     def poses(self, every: int = 1) -> Array:
-        """Return (T', 69) joint positions in cm relative to the ground below the root, turned to its heading."""
+        """Return joint positions (T', 69) in cm in the heading frame, of one frame in `every`."""
         positions = self.positions[::every]
         root = positions[:, HIPS] * np.array([1.0, 0.0, 1.0], np.float32)
         turn = quat_from_yaw(-self.heading[::every])
@@ -203,6 +203,6 @@ def body_of(motion: Motion) -> Body:
 
 
 def bodies(rotations: Array, root_positions: Array, skeleton: Skeleton, fps: float) -> list[Body]:
-    """Return bodies of B motions of equal length: local rotations (B, T, 23, 4), root positions (B, T, 3) in cm."""
+    """Return the bodies of B motions with local rotations (B, T, 23, 4) and root positions (B, T, 3) in cm."""
     _, positions = forward_kinematics(rotations, root_positions, skeleton.offsets, skeleton.parents)
     return [Body(r, p, heading_angles(p, fps), fps) for r, p in zip(rotations, positions, strict=True)]

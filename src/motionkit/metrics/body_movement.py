@@ -1,6 +1,6 @@
 """Body movement (BM): how far all joints rotate from frame to frame.
 
-Rotations are local ones (T, J, 4), as quaternions w, x, y, z.
+Rotations are local, (T, J, 4), as quaternions w, x, y, z.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ EULER_ORDER = "ZYX"  # the order of the CMU files and of motionkit's own files
 
 
 def euler_movement(local_rotations: Array) -> Array:
-    """Sum of the absolute changes of each joint's Euler angles (T - 1, J) in degrees, changes wrapped to +-180.
+    """Sum (T - 1, J) of the absolute changes of each joint's three Euler angles in degrees, wrapped to +-180.
 
-    Angles are ZYX with the middle one within +-90. Near the pole their rates grow without bound, and the root's
-    value depends on the direction of the world axes; geodesic_movement has neither problem.
+    Angles are ZYX with the middle one within +-90. Near +-90 their rates grow without bound, and the root's value
+    depends on the world axes. geodesic_movement has neither problem.
     """
     angles = quat_to_euler(local_rotations.astype(np.float64), EULER_ORDER)
     return np.rad2deg(np.abs(wrap_angle(np.diff(angles, axis=0))).sum(-1))
@@ -54,5 +54,5 @@ def body_movement(local_rotations: Array, kind: str = "euler") -> MetricValue:
 
 
 def angular_speed(local_rotations: Array, joints: Sequence[int], fps: float = FRAME_RATE) -> float:
-    """Mean angular speed of some joints, by index, against their parents, in rad/s."""
+    """Mean angular speed in rad/s of some joints, given by index, relative to their parents."""
     return float(np.deg2rad(geodesic_movement(local_rotations[:, list(joints)]).mean()) * fps)

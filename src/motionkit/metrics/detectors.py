@@ -1,8 +1,7 @@
-"""Kinematic detectors of the motion types, in one table: does a motion show the type that was asked for?
+"""Kinematic detectors of the motion types, in one table: does a motion show the requested type?
 
-The thresholds are calibrated on recordings. `motionkit evaluate` reports how many recordings each detector
-accepts, and recordings of which other types. Which type a detector judges is found from the type's recordings, not
-from its name (judge.py).
+The thresholds are calibrated on recordings. `motionkit evaluate` reports how many recordings of its own and of other
+types each detector accepts. A type gets its detector by its recordings, not by its name (judge.py).
 """
 
 from __future__ import annotations
@@ -16,9 +15,9 @@ from numpy.lib.stride_tricks import sliding_window_view
 from motionkit.arrays import lower_median, spans
 from motionkit.metrics.body import Body
 
-HOLD = 0.8  # share of the windows in which a lasting type must be detected
-STRIDE = 0.25  # of a window, between the starts of two windows
-LEAST_WINDOW = 0.5  # of a window; shorter recordings are not judged
+HOLD = 0.8  # share of the windows in which a continuous type must be detected
+STRIDE = 0.25  # distance between the starts of two windows, as a share of a window
+LEAST_WINDOW = 0.5  # shortest recording that is judged, as a share of a window
 
 
 @dataclass(frozen=True)
@@ -28,8 +27,8 @@ class Detector:
     Attributes:
         description: the condition in words, with its thresholds.
         shows: whether a stretch of motion shows the type.
-        window: length in seconds of the windows that are judged one by one, for a lasting type; 0 for a
-            type that is performed once, which is judged over the whole motion.
+        window: seconds of the windows in which a continuous type is judged; 0 for a type that is performed once,
+            which is judged over the whole motion.
     """
 
     description: str
@@ -38,7 +37,7 @@ class Detector:
 
 
 def detection_windows(body: Body, window: float) -> list[Body]:
-    """Return the windows of a motion; the whole motion if it is shorter than a window or if window is 0."""
+    """Return the windows of a motion, or the whole motion if it is shorter than a window or if window is 0."""
     size = round(window * body.fps)
     if size <= 0 or len(body) <= size:
         return [body]
@@ -78,9 +77,9 @@ def _running(body: Body) -> bool:
 
 # ---- jumps ----
 
-JUMP_SECONDS = 0.2
-TAKE_OFF_SECONDS = 0.15  # before a flight, in which the take-off foot is found
-ONE_FOOT = 5.0  # cm; in a take-off from one foot the other is at least this much higher
+JUMP_SECONDS = 0.2  # shortest flight of a jump
+TAKE_OFF_SECONDS = 0.15  # time before a flight in which the lower foot is the take-off foot
+ONE_FOOT = 5.0  # cm; in a take-off from one foot the other foot is at least this much higher
 
 
 def take_offs(body: Body) -> list[str]:
@@ -139,7 +138,8 @@ def _punching(body: Body) -> bool:
 
 # ---- turning over ----
 
-HANDS_DOWN, UPRIGHT_HIPS = 25.0, 50.0  # cm; hands this low may bear the body, hips this high do not roll
+# cm above the floor: hands below HANDS_DOWN may bear weight; in a roll, hips go below UPRIGHT_HIPS.
+HANDS_DOWN, UPRIGHT_HIPS = 25.0, 50.0
 
 
 @dataclass(frozen=True)
@@ -147,7 +147,7 @@ class Turn:
     """One turn of the body with the head below the hips.
 
     Attributes:
-        forwards, spin, sideways: angles in radians the hips turn about their own axes, from 0.75 s before to
+        forwards, spin, sideways: angles in radians that the hips turn about their own axes, from 0.75 s before to
             0.75 s after the head is below them. Only forwards has a sign.
         hands: lowest height of a hand above the floor in cm while the head is below the hips.
         hips: lowest height of the hips above the floor in cm.
@@ -169,7 +169,7 @@ class Turn:
 
 
 def turns(body: Body) -> list[Turn]:
-    """Return every turn of the body with the head below the hips; pauses below 0.2 s do not separate two turns."""
+    """Return every turn of the body with the head below the hips; turns less than 0.2 s apart are one."""
     found: list[tuple[int, int]] = []
     for start, end in spans(body.head_height < 0.0):
         if found and start - found[-1][1] < 0.2 * body.fps:

@@ -1,8 +1,8 @@
-"""Metrics of sets of motions: a Frechet distance in the manner of FID, and diversity.
+"""Metrics of sets of motions: a Frechet distance like FID, and diversity.
 
-Both work on windows of one second, 10 frames apart, each described by WINDOW_VALUES numbers: mean and standard
-deviation over time of the 24 values of the pose embedding (features/reference.py). There is no trained motion
-classifier for this skeleton, whose activations papers use instead; values are comparable only among themselves.
+Both work on windows of one second, 10 frames apart. A window is described by mean and standard deviation over time of
+the 24 values of the pose embedding (features/reference.py). Papers use the activations of a trained motion classifier,
+which does not exist for this skeleton. So values are comparable only among themselves.
 """
 
 from __future__ import annotations
@@ -16,11 +16,11 @@ from motionkit.metrics.value import MetricValue, need
 
 WINDOW, STRIDE = 60, 10  # frames
 WINDOW_VALUES = 2 * EMBEDDING_COUNT
-PAIRS = 300  # of windows, drawn for the diversity (Guo et al. 2020)
+PAIRS = 300  # random pairs of windows for the diversity (Guo et al. 2020)
 
 
 def window_features(features: Array, embedding: PoseEmbedding) -> Array:
-    """Describe the windows of a motion (W, 48); a shorter motion is one window.
+    """Descriptions (W, 48) of a motion's windows; a motion shorter than a window is one window.
 
     Args:
         features: (T, 276) unnormalised.
@@ -32,10 +32,10 @@ def window_features(features: Array, embedding: PoseEmbedding) -> Array:
 
 
 def frechet_distance(made: Array, real: Array) -> MetricValue:
-    """Frechet distance of the Gaussians around two sets of windows (N, D), id "fid-pose" (Heusel et al. 2017).
+    """Frechet distance between Gaussians fitted to two sets of windows (N, D), id "fid-pose" (Heusel et al. 2017).
 
-    |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)); the trace of the root is the sum of the square roots of the
-    eigenvalues of C1^(1/2) C2 C1^(1/2), which is symmetric.
+    |m1 - m2|^2 + tr(C1 + C2 - 2 (C1 C2)^(1/2)). The trace of (C1 C2)^(1/2) is computed from the eigenvalues of
+    C1^(1/2) C2 C1^(1/2), which is symmetric.
 
     Raises:
         MotionkitError: there are fewer than two windows in a set.

@@ -1,4 +1,4 @@
-"""The centre of mass, and its acceleration in flight: a body in the air can only fall freely."""
+"""The centre of mass and its acceleration in flight, which must be that of free fall."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from motionkit.metrics.value import FRAME_RATE, need
 from motionkit.motion.skeleton import JOINT_NAMES
 
 FREE_FALL = -9.81  # m/s^2
-LEAST_SECONDS = 0.2  # shorter flights are not measured: the fit is too uncertain
-EDGE_FRAMES = 2  # left out at both ends of a flight, where a foot may still push
-FIT_FRAMES = 7  # over which the acceleration around a frame is fitted
+LEAST_SECONDS = 0.2  # shortest flight that is measured; the fit to a shorter one is too uncertain
+EDGE_FRAMES = 2  # frames left out at both ends of a flight, where a foot may still push
+FIT_FRAMES = 7  # frames of the fit of the acceleration around a frame
 
-# Segments: joints at their ends, share of the body's mass, and place of the centre of mass as a share of the length
-# from the first joint (Winter 2009, Biomechanics and Motor Control of Human Movement, table 4.1). The hand's is at
-# the wrist and the head's at its joint, where the skeleton ends.
+# Body segments: joints at both ends, share of the body's mass, and centre of mass as a share of the length from the
+# first joint (Winter 2009, Biomechanics and Motor Control of Human Movement, table 4.1). The skeleton ends at wrist
+# and head joint, so the mass of hand and head is there.
 _SEGMENTS: tuple[tuple[str, str, float, float], ...] = (
     ("Hips", "Neck", 0.497, 0.5),
     ("Neck1", "Head", 0.081, 0.5),
@@ -38,7 +38,7 @@ _SEGMENTS: tuple[tuple[str, str, float, float], ...] = (
 
 
 def _joint_masses() -> Array:
-    """Share of the body's mass (23,) that each joint bears."""
+    """Share (23,) of the body's mass that is attributed to each joint."""
     masses = np.zeros(len(JOINT_NAMES))
     for first, last, mass, place in _SEGMENTS:
         masses[JOINT_NAMES.index(first)] += mass * (1.0 - place)
@@ -51,7 +51,7 @@ JOINT_MASSES = _joint_masses()
 
 @dataclass(frozen=True)
 class Flight:
-    """Frames start to end (exclusive) in the air, and the fitted vertical acceleration in m/s^2."""
+    """Frames start to end (exclusive) in the air, and their fitted vertical acceleration in m/s^2."""
 
     start: int
     end: int
@@ -59,7 +59,7 @@ class Flight:
 
     @property
     def error(self) -> float:
-        """Difference to free fall in m/s^2."""
+        """Difference from free fall in m/s^2."""
         return self.acceleration - FREE_FALL
 
 
@@ -69,7 +69,7 @@ def centre_of_mass(positions: Array) -> Array:
 
 
 def vertical_acceleration(heights: Array) -> Array:
-    """Acceleration (T,) in m/s^2 of heights (T,) in cm at 60 fps, by a parabola through FIT_FRAMES around each frame.
+    """Acceleration (T,) in m/s^2 of heights (T,) in cm at 60 fps, from a parabola fitted to FIT_FRAMES frames.
 
     Raises:
         MotionkitError: there are fewer than FIT_FRAMES frames.
@@ -85,7 +85,7 @@ def flights(positions: Array, in_air: Array) -> list[Flight]:
 
     Args:
         positions: (T, 23, 3) global positions in cm, at 60 fps.
-        in_air: (T,) flags: whether nothing touches the ground.
+        in_air: (T,) whether nothing touches the ground.
     """
     heights = centre_of_mass(positions)[:, 1]
     found = []
@@ -98,7 +98,7 @@ def flights(positions: Array, in_air: Array) -> list[Flight]:
 
 
 def _parabola(frames: int) -> Array:
-    """Weights (T,) whose product with heights in cm at 60 fps is the acceleration in m/s^2 of the fitted parabola."""
+    """Weights (T,) whose product with heights (cm, 60 fps) is the acceleration (m/s^2) of the fitted parabola."""
     times = np.arange(frames) / FRAME_RATE
     design = np.stack([np.ones(frames), times, 0.5 * times**2], axis=1)
     return np.linalg.pinv(design)[2] / 100.0

@@ -1,6 +1,6 @@
 """Average foot sliding (AFS): horizontal movement of feet near the ground.
 
-Feet are as in metrics.ground; settings.foot_height and settings.toe_height are the heights H of the paper.
+Feet are those of metrics.ground. The paper's heights H are settings.foot_height and settings.toe_height.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from motionkit.metrics.value import MetricSettings, MetricValue, need
 
 
 def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
-    """AFS in cm per frame (paper, equation AFS): ground speed, weighted from 1 on the floor to 0 at height H.
+    """AFS in cm per frame (paper, equation AFS): ground speed, with a weight of 1 on the floor and 0 at height H.
 
     Raises:
         MotionkitError: there are fewer than two frames.
@@ -34,7 +34,7 @@ def average_foot_sliding(feet: Array, floor: float, settings: MetricSettings | N
 
 
 def sliding_over_ground(feet: Array, settings: MetricSettings | None = None) -> MetricValue:
-    """AFS in cm per frame exactly as the paper has it: heights are those above y = 0, whatever the clip's floor is.
+    """AFS in cm per frame exactly as in the paper: heights are above y = 0, wherever the clip's floor is.
 
     Raises:
         MotionkitError: there are fewer than two frames.

@@ -1,7 +1,7 @@
 """Measures of feet against the floor: foot skate and penetration.
 
-Feet are always (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up, at 60 fps; the floor is the
-height in cm of standing toe joints.
+Feet are (T, 4, 3): left foot, left toe, right foot, right toe, in cm with Y up, at 60 fps. The floor is the height in
+cm of standing toe joints.
 """
 
 from __future__ import annotations
@@ -12,22 +12,20 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import FRAME_RATE, MetricSettings, MetricValue, need
 
-TOES = (1, 3)  # indices in the four foot joints
-STANDING_TOE = (
-    3.5  # cm of standing toe joints above the ground under the soles: median over the CMU recordings
-)
+TOES = (1, 3)  # indices of the toes in the four foot joints
+STANDING_TOE = 3.5  # cm from the ground under the soles to a standing toe joint; median of the CMU recordings
 
 
 def ground_speed(feet: Array) -> Array:
-    """Horizontal distance (T - 1, 4) in cm that each foot joint moves from frame to frame."""
+    """Horizontal distance (T - 1, 4) in cm by which each foot joint moves per frame."""
     return np.linalg.norm(np.diff(feet.astype(np.float64)[..., [0, 2]], axis=0), axis=-1)
 
 
 def foot_skate_ratio(feet: Array, floor: float, settings: MetricSettings | None = None) -> MetricValue:
-    """Share of standing toes that move along the ground faster than a threshold.
+    """Share of standing toes that slide along the ground faster than settings.skate_speed.
 
-    Each toe in each frame is a sample. It stands if its height above the floor is below skate_height in this
-    frame and the previous one. The paper has no such metric; unlike AFS, feet in the air do not dilute it.
+    Each toe in each frame is a sample. A toe stands if it is within skate_height of the floor in this frame and the
+    previous one. The paper has no such metric. Unlike in AFS, feet in the air do not lower the value.
 
     Raises:
         MotionkitError: there are fewer than two frames, or no toe ever stands.

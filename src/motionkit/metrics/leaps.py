@@ -1,4 +1,4 @@
-"""Leaps: single frames in which a joint jumps, and the fastest turn of any joint."""
+"""Discontinuities: leaps, which are single frames in which a joint jumps, and the fastest turn of any joint."""
 
 from __future__ import annotations
 
@@ -11,15 +11,16 @@ from motionkit.motion.skeleton import JOINT_NAMES
 
 KNEES = tuple(JOINT_NAMES.index(name) for name in ("LeftLeg", "RightLeg"))
 ELBOWS = tuple(JOINT_NAMES.index(name) for name in ("LeftForeArm", "RightForeArm"))
-# No recording of 25 minutes has a leap; a knee that flips to the other side goes 10 to 30 cm.
-LEAP = 6.0  # cm a frame
-SAME_LEAP = 3  # frames; later steps within them belong to the leap before
+# Change in cm between two successive steps that makes a leap. 25 minutes of recordings have none; a knee that flips to
+# the other side moves 10 to 30 cm.
+LEAP = 6.0
+SAME_LEAP = 3  # frames within which later jumps belong to the same leap
 
 
 def leap_frames(positions: Array) -> Array:
-    """Frames (N,) after a step that differs by more than LEAP from the steps before and after it.
+    """Frames (N,) right after a leap, a step that differs by more than LEAP from the steps before and after it.
 
-    Steps are compared as vectors, so a joint that jumps away and back in one frame leaps too.
+    Steps are compared as vectors, so a joint that jumps away and back within a frame leaps too.
 
     Args:
         positions: (T, 3) of one joint in cm, at 60 fps.
@@ -31,7 +32,7 @@ def leap_frames(positions: Array) -> Array:
 
 
 def leaps(positions: Array) -> MetricValue:
-    """Leaps of knees and elbows a minute, all four joints together.
+    """Leaps per minute of knees and elbows, summed over the four joints.
 
     Args:
         positions: (T, 23, 3) global positions in cm, at 60 fps.

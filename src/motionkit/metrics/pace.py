@@ -6,11 +6,11 @@ import numpy as np
 
 from motionkit.arrays import Array, length
 
-PACE_SECONDS = 0.2  # over which a velocity is measured, and between the two velocities of an acceleration
+PACE_SECONDS = 0.2  # time over which velocities are measured, and between the two of an acceleration
 
 
 def ground_velocity(root_positions: Array, fps: float) -> Array:
-    """Velocity (T - n, 2) in m/s of a root's ground track, each over n frames, PACE_SECONDS.
+    """Velocity (T - n, 2) in m/s of the root over the ground, each measured over n frames, PACE_SECONDS.
 
     Args:
         root_positions: (T, 3) in cm.
@@ -22,7 +22,7 @@ def ground_velocity(root_positions: Array, fps: float) -> Array:
 
 
 def ground_acceleration(root_positions: Array, fps: float) -> Array:
-    """Size of the acceleration (T - 2 n,) in m/s^2 over the ground, between velocities n frames apart.
+    """Magnitude (T - 2 n,) in m/s^2 of the root's acceleration over the ground, from velocities n frames apart.
 
     Args:
         root_positions: (T, 3) in cm.

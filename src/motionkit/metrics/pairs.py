@@ -1,4 +1,4 @@
-"""Measures many files or pairs of files, and their means."""
+"""Measures many files or pairs of files, and computes their means."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ CSV_COLUMNS = (
 
 @dataclass(frozen=True)
 class PairResult:
-    """The report of a pair, or the error if it could not be measured."""
+    """The report of a pair, or the error message if the pair could not be measured."""
 
     ground_truth: Path
     generated: Path | None
@@ -31,7 +31,7 @@ class PairResult:
 
     @property
     def name(self) -> str:
-        """The name of the pair: that of the measured file."""
+        """The name of the measured file."""
         return (self.generated or self.ground_truth).name
 
     def as_dict(self) -> dict[str, Any]:
@@ -45,7 +45,10 @@ class PairResult:
 
 @dataclass(frozen=True)
 class MeanRow:
-    """One metric over many pairs; None if no pair has a value. lowest and highest are of the measured files."""
+    """Mean of one metric over many pairs; None if no pair has a value.
+
+    lowest and highest are the extremes over the measured files; count is the number of files with a value.
+    """
 
     id: str
     unit: str
@@ -60,7 +63,7 @@ def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], 
     """List the BVH files below one folder, or pair those below two folders by their relative paths.
 
     Returns:
-        The pairs, and the files of either folder without a partner in the other.
+        The pairs, and the files of either folder without a counterpart in the other.
 
     Raises:
         MotionkitError: there is nothing to measure.
@@ -83,7 +86,7 @@ def find_pairs(ground_truth: Path, generated: Path | None) -> tuple[list[Pair], 
 def evaluate_pairs(
     pairs: Sequence[Pair], evaluate: Callable[[Path, Path | None], MetricReport]
 ) -> Iterator[PairResult]:
-    """Measure pairs in turn; a pair that cannot be measured has an error instead of a report."""
+    """Yield the result of each pair; a pair that cannot be measured has an error instead of a report."""
     for ground_truth, generated in pairs:
         try:
             yield PairResult(ground_truth, generated, evaluate(ground_truth, generated))
@@ -125,7 +128,7 @@ def pairs_as_dict(results: Sequence[PairResult], sets: Sequence[MetricRow] = ())
 
 
 def csv_text(results: Sequence[PairResult], sets: Sequence[MetricRow] = ()) -> str:
-    """One row per metric and pair, for spreadsheets and data frames; those of sets name no files."""
+    """CSV with one row per metric and pair; rows of sets have no file names."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(CSV_COLUMNS)

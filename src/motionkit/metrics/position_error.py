@@ -10,7 +10,7 @@ from motionkit.metrics.value import MetricValue, need
 
 
 def mean_position_error(generated: Array, reference: Array) -> MetricValue:
-    """MPJPE in cm (paper, equation MPJPE): positions relative to the root's, with headings unchanged.
+    """MPJPE in cm (paper, equation MPJPE), from positions relative to the root; headings are not aligned.
 
     Args:
         generated, reference: (T, J, 3) global positions in cm, the root first.

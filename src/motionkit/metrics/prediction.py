@@ -13,9 +13,9 @@ from motionkit.motion.motion import Motion
 
 
 def position_distance(motion: Motion, truth: Motion) -> MetricValue:
-    """L2P in cm: the Euclidean distance of all joints' world positions as one vector, averaged over frames.
+    """L2P in cm: Euclidean distance between the vectors of all joints' world positions, averaged over frames.
 
-    Harvey et al. divide positions by their deviations in the training set; here they are in cm.
+    Harvey et al. divide positions by their standard deviations in the training set; here they are in cm.
 
     Raises:
         MotionkitError: the motions differ in length.
@@ -27,9 +27,9 @@ def position_distance(motion: Motion, truth: Motion) -> MetricValue:
 
 
 def rotation_distance(motion: Motion, truth: Motion) -> MetricValue:
-    """L2Q: the Euclidean distance of all joints' world quaternions as one vector, averaged over frames.
+    """L2Q: Euclidean distance between the vectors of all joints' world quaternions, averaged over frames.
 
-    A quaternion and its negative are the same rotation: the nearer of the two is compared.
+    A quaternion and its negative are the same rotation; the nearer one is compared.
 
     Raises:
         MotionkitError: the motions differ in length.
@@ -42,9 +42,9 @@ def rotation_distance(motion: Motion, truth: Motion) -> MetricValue:
 
 
 def power_spectrum_similarity(motion: Motion, truth: Motion) -> MetricValue:
-    """NPSS: the earth mover's distance of normalised power spectra of joint angles, weighted by the true power.
+    """NPSS: earth mover's distance between normalised power spectra of joint angles, weighted by the true power.
 
-    Each column of the exponential maps is one signal over the whole sequence; 0 is the same spectrum.
+    Each column of the exponential maps is a signal over the whole sequence. Equal spectra give 0.
 
     Raises:
         MotionkitError: the motions differ in length.

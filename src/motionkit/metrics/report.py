@@ -52,16 +52,16 @@ PAIR_METRICS: dict[str, tuple[str, float]] = {
     "l2q": ("", 0.0),
     "npss": ("", 0.0),
 }
-# Heights, and what is wanted at one value: a ratio says nothing of them.
+# Metrics whose ratio to the ground truth means nothing: heights, and an acceleration that has one right value.
 _WITHOUT_RATIO = frozenset(
     {"floor-height", "lowest-feet", "lowest-hands", "lowest-head", "lowest-body", "flight-acceleration"}
 )
-APART = 3.0  # cm between the floors of a pair, from which on the report says so
+APART = 3.0  # cm; a larger difference between the floors of a pair gets a note
 
 
 @dataclass(frozen=True)
 class MetricRow:
-    """One metric of a motion and, if there is one, of its ground truth."""
+    """One metric of a motion, and of its ground truth if there is one."""
 
     motion: MetricValue
     ground_truth: MetricValue | None = None
@@ -73,7 +73,7 @@ class MetricRow:
 
     @property
     def ratio(self) -> float | None:
-        """The motion's value divided by the ground truth's, or None where that is meaningless."""
+        """The motion's value divided by the ground truth's; None where that is meaningless."""
         base = None if self.ground_truth is None else self.ground_truth.value
         if self.motion.value is None or not base or self.id in _WITHOUT_RATIO:
             return None
@@ -99,10 +99,10 @@ class MetricReport:
     """Every metric of one evaluation.
 
     Attributes:
-        rows: the metrics, in printing order.
+        rows: the metrics, in the order in which they are printed.
         frames: number of frames compared, at fps.
         fps: frame rate of the per-frame metrics.
-        notes: changes that made the motions comparable, and their effect on the values.
+        notes: how the motions were made comparable, and what that does to the values.
     """
 
     rows: tuple[MetricRow, ...]
@@ -129,13 +129,13 @@ class MetricReport:
         }
 
     def remarks(self) -> list[str]:
-        """The notes, and why metrics could not be measured."""
+        """The notes, and the reasons why metrics could not be measured."""
         values = [value for row in self.rows for value in (row.motion, row.ground_truth) if value is not None]
         reasons = [f"{value.id}: {value.reason}" for value in values if value.reason]
         return list(dict.fromkeys([*self.notes, *reasons]))
 
     def thresholds(self) -> list[str]:
-        """One line per metric with thresholds; the floor of each clip has its own row instead."""
+        """One line per metric with thresholds, without the floor, which is a metric of its own."""
         lines = []
         for row in self.rows:
             words = [
@@ -158,8 +158,8 @@ def evaluate_motion(
 ) -> MetricReport:
     """All metrics of a motion, alone or against its ground truth.
 
-    Both motions are resampled to 60 fps and compared over their common frames, counted from the first; the
-    report's notes say what this changed. Feet of both are measured from the floor of the ground truth.
+    Both motions are resampled to 60 fps and compared over their common frames, counted from the first. The report's
+    notes say what this changed. Feet of both are measured from the floor of the ground truth.
 
     Args:
         motion: on the 23 canonical joints, in cm, at any rate.
@@ -167,7 +167,7 @@ def evaluate_motion(
         settings: thresholds; the documented definitions by default.
         skip: frames at 60 fps to leave out at the start of both.
         align_start: turn and move the motion along the ground so that the first compared frames agree.
-        given: frames at 60 fps that begin the ground truth alone: those that the model was given to go on from.
+        given: initial frames at 60 fps that the model was given, which only the ground truth contains.
 
     Raises:
         MotionkitError: fewer than two frames are left to compare, or a value is not finite.
@@ -190,7 +190,7 @@ def evaluate_motion(
     notes += _jerk_notes(rate)
     spans = [_same_time(each, start, start + frames) for each, start in zip(motions, starts, strict=True)]
     floors = [_floor(each, settings) for each in cut]
-    # One floor for both: a motion that lies lower would else count other frames as high above it.
+    # One floor for both; otherwise a motion that is too low would be measured from its own lower floor.
     columns = [
         [*_own_metrics(each, span, rate, floors[-1], settings), _floor_value(floor, settings)]
         for each, span, floor in zip(cut, spans, floors, strict=True)
@@ -214,7 +214,7 @@ def evaluate_files(
     rates: tuple[float | None, float | None] = (None, None),
     given: int = 0,
 ) -> MetricReport:
-    """All metrics of BVH files of any rig: loads them on the 23 canonical joints and calls evaluate_motion.
+    """All metrics of BVH files of any rig, which are loaded on the 23 canonical joints.
 
     Args:
         ground_truth: file to measure, or to measure against.
@@ -226,7 +226,7 @@ def evaluate_files(
     Raises:
         BvhError: a file is invalid.
         SkeletonError: a rig cannot be retargeted.
-        MotionkitError: as evaluate_motion.
+        MotionkitError: as for evaluate_motion.
     """
     first, notes = load_canonical(ground_truth, scales[0], rates[0])
     if generated is None:
@@ -249,7 +249,7 @@ def _named(files: str, evaluate: Callable[[], MetricReport]) -> MetricReport:
 
 
 def placed_like(motion: Motion, reference: Motion) -> Motion:
-    """Turn the motion about Y and move it along the ground so that both start with equal place and heading."""
+    """The motion, turned about Y and moved along the ground to start at the reference's place and heading."""
     yaws = [heading_angles(motion_kinematics(each)[1], each.fps)[0] for each in (motion, reference)]
     turn = quat_from_yaw(yaws[1] - yaws[0]).astype(motion.local_rotations.dtype)
     rotations = motion.local_rotations.copy()
@@ -274,7 +274,7 @@ def _check(motion: Motion, name: str) -> None:
 
 
 def _floor(motion: Motion, settings: MetricSettings) -> float:
-    """The given floor, else that of a motion, in cm."""
+    """The floor height in cm from the settings, else from the motion."""
     if settings.floor is not None:
         return settings.floor
     return floor_height(foot_positions(motion_kinematics(motion)[1].astype(np.float64)))
@@ -287,7 +287,12 @@ def _floor_value(floor: float, settings: MetricSettings) -> MetricValue:
 def _own_metrics(
     motion: Motion, native: Motion, jerk_rate: float, floor: float, settings: MetricSettings
 ) -> list[MetricValue]:
-    """The metrics of one motion above a floor: at 60 fps, and the same span at its native rate for jerk."""
+    """The metrics of one motion above a floor height.
+
+    Args:
+        motion: at 60 fps.
+        native: the same span at the file's own rate, for jerk.
+    """
     positions = motion_kinematics(motion)[1].astype(np.float64)
     feet, ground = foot_positions(positions), floor - STANDING_TOE
     native_positions = (
@@ -338,7 +343,7 @@ def _units(*ids: str) -> dict[str, str]:
 
 
 def _same_time(motion: Motion, start: int, end: int) -> Motion:
-    """The native frames within the time of frames start to end (exclusive) at 60 fps."""
+    """The frames at the motion's own rate within the time of frames start to end (exclusive) at 60 fps."""
     per_frame = motion.fps / FRAME_RATE
     return motion.cut(math.ceil(start * per_frame - 1e-6), math.floor((end - 1) * per_frame + 1e-6) + 1)
 
@@ -365,7 +370,7 @@ def _jerk_notes(rate: float) -> list[str]:
 
 
 def _common_frames(motions: list[Motion], starts: list[int], skip: int, given: int) -> int:
-    """How many frames are compared; raises MotionkitError for fewer than two."""
+    """Number of frames to compare; raises MotionkitError for fewer than two."""
     frames = min(len(each) - start for each, start in zip(motions, starts, strict=True))
     if frames < 2:
         lengths = " and ".join(str(len(each)) for each in reversed(motions))

@@ -1,4 +1,4 @@
-"""Metrics of many pairs taken together: how the generated motions are distributed beside the recorded ones."""
+"""Metrics of sets of motions: how the generated ones are distributed compared with the recorded ones."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ EMBEDDED_IN: dict[str, float | str] = {"features": "pose embedding of the ground
 def set_metrics(truths: Sequence[Motion], made: Sequence[Motion]) -> tuple[MetricRow, ...]:
     """Measure "fid-pose" and "diversity" of sets of motions on the canonical joints, in cm.
 
-    The pose embedding is fitted to the ground truth (features/reference.py), so values are comparable between
-    models that are measured against the same recordings.
+    The pose embedding is fitted to the ground truth (features/reference.py). So values are comparable between models
+    that are measured against the same recordings.
 
     Returns:
-        Rows whose ground truth is the set of recordings; without a value, and with the reason, where a set has
-        fewer than two windows.
+        Rows whose ground truth is the set of recordings. If a set has fewer than two windows, rows have a reason
+        instead of a value.
     """
     recorded, generated = (_features(each) for each in (truths, made))
     frames = np.concatenate(recorded)
@@ -54,7 +54,7 @@ def set_metrics_of_files(
     skip: int = 0,
     given: int = 0,
 ) -> tuple[MetricRow, ...]:
-    """Measure the sets of BVH files (ground truth, generated) of any rig; arguments as for evaluate_files."""
+    """Measure sets of BVH files of any rig, in pairs (ground truth, generated); arguments as for evaluate_files."""
     starts = skip + given, skip
 
     def motion(path: Path, side: int) -> Motion:

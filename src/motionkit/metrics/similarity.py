@@ -17,8 +17,7 @@ from motionkit.motion.rotations import quat_from_yaw, quat_inverse, quat_multipl
 def joint_expmaps(motion: Motion) -> Array:
     """Exponential maps (T, 69) in radians of the 23 joint rotations of a canonical motion.
 
-    The root's rotation is relative to its heading, as in the paper's representation, so the clip's place and
-    facing do not matter.
+    The root's rotation is relative to its heading, as in the paper, so place and facing do not matter.
     """
     local = motion.local_rotations.astype(np.float64)
     yaw = heading_angles(motion_kinematics(motion)[1].astype(np.float64), motion.fps)
@@ -32,13 +31,13 @@ def structural_similarity(
 ) -> MetricValue:
     """Mean SSIM over sliding windows; 1 for equal sequences.
 
-    The paper's equation omits the factor 2 of the covariance term, without which equal sequences would not
-    reach the 1.0 of its own tables. The original (Wang et al. 2004) has it, and so does this function.
+    The paper's equation lacks the factor 2 of the covariance term. Without it equal sequences would not reach the 1.0
+    of the paper's own tables. The original (Wang et al. 2004) has the factor, and so has this function.
 
     Args:
         generated, reference: (T, C) channels over time, such as those of joint_expmaps.
-        kind: "window" treats all channels of a window as one set of samples (id ssim-window); "channel"
-            computes each channel of a window separately and averages (id ssim-channel).
+        kind: "window" takes all channels of a window as one set of samples (id ssim-window); "channel" takes each
+            channel of a window by itself and averages (id ssim-channel).
         settings: window length and the constants K1 and K2.
 
     Raises:
@@ -80,7 +79,7 @@ def _windows(channels: Array, length: int, kind: str) -> Array:
 
 
 def _window_index(a: Array, b: Array, c1: float, c2: float) -> Array:
-    """SSIM over the last axis of two equal shapes, with population moments."""
+    """SSIM of a and b over their last axis, with population moments."""
     mean_a, mean_b = a.mean(-1), b.mean(-1)
     a, b = a - mean_a[..., None], b - mean_b[..., None]
     covariance = (a * b).mean(-1)

@@ -12,8 +12,8 @@ from motionkit.metrics.value import FRAME_RATE, MetricValue
 def positions_at_rate(positions: Array, fps: float, rate: float) -> Array:
     """Resample positions (T, ...) from fps to rate by cubic interpolation over the four nearest frames.
 
-    Linear interpolation has corners, which would dominate a third derivative. If fps is a multiple of rate, the
-    result is a subset of the frames.
+    The corners of linear interpolation would dominate a third derivative. If fps is a multiple of rate, the result is
+    a subset of the frames.
     """
     frames = len(positions)
     if abs(fps - rate) < 1e-6 * rate or frames < 4:
@@ -38,7 +38,7 @@ def mean_jerk(global_positions: Array, fps: float = FRAME_RATE, rate: float = FR
     Args:
         global_positions: (T, J, 3) in cm.
         fps: frames per second of the positions.
-        rate: frame rate of the differences; values at different rates are not comparable.
+        rate: frame rate at which the derivative is taken; values at different rates are not comparable.
 
     Raises:
         MotionkitError: there are fewer than four frames at that rate.

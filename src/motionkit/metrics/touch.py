@@ -1,7 +1,7 @@
-"""What touches the ground: planted toes, hovering, and the lowest points of the body.
+"""Contact with the ground: planted toes, hovering, and the lowest points of the body.
 
-Positions are (T, 23, 3) global positions in cm, at 60 fps. The ground is under the soles, at this height in cm. It is
-not the floor of metrics.ground, which is the level of standing toe joints.
+Positions are (T, 23, 3) global positions in cm, at 60 fps. ground is the height in cm of the ground under the soles,
+unlike the floor of metrics.ground, which is the height of standing toe joints.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from motionkit.metrics.value import FRAME_RATE, MetricValue, need
 from motionkit.motion.contacts import foot_contacts
 from motionkit.motion.skeleton import JOINT_NAMES
 
-# A joint this high (cm) above the ground, or lower, may touch it. Recorded toes stand at 3 to 5 cm, ankles at 7 to 10,
-# wrists that bear weight at 3 to 15; the others are about as thick as the body around them.
+# Height in cm below which a joint may touch the ground. Recorded toes stand at 3 to 5 cm, ankles at 7 to 10, wrists
+# that bear weight at 3 to 15; values of the other joints are the thickness of the body around them.
 _TOUCHES = {
     "ToeBase": 6.0, "Foot": 12.5, "Leg": 10.0, "UpLeg": 16.0, "Hips": 18.0, "LowerBack": 18.0, "Spine": 18.0,
     "Spine1": 20.0, "Neck": 16.0, "Neck1": 14.0, "Head": 16.0, "Shoulder": 16.0, "Arm": 12.0, "ForeArm": 10.0,
@@ -32,25 +32,25 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "body": JOINT_NAMES,
 }
 FALL_ERROR = 1.5  # m/s^2 by which the acceleration of a flight may differ from free fall
-# m/s^2; a body in the air whose centre of mass accelerates less downwards is held up by nothing.
+# m/s^2, half of free fall. A body in the air hovers if its centre of mass accelerates downwards by less.
 FALLING = -4.9
 
 
 def touching(positions: Array, ground: float = 0.0) -> Array:
-    """Flags (T,): whether any joint is low enough to touch the ground."""
+    """Flags (T,): whether a joint is low enough to touch the ground."""
     low: Array = positions[..., 1] - ground < TOUCH_HEIGHTS
     return np.asarray(low.any(axis=-1))
 
 
 def planted_share(positions: Array, ground: float = 0.0) -> MetricValue:
-    """Share of the frames in which a toe is planted: low and slow, by the rule of contact labels."""
+    """Share of frames in which a toe is planted, low and slow by the rule of the contact labels."""
     above = positions - np.array([0.0, ground, 0.0])
     planted = foot_contacts(above, FRAME_RATE)[:, list(TOES)].any(axis=-1)
     return MetricValue("planted-share", float(planted.mean()), "", {"ground_cm": ground})
 
 
 def hover_share(positions: Array, ground: float = 0.0) -> MetricValue:
-    """Share of the frames in which nothing touches the ground and the body does not fall freely either.
+    """Share of frames in which nothing touches the ground, and yet the body does not fall freely.
 
     Raises:
         MotionkitError: there are too few frames to measure an acceleration.
@@ -61,7 +61,7 @@ def hover_share(positions: Array, ground: float = 0.0) -> MetricValue:
 
 
 def lowest_points(positions: Array, ground: float = 0.0) -> tuple[MetricValue, ...]:
-    """Lowest joint of feet, hands, head and the whole body above the ground in cm; negative below it.
+    """Height in cm of the lowest joint of feet, hands, head and whole body above the ground; negative below it.
 
     Raises:
         MotionkitError: there are no frames.
@@ -76,7 +76,7 @@ def lowest_points(positions: Array, ground: float = 0.0) -> tuple[MetricValue, .
 
 
 def flight_acceleration(positions: Array, ground: float = 0.0) -> MetricValue:
-    """Vertical acceleration in m/s^2 of the centre of mass in the flight that is furthest from a free fall.
+    """Vertical acceleration in m/s^2 of the centre of mass, in the flight that differs most from free fall.
 
     A flight is a stretch of at least flight.LEAST_SECONDS in which nothing touches the ground.
 

@@ -10,10 +10,10 @@ from motionkit.arrays import Array
 from motionkit.errors import MotionkitError
 from motionkit.metrics.value import MetricSettings, MetricValue
 
-_BLOCK = 64  # segments per bounding box
-_COVERAGE_STEP = 1.0  # cm between samples of the reference path
-_MOST_SAMPLES = 100_000  # on paths longer than a kilometre, samples are further apart
-_POINTS = 10_000  # points compared with a block at a time
+_BLOCK = 64  # path segments per bounding box
+_COVERAGE_STEP = 1.0  # cm between samples of the path
+_MOST_SAMPLES = 100_000  # samples of the path; on a path longer than a kilometre they are further apart
+_POINTS = 10_000  # points compared with a block at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +22,8 @@ class TrajectoryDistance:
 
     Attributes:
         distances: (T,) distance of each point of the track to the nearest point of the path, cm.
-        coverage: share of the path's length within the tolerance of the track.
-        tolerance: distance within which a stretch of path is covered, cm.
+        coverage: share of the path's length that is within the tolerance of the track.
+        tolerance: cm from the track within which the path is covered.
     """
 
     distances: Array
@@ -32,7 +32,7 @@ class TrajectoryDistance:
 
     @property
     def mean(self) -> float:
-        """Mean nearest distance, cm per frame: the paper's trajectory distance."""
+        """Mean nearest distance in cm per frame, the paper's trajectory distance."""
         return float(self.distances.mean())
 
     @property
@@ -82,7 +82,7 @@ def _distance_to_points(points: Array, places: Array) -> Array:
 
 
 def _distance_to_segments(points: Array, path: Array) -> Array:
-    """Distance (T,) from points (T, 2) to a polyline (N, 2) of few segments, by brute force."""
+    """Distance (T,) from points (T, 2) to a short polyline (N, 2), by brute force."""
     if len(points) > _POINTS:
         some = [points[i : i + _POINTS] for i in range(0, len(points), _POINTS)]
         return np.concatenate([_distance_to_segments(each, path) for each in some])
@@ -98,9 +98,8 @@ def trajectory_distance(
 ) -> TrajectoryDistance:
     """Distance between a ground track (T, 2) and a path (N, 2), both x, z in cm.
 
-    Distances are to the segments of the path, so its sampling does not matter. Coverage is the share of the
-    path within `tolerance` cm of the track's segments: a body that stands still on the path has distance zero
-    and almost no coverage.
+    Distances are to the segments of the path, so its sampling does not matter. Coverage is the share of the path
+    within `tolerance` cm of the track. A body that stands still on the path has distance zero and almost no coverage.
 
     Raises:
         MotionkitError: either is empty, or the tolerance is not positive.
@@ -113,7 +112,7 @@ def trajectory_distance(
 
 
 def _sampled(path: Array) -> Array:
-    """Points (M, 2) at even arc length along a path (N, 2), ends included, about 1 cm apart up to a kilometre."""
+    """Points (M, 2) evenly along a path (N, 2), ends included, _COVERAGE_STEP apart but at most _MOST_SAMPLES."""
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=-1)
     arc = np.concatenate([[0.0], lengths.cumsum()])
     total = float(arc[-1])

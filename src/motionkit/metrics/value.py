@@ -1,4 +1,4 @@
-"""A measured value with its definition and parameters, and the settings shared by all metrics."""
+"""A measured value, and the settings shared by all metrics."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ class MetricValue:
     """One measured value (docs/metrics.md).
 
     Attributes:
-        id: metric, such as "bm-euler".
-        value: the value, or None if it cannot be measured.
-        unit: "cm/frame", "deg/frame", "cm", "m/s^3", or "" for a share or index.
+        id: the metric, such as "bm-euler".
+        value: None if it cannot be measured.
+        unit: such as "cm/frame", or "" for a share or index.
         parameters: thresholds that the value depends on.
         reason: why value is None.
     """
@@ -31,7 +31,7 @@ class MetricValue:
 
 
 def need(count: int, least: int, who: str, things: str = "frame") -> None:
-    """Raise MotionkitError if a metric has less than it needs, such as "foot skate needs" 2 frames."""
+    """Raise MotionkitError if count is below least; `who` begins the message, such as "foot skate needs"."""
     if count < least:
         raise MotionkitError(f"{who} at least {counted(least, things)}, found {count}")
 
@@ -39,7 +39,7 @@ def need(count: int, least: int, who: str, things: str = "frame") -> None:
 def measured(
     measure: Callable[[], MetricValue | tuple[MetricValue, ...]], units: Mapping[str, str]
 ) -> tuple[MetricValue, ...]:
-    """The values of a metric, or if it fails, None for each id of units with the reason."""
+    """The values of a metric; if measuring fails, a value of None with the reason for each id of units."""
     try:
         result = measure()
     except MotionkitError as error:

@@ -1,6 +1,6 @@
-"""How much of the recordings a motion shows, how long it goes along one of them, and whether it repeats itself.
+"""Variety: how much of the recordings a motion shows, how long it follows one of them, and whether it loops.
 
-Poses are joint positions (T, 69) in cm relative to the ground below the root, turned to its heading, at POSE_RATE.
+Poses are joint positions (T, 69) in cm in the heading frame, at POSE_RATE.
 """
 
 from __future__ import annotations
@@ -16,17 +16,19 @@ from motionkit.metrics.value import MetricValue
 from motionkit.motion.skeleton import JOINT_COUNT
 
 POSE_RATE = 20.0  # poses a second
-WINDOW = 10  # poses: half a second, which is sought in the recordings
-STRIDE = 5  # poses between two windows that are sought
-# A window goes on along a recording if its place there is at most so many poses from where the last one led.
+WINDOW = 10  # poses of a window, half a second, whose nearest match in the recordings is searched
+STRIDE = 5  # poses between the starts of two windows
+# A window continues along a recording if its match is at most this many poses from STRIDE after the last match.
 STRAY = 2
-# A motion repeats itself after a time if it is then, for at least half of the motion, this share of its usual
-# distance between two poses from where it was.
+# A motion loops after a time lag if the median distance of poses so far apart in time is below LOOP_SHARE of the median
+# over all pairs of poses. Lags start at LOOP_SECONDS.
 LOOP_SHARE, LOOP_SECONDS = 0.3, 5.0
 
 
 def pose_gap(first: Array, second: Array) -> float:
-    """Mean distance per joint in cm between the poses (T, 69) of two motions at equal times, over their common length.
+    """Mean distance per joint in cm between the poses (T, 69) of two motions at equal times.
+
+    The longer motion is cut to the length of the shorter one.
 
     Raises:
         MotionkitError: one of them is empty.
@@ -39,7 +41,7 @@ def pose_gap(first: Array, second: Array) -> float:
 
 
 def mean_pose_gap(motions: Sequence[Array], least: int = WINDOW) -> float | None:
-    """Mean pose_gap over all pairs of motions of at least so many poses; None without a pair."""
+    """Mean pose_gap over all pairs of motions that have at least `least` poses; None without a pair."""
     long = [poses for poses in motions if len(poses) >= least]
     gaps = [pose_gap(a, b) for i, a in enumerate(long) for b in long[:i]]
     return sum(gaps) / len(gaps) if gaps else None
@@ -47,11 +49,11 @@ def mean_pose_gap(motions: Sequence[Array], least: int = WINDOW) -> float | None
 
 @dataclass(frozen=True, eq=False)
 class Places:
-    """Where in the recordings the windows of a motion are nearest.
+    """The nearest window of the recordings for each window of a motion.
 
     Attributes:
-        recordings, tracks: (W,) numbers of the recordings, and of the tracks among all.
-        poses: (W,) number of the pose in the track at which the window begins.
+        recordings, tracks: (W,) number of the recording, and of the track counted over all recordings.
+        poses: (W,) pose of the track at which the nearest window begins.
         distances: (W,) distance in cm per joint.
     """
 
@@ -61,7 +63,7 @@ class Places:
     distances: Array
 
     def longest_stretch(self) -> float:
-        """Return the longest time in seconds for which the nearest place goes on along one recording."""
+        """Return the longest time in seconds for which the motion follows one recording."""
         if not len(self.tracks):
             return 0.0
         steps = np.diff(self.poses)
@@ -71,10 +73,14 @@ class Places:
 
 
 class RecordingWindows:
-    """All windows of WINDOW poses of some recordings; recordings may have several tracks, such as a mirrored one."""
+    """All windows of WINDOW poses of some recordings; a recording may have several tracks, such as a mirrored one."""
 
     def __init__(self, recordings: Sequence[Sequence[Array]]) -> None:
-        """recordings: for each the poses (T, 69) of its tracks; tracks shorter than a window are left out."""
+        """Collect the windows.
+
+        Args:
+            recordings: poses (T, 69) of the tracks of each recording; tracks shorter than a window are left out.
+        """
         tracks = [(number, poses) for number, recording in enumerate(recordings) for poses in recording]
         rows = [_windows(poses, 1) for _, poses in tracks]
         if not sum(map(len, rows)):
@@ -88,18 +94,18 @@ class RecordingWindows:
         self._starts = np.concatenate([np.arange(len(row)) for row in rows])
 
     def places(self, poses: Array, without: int = -1) -> Places:
-        """Return the nearest places of a motion's windows, STRIDE poses apart.
+        """Return the nearest recorded window for each window of a motion.
 
         Args:
             poses: (T, 69) of the motion.
-            without: number of a recording that is left out.
+            without: number of a recording to leave out.
         """
         wanted = _windows(poses, STRIDE).astype(np.float32)
         left_out = self._numbers == without
         if not len(wanted) or left_out.all():
             none = np.zeros(0, np.int64)
             return Places(none, none, none, np.zeros(0))
-        # Squared distances but for the length of the window itself, which is the same for all rows.
+        # Squared distances, without the norm of the wanted window, which is the same for all rows.
         costs = self._squares - 2.0 * (wanted @ self._rows.T)
         costs[:, left_out] = np.inf
         best = costs.argmin(axis=1)
@@ -108,16 +114,16 @@ class RecordingWindows:
 
 
 def drawn_share(places: Sequence[Places], lengths: Array) -> float:
-    """Share of the recordings, by length (N,), that motions come nearest to in at least one window."""
+    """Share of the recordings, by lengths (N,), that are nearest to at least one window of the motions."""
     used = np.unique(np.concatenate([place.recordings for place in places])).astype(np.int64)
     return float(lengths[used].sum() / lengths.sum())
 
 
 def loop_seconds(poses: Array) -> MetricValue:
-    """The shortest time, from LOOP_SECONDS on, after which a motion repeats itself; None if it does not.
+    """The shortest time in seconds, from LOOP_SECONDS to half the motion, after which it repeats; None if it does not.
 
     Args:
-        poses: (T, 69) at POSE_RATE. Times up to half of the motion are tried.
+        poses: (T, 69) at POSE_RATE.
     """
     distances = distances_between(poses, poses)
     usual = float(np.median(distances[np.triu_indices(len(poses), 1)]))

@@ -1,4 +1,4 @@
-"""What a run begins with: a network with random weights, or with those of a model."""
+"""The start of a run: a network with random weights, or with the weights of a model."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ class Beginning:
 
     Attributes:
         layout: the columns of its control vectors.
-        kept: types of the model that the run begins from, and of no recording; the dataset holds its roll-outs.
-        repeated: names of types whose recordings were few and are repeated.
-        weights: those of the model, if types are kept.
-        new_types: names of types that the model does not know.
+        kept: types of the initial model that have no recordings; the dataset holds roll-outs of them instead.
+        repeated: names of types whose short recordings are looped.
+        weights: the initial model's weights, if types are kept.
+        new_types: names of types that the initial model lacks.
     """
 
     network: Predictor
@@ -39,17 +39,17 @@ class Beginning:
     new_types: tuple[str, ...] = ()
 
     def part_way_back(self, weights: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Trained weights; where the run keeps types, part of the way back to the model's: it then forgets less."""
+        """The trained weights; if types are kept, interpolated towards the initial ones, so that less is forgotten."""
         if self.weights is None:
             return weights
         return part_way_back(weights, self.weights, self.layout, self.new_types)
 
 
 def begin(dataset: Dataset, options: TrainOptions) -> Beginning:
-    """Make the network of a run; one that begins from a model may add clips to the dataset, in memory.
+    """Make the network of a run. If the run starts from a model, this may add clips to the dataset, in memory.
 
     Raises:
-        DatasetError: if the dataset has other features than the network.
+        DatasetError: if the dataset's features have another layout than the network's.
         ModelError: if the model does not fit the dataset or the preset.
     """
     config = preset(options.preset, **options.config)

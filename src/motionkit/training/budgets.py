@@ -1,4 +1,4 @@
-"""Budgets of runs that train as the paper does, by name. No torch here: the command line lists them."""
+"""Named budgets of runs with the paper's training. Imports no torch, because the command line lists them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any
 
 @dataclass(frozen=True)
 class Budget:
-    """How much of the paper's training a run does: steps of batch windows, and the learning rate it begins with.
+    """Size of a run: steps, windows per batch, frames per window, and the initial learning rate.
 
-    Short runs need a higher rate than the paper's 1e-4; it is halved at every quarter of the run in all of them.
-    config changes part transformers, whose head and dropout in the paper learn nothing in a few hundred steps.
+    Short runs need a higher rate than the paper's 1e-4. In all runs it halves at every quarter. config changes settings
+    of part transformers, because the paper's head and dropout learn nothing in a few hundred steps.
     """
 
     steps: int
@@ -22,12 +22,12 @@ class Budget:
     config: Mapping[str, Any] = field(default_factory=dict)
 
 
-# Few hundred steps teach the paper's head little: this one adds to nine tenths of the present frame.
+# For short runs: the predicted mean is 0.9 x input pose + output, and there is less dropout.
 NEAR_COPY = {"head_leak": 0.9, "input_dropout": 0.1, "deep_dropout": 0.0}
 
 BUDGETS = {
     "short": Budget(200, 8, 96, 1e-3, NEAR_COPY),  # a minute of one core
-    # Two minutes of one core: all networks in an hour. At 1e-3 whole-body networks no longer see their input.
+    # Two minutes of one core, so all networks take an hour. At 1e-3, whole-body networks stop using their input.
     "medium": Budget(600, 4, 96, 3e-4, NEAR_COPY),
     "long": Budget(3000, 4, 96, 3e-4, NEAR_COPY),  # ten minutes of one core
     "cpu": Budget(1500, 8, 96, 3e-4),  # under 40 minutes of two cores

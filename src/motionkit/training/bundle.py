@@ -1,4 +1,4 @@
-"""Puts a trained network together with all it needs to run: scaling, bodies, and frames to start from."""
+"""Makes a model of a trained network: adds scaling, bodies, start poses, reference clips and sampling presets."""
 
 from __future__ import annotations
 
@@ -26,21 +26,21 @@ from motionkit.models.weights import NetworkWeights
 from motionkit.motion.skeleton import canonical_skeleton
 
 START_FRAMES = 30  # the paper's number of initial frames for synthesis
-STARTS_PER_TYPE = 3
-# A standing body keeps the stance it begins in: there are more of these, evenly from the nearer share of all.
+STARTS_PER_TYPE = 3  # start poses of a type
+# A standing body keeps the stance of its start pose, so standing types have more of them, spread evenly over the share
+# of stretches nearest to the type's mean pose.
 STANCES, STANCE_SHARE = 20, 0.85
-# Reference clips of a type: seconds in all, and at most where it takes more to show a part of every recording; of the
-# longest and the shortest clip.
+# Total seconds of a type's reference clips, and the most if a part of every recording takes longer than that.
 REFERENCE_SECONDS, MOST_SECONDS = 80.0, 300.0
-LONGEST_REFERENCE, SHORTEST_REFERENCE = 10.0, 1.0
-# A reference clip ends where the body comes to rest: where less than this share of the type's usual motion follows.
+LONGEST_REFERENCE, SHORTEST_REFERENCE = 10.0, 1.0  # seconds of one reference clip
+# A reference clip is cut where the body comes to rest: no later frame moves more than this share of the type's mean.
 REST = 0.35
 
 
-# Velocity blending makes up for what a network smooths away; more than this overshoots where a body turns or brakes.
+# Velocity blending restores movement that a network smooths away. Larger values overshoot when a body turns or brakes.
 BLEND = 0.3
-STEP_BLEND = 0.2  # of gaits and hops, whose feet slide with more
-# Reference gains are found at the end of a run; one that is stopped before may answer more than a finished one does.
+STEP_BLEND = 0.2  # for gaits and jumps, whose feet slide with larger values
+# Reference gains are calibrated at the end of a run; a run that is stopped earlier keeps the default.
 GAIT = SamplingPreset(velocity_blend=STEP_BLEND, slip_correction=0.15, noise_scale=0.2)
 STANDING = replace(GAIT, noise_scale=0.7)
 PERFORMANCE = SamplingPreset(velocity_blend=BLEND, slip_correction=0.2, noise_scale=0.2)
@@ -56,12 +56,14 @@ def bundle_model(
     references: bool = True,
     kept: Mapping[str, MotionType] | None = None,
 ) -> MotionModel:
-    """The model of a network trained on a dataset, with or without reference poses.
+    """The model of a network that was trained on a dataset.
 
     A network with the paper's controls gets neither reference clips nor sampling presets.
 
     Args:
-        kept: types taken as they are, because the model that training began from knows them.
+        card: contents of the model card.
+        references: whether the network was trained with reference poses.
+        kept: types that are copied unchanged from the initial model.
     """
     kept = kept or {}
     gaits = measure_gaits(dataset)
@@ -98,10 +100,10 @@ def _motion_type(dataset: Dataset, kind: str, gait: Gait | None) -> MotionType:
 
 
 def sampling_preset(known: MotionType, event: str | None) -> SamplingPreset:
-    """How frames of a type are drawn.
+    """The sampling preset of a type.
 
     Args:
-        event: what its phase follows: "kick", "punch", "jump", "" for whole performances, None for no phase.
+        event: what its phase follows: "kick", "punch", "jump", "" for whole stretches, None without a phase.
     """
     if known.kind.steered:
         return STANDING if known.kind is MotionKind.STANCE else GAIT
@@ -111,14 +113,14 @@ def sampling_preset(known: MotionType, event: str | None) -> SamplingPreset:
 
 
 def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[StartPose]:
-    """A few starts of a type: the first frames of training stretches, nearest to its usual pose first.
+    """Start poses of a type: first frames of its training stretches, those nearest to its mean pose first.
 
-    The beginnings of stretches, because a cartwheel has to be started from its start; the nearest ones,
-    because a run that begins in a crouch under an obstacle is no good start for running. A type without
-    a training clip, which a model cannot know, takes any clip's frames.
+    A start pose comes from the beginning of a stretch, because a cartwheel cannot start in its middle. The nearest are
+    taken, because a stretch of running may begin in a crouch under an obstacle. A type without a training clip takes
+    the first clip's frames.
 
     Args:
-        stands: whether the type is standing still, which has more of them, and others than the nearest.
+        stands: whether the type is standing still; it then has up to STANCES start poses.
     """
     wanted = dataset.types.index(kind)
     columns = dataset.layout.blocks["joint_positions"]
@@ -130,12 +132,12 @@ def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[St
             data = dataset.read(clip)
             begins = mine
             if dataset.phase_events.get(kind):
-                # A strike or jump is started from its own beginning, at the beginning of the phase.
+                # A strike or jump starts where its phase does.
                 begins = mine[(data.phases[mine] >= 0.0) & (data.phases[mine] < 0.02)]
             shown = data.features[mine][:, columns]
             total, count = total + shown.sum(axis=0), count + len(shown)
             if len(begins):
-                # Only up to where the clip first goes over to another type.
+                # Only up to the clip's first change of type.
                 mine = mine[mine >= begins[0]]
                 unbroken = int((mine == mine[0] + np.arange(len(mine))).sum())
                 stretches.append((clip, int(mine[0]), min(unbroken, START_FRAMES)))
@@ -152,7 +154,7 @@ def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[St
     ranked.sort(key=lambda entry: (entry[0], entry[1].name))
     if not stands:
         return [start for _, _, start in ranked[:STARTS_PER_TYPE]]
-    # A mirror image begins where its recording does, and is another stance only where there are few.
+    # A mirrored clip has the same first row as its recording. It counts as another stance only if there are few.
     recordings: dict[int, StartPose] = {}
     for _, clip, start in ranked:
         recordings.setdefault(clip.start, start)
@@ -162,17 +164,19 @@ def start_poses_of(dataset: Dataset, kind: str, stands: bool = False) -> list[St
 
 
 def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
-    """Reference clips of a type: performances the longest first, others from many recordings; none without clips.
+    """Reference clips of a type, up to REFERENCE_SECONDS in all; none without training clips.
 
-    Of types made of strikes or jumps those parts come first that show most of them, of others those that move
-    about as much as the type does in the mean: recordings begin and end with standing. Where there is no room for all
-    recordings, mirror images wait until every recording has been taken once, and there is more room.
+    For types with a phase, clips with the most frames of it come first. For other types, clips that move about as much
+    as the type's mean come first, because recordings begin and end with standing. If some recordings do not fit, every
+    recording contributes once before any mirrored clip, and the total may grow to MOST_SECONDS.
     """
     wanted, fps = dataset.types.index(kind), dataset.fps
     longest, room = round(LONGEST_REFERENCE * fps), round(REFERENCE_SECONDS * fps)
     performed = dataset.phase_events.get(kind) == ""
     found: list[tuple[str, ReferenceClip]] = []
-    recordings: dict[str, int] = {}  # where the recording of a clip begins: a mirror image has the same
+    recordings: dict[
+        str, int
+    ] = {}  # first row by clip name; a mirrored clip has the same row as its recording
     for clip, start, end, type_id in dataset.stretches():
         if type_id != wanted:
             continue
@@ -192,7 +196,7 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
         return []
     found = _not_too_short(found, fps)
     if kind in dataset.phase_events:
-        # Of a performance all frames are in its phase: the longest shows most.
+        # All frames of a performance are in its phase, so the longest performance comes first.
         found.sort(key=lambda entry: (-int((entry[1].phases >= 0.0).sum()), entry[0]))
         ordered = [reference_clip for _, reference_clip in found]
     else:
@@ -213,7 +217,7 @@ def recorded_references(dataset: Dataset, kind: str) -> list[ReferenceClip]:
 
 
 def _with_room(ordered: Sequence[ReferenceClip], room: int) -> list[ReferenceClip]:
-    """The first reference clips, until they fill so many frames."""
+    """The first reference clips that together reach `room` frames."""
     out: list[ReferenceClip] = []
     frames = 0
     for reference_clip in ordered:
@@ -229,7 +233,7 @@ def _not_too_short(found: list[tuple[str, ReferenceClip]], fps: float) -> list[t
 
 
 def before_rest(reference_clip: ReferenceClip, least: float) -> ReferenceClip:
-    """A reference clip up to where less than so much movement follows to its end; whole, if it never moves more."""
+    """A reference clip up to its last frame that moves at least this much; the whole clip if no frame does."""
     moving = np.flatnonzero(reference_clip.movement >= least)
     end = int(moving[-1]) + 1 if len(moving) else len(reference_clip)
     return ReferenceClip(
@@ -240,7 +244,10 @@ def before_rest(reference_clip: ReferenceClip, least: float) -> ReferenceClip:
 
 
 def typical_first(found: list[tuple[str, ReferenceClip]]) -> list[ReferenceClip]:
-    """Reference clips by recording, reordered: the most typical part of each recording, then the second of each."""
+    """Reference clips in a new order: the most typical one of each recording, then the second of each.
+
+    The more typical its mean movement is for the type, the earlier a clip comes.
+    """
     movements = [float(reference_clip.movement.mean()) for _, reference_clip in found]
     frames = [len(reference_clip) for _, reference_clip in found]
     mean = sum(m * n for m, n in zip(movements, frames, strict=True)) / max(1, sum(frames))
@@ -255,9 +262,9 @@ def typical_first(found: list[tuple[str, ReferenceClip]]) -> list[ReferenceClip]
 
 
 def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
-    """Mean speed of each type over the ground, and the angle from where it faces to where it goes.
+    """The gait of each type: mean speed over the ground, and the angle from the facing direction to that of travel.
 
-    The angle is zero for types that go no steady direction; walking backwards has half a turn.
+    The angle is zero for types without a steady direction, and pi for walking backwards.
     """
     gaits = {}
     for kind, (frames, distance, x, z) in ground_movement(dataset).items():
@@ -270,7 +277,7 @@ def measure_gaits(dataset: Dataset) -> dict[str, Gait]:
 
 
 def ground_movement(dataset: Dataset) -> dict[str, tuple[float, float, float, float]]:
-    """Sums over the training frames of each type that has some: frames, speed, sideways and forward velocity (cm/s)."""
+    """Sums over the training frames of each type: frames, speed, sideways and forward velocity (cm/s)."""
     sums = {kind: np.zeros(4, np.float64) for kind in dataset.types}
     block = dataset.layout.blocks["root_xz_velocity"]
     for clip in dataset.select("train"):

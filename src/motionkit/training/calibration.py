@@ -1,11 +1,10 @@
-"""Sampling presets from roll-outs: what a type needs to move as recorded.
+"""Calibrates sampling presets on roll-outs, so that each type moves as recorded.
 
-Reference gains: a network falls short of the movements it is shown, in some types more than in others, and more after a
-short training than after a long one. A gain makes up for it; more of it than needed makes the motion jerk and lifts the
-feet.
+Reference gain: a network makes smaller movements than its reference poses show, by an amount that depends on the type
+and on the length of training. A gain makes up for it. Too large a gain makes the motion jerk and lifts the feet.
 
-Noise without references: a dance has neither a trajectory nor a phase to keep it moving. Drawn with too little noise it
-comes to rest in its mean pose, with too much it shakes.
+Noise without references: a dance has neither a trajectory nor a phase to keep it moving. With too little noise it comes
+to rest in its mean pose, with too much it shakes.
 """
 
 from __future__ import annotations
@@ -28,31 +27,36 @@ from motionkit.motion.kinematics import motion_kinematics
 from motionkit.motion.motion import Motion
 from motionkit.motion.skeleton import JOINT_COUNT
 
-# That are tried. With less than its poses a type that a network shakes through shakes less and stands more firmly.
+# Reference gains to try. Some types shake less and stand more firmly with gains below 1.
 GAINS = (0.4, 0.5, 0.7, 1.0, 1.5, 2.0, 2.25, 2.5)
-# Factors on the sampling temperature that are tried without references. What noise moves grows much faster than it.
+# Noise scales to try without references. Movement grows much faster than the noise.
 NOISES = (0.2, 0.5, 0.7, 0.85, 1.0, 1.1, 1.2, 1.3, 1.4, 1.5)
-SEED, REPEATS = 500, 8  # of the validation split
-TOGETHER = 128  # roll-outs that are made at once
-# Seconds in which a roll-out, which stands or walks first, is on its way to its type: one that is begun from its own
-# poses moves more than one that is changed to.
+SEED, REPEATS = 500, 8  # first seed of the roll-outs, and their number per type
+TOGETHER = 128  # roll-outs that run at once
+# Seconds that a roll-out takes from standing or walking to its type, which are not measured. Roll-outs start like this
+# because a roll-out from the type's own start pose moves more.
 CHANGE = 1.0
-LEAST_FRAMES = 8  # of a recorded stretch that counts
-JERK = 1.2  # times the recorded jerk costs nothing: a network shakes a little at any gain
-JERK_WEIGHT = 0.25
-MOST_JERK = 1.4  # times the recorded; more counts in full besides, for the scoreboard allows 1.5 in a minute
-JERK_OF_NOISE = 1.0  # its weight where noise makes it
-SELDOM = 0.05  # share of time that hardly counts beside more
-# Share of time beyond the recorded in which hovering costs nothing, as in the scoreboard's target.
+LEAST_FRAMES = 8  # shortest recorded stretch that is measured
+JERK = 1.2  # jerk over recorded jerk that costs nothing: networks shake a little at any gain
+JERK_WEIGHT = 0.25  # weight of jerk above JERK
+# Jerk over recorded jerk above which jerk costs extra, with weight 1. The scoreboard allows 1.5 in a minute.
+MOST_JERK = 1.4
+JERK_OF_NOISE = 1.0  # JERK_WEIGHT for the calibration of noise
+SELDOM = 0.05  # added to shares of time before their ratio is taken, so that small shares matter little
+# Share of time that a motion may hover beyond the recorded share without cost, as in the scoreboard's target.
 HOVERING = 0.02
-NEARLY = 0.03  # a gain nearer to 1 is taken where it costs at most so much more than the best
+NEARLY = 0.03  # the gain nearest to 1 is taken whose cost is at most this much above the lowest
 
 
 @dataclass(frozen=True)
 class Manner:
-    """How a motion moves: joints in rad/s, their jerk in m/s^3, and the shares of time that it stands and hovers.
+    """Measures of how a motion moves.
 
-    planted: a toe is; hovering: nothing touches the ground, and the body does not fall freely.
+    Attributes:
+        speed: mean angular speed of the joints in rad/s.
+        jerk: mean jerk of the joints in m/s^3.
+        planted: share of time in which a toe is planted.
+        hovering: share of time in which nothing touches the ground and the body does not fall freely.
     """
 
     speed: float
@@ -61,10 +65,10 @@ class Manner:
     hovering: float
 
     def cost(self, recorded: Manner, jerk_weight: float = JERK_WEIGHT) -> float:
-        """How far it is from a recorded one: in speed, planted time, more hovering than HOVERING, more jerk than JERK.
+        """Distance from the measures of a recorded motion, as a sum of logarithms of ratios.
 
-        All count by the logarithms of their ratios. Jerk counts little by default, since recordings that have been
-        smoothed have hardly any.
+        Speed and planted time count in both directions, hovering and jerk only where there is more. Jerk has a small
+        weight by default, because smoothed recordings have hardly any.
         """
         faster, shakier = (
             math.log(max(made, 1e-3) / max(real, 1e-3))
@@ -84,9 +88,9 @@ class Manner:
 def calibrated_gains(
     model: MotionModel, dataset: Dataset, frames: int, repeats: int = REPEATS, gains: Sequence[float] = GAINS
 ) -> dict[str, float]:
-    """Return the reference gain of each type that reference poses move, by the manner of default roll-outs.
+    """Return the reference gain with which each type with reference clips moves most like its recordings.
 
-    Of the gains with which they move nearly as much like training recordings as with any it is the one nearest to 1.
+    Among gains of nearly the lowest cost, the one nearest to 1 is taken.
 
     Args:
         dataset: has the recordings; types without any are left out.
@@ -109,9 +113,9 @@ def calibrated_noise(
     repeats: int = REPEATS,
     noises: Sequence[float] = NOISES,
 ) -> dict[str, float]:
-    """Return the noise of each type that moves by it alone without references, by the manner of such roll-outs.
+    """Return the noise scale with which each type moves most like its recordings without references.
 
-    Arguments as for calibrated_gains.
+    Only types that need noise to move are calibrated. Arguments as for calibrated_gains.
     """
     if not model.uses_references:
         return {}
@@ -126,19 +130,19 @@ def calibrated_noise(
 def _costs(
     tried: Sequence[MotionModel], real: Mapping[str, Manner], frames: int, repeats: int, jerk_weight: float
 ) -> dict[str, list[float]]:
-    """What roll-outs of each recorded type cost with each of the models that are tried."""
+    """For each recorded type, the cost of its roll-outs with each of the tried models."""
     made = [made_manners(model, list(real), frames, repeats) for model in tried]
     return {kind: [each[kind].cost(real[kind], jerk_weight) for each in made] for kind in real}
 
 
 def with_presets(model: MotionModel, field: str, values: Mapping[str, float]) -> MotionModel:
-    """Return the model with another value of a field of the sampling presets of some types."""
+    """Return the model with other values for one field of the sampling presets, by type."""
     presets = {kind: replace(model.types[kind].preset, **{field: value}) for kind, value in values.items()}
     return model.with_types({kind: {"preset": preset} for kind, preset in presets.items()})
 
 
 def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Manner]:
-    """How the training recordings of each type move that has any of at least LEAST_FRAMES."""
+    """Mean measures of each type's training recordings; types without LEAST_FRAMES of them are left out."""
     found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
     for clip in dataset.select("train"):
         stretches = [
@@ -155,11 +159,11 @@ def recorded_manners(dataset: Dataset, kinds: Collection[str]) -> dict[str, Mann
 
 
 def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats: int) -> dict[str, Manner]:
-    """How roll-outs of each type move for so many frames, made as `synthesize` does by default."""
+    """Mean measures of roll-outs of each type over `frames` frames, made as `synthesize` does by default."""
     found: dict[str, list[tuple[Manner, int]]] = {kind: [] for kind in kinds}
     seconds = CHANGE + max(frames, LEAST_FRAMES) / model.fps
     begun = round((NEUTRAL_SECONDS + CHANGE) * model.fps)
-    # Of one type with successive seeds, which draw its recordings evenly.
+    # Roll-outs of one type have successive seeds, which draw its recordings evenly.
     each = [kind for kind in found for _ in range(repeats)]
     for first in range(0, len(each), TOGETHER):
         some = each[first : first + TOGETHER]
@@ -173,7 +177,7 @@ def made_manners(model: MotionModel, kinds: Sequence[str], frames: int, repeats:
 
 
 def manner_of(motion: Motion) -> Manner:
-    """How a motion of at least LEAST_FRAMES moves."""
+    """The measures of a motion of at least LEAST_FRAMES."""
     positions = motion_kinematics(motion)[1]
     return Manner(
         angular_speed(motion.local_rotations, range(1, JOINT_COUNT), motion.fps),
@@ -184,12 +188,12 @@ def manner_of(motion: Motion) -> Manner:
 
 
 def _mean(found: Sequence[tuple[Manner, int]]) -> Manner:
-    """The mean of manners, by the number of frames of each."""
+    """The mean of measures, weighted by their numbers of frames."""
     values = np.array([astuple(manner) for manner, _ in found])
     return Manner(*np.average(values, axis=0, weights=[frames for _, frames in found]).tolist())
 
 
 def _cheapest(gains: Sequence[float], costs: Sequence[float]) -> float:
-    """Of the gains that cost nearly the least the one nearest to 1, which shows the poses as they are."""
+    """The gain nearest to 1 whose cost is at most NEARLY above the lowest; 1 leaves reference poses unchanged."""
     good = [gain for gain, cost in zip(gains, costs, strict=True) if cost <= min(costs) + NEARLY]
     return min(good, key=lambda gain: abs(math.log(gain)))

@@ -1,4 +1,4 @@
-"""The weights of a run: what a step makes of them, and their running average."""
+"""The training step, which changes the weights, and the running average of the weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from motionkit.training.processes import Processes
 from motionkit.training.progress import Progress
 from motionkit.training.replay import Replayed
 
-# The paper's loss is a sum over all columns. As a mean, the gradient norm does not depend on their number.
+# The paper's loss is a sum over columns. This makes it a mean, so the gradient norm does not depend on their number.
 LOSS_SCALE = 1.0 / FEATURE_COUNT
 
 
@@ -27,15 +27,15 @@ class Learner:
     """A network with its losses and optimizers.
 
     Attributes:
-        module: the network and what training minimises.
-        average: the running average of the network's weights by name, which becomes the model.
-        optimizers: each moves some of the weights.
+        module: the network and its losses.
+        average: running average of the network's weights by name, which becomes the model.
+        optimizers: each updates some of the weights.
     """
 
     def __init__(
         self, network: Predictor, dataset: Dataset, options: TrainOptions, processes: Processes
     ) -> None:
-        # The losses of part transformers have options, and so are not the network's own.
+        # Part transformers have configurable losses; other networks have losses of their own.
         self.module = (
             TrainingModule(network, dataset, options.losses)
             if isinstance(network, PartTransformer)
@@ -43,16 +43,16 @@ class Learner:
         )
         self.module.to_device(processes.device)
         self.trainable = processes.shared(self.module)
-        # Dropout must differ between processes, weights must not.
+        # Dropout must differ between processes; initial weights, which are set before, must not.
         torch.manual_seed(options.seed + 1 + processes.rank)
         self.autocast = _use_bfloat16(options.optimizer.precision, processes.device)
-        if processes.device.type == "cuda":  # tensor cores round factors to 10 bits; sums are in float32
+        if processes.device.type == "cuda":  # tensor cores: factors have 10 bits, sums are float32
             torch.set_float32_matmul_precision("high")
         self.optimizers = make_optimizers(self.module, network, options.optimizer, self.autocast)
         self.average = {n: p.detach().clone() for n, p in network.state_dict().items()}
-        # A graph would keep the progress of its capture, which networks with losses of their own are given.
+        # Losses of other networks depend on the progress of the run, which a CUDA graph would freeze.
         self._replays = isinstance(self.module, TrainingModule) and processes.world == 1
-        # On a GPU a step is a graph, made anew for other losses.
+        # On a GPU a step is a CUDA graph, captured again whenever the losses change.
         self._replayed = Replayed(lambda *_: ())
         self._loss_options: LossOptions | None = None
         self._terms: list[str] = []
@@ -63,10 +63,10 @@ class Learner:
         return self.module.network
 
     def step(self, batch: Batch, options: TrainOptions, at: Progress) -> dict[str, Tensor]:
-        """Move the weights by a batch; return the terms of the loss by name, their "total", and the "gradient" norm.
+        """Update the weights with a batch; return the losses by name, their "total", and the "gradient" norm.
 
         Args:
-            options: those of the present stage of the run.
+            options: settings of the present stage of the run.
         """
         for group in (group for each in self.optimizers for group in each.param_groups):
             group["lr"] = at.rate
@@ -79,8 +79,8 @@ class Learner:
         return terms | {"gradient": norm.detach()}
 
     def gradients(self, batch: Batch, options: LossOptions, progress: float) -> dict[str, Tensor]:
-        """Compute the gradients of a batch; return the terms of the loss by name, and their "total"."""
-        if options != self._loss_options:  # a new stage: a graph of its own
+        """Compute the gradients of a batch; return the losses by name, and their "total"."""
+        if options != self._loss_options:  # a new stage needs a new graph
             self._loss_options = options
             self.module.use(options)
             self._replayed = Replayed(lambda *given: tuple(self._gradients(Batch(*given), progress).values()))
@@ -102,8 +102,8 @@ class Learner:
 
     @torch.no_grad()
     def update_average(self, at: Progress) -> None:
-        """Let the running average follow the weights."""
-        # At first the average follows quickly, so that it forgets the random initial weights.
+        """Update the running average of the weights."""
+        # At first the average follows quickly, to forget the random initial weights.
         decay = min(at.options.optimizer.ema, (1.0 + at.step) / (10.0 + at.step))
         state = self.network.state_dict()
         averages = list(self.average.values())
@@ -111,7 +111,7 @@ class Learner:
 
 
 def _use_bfloat16(precision: str, device: torch.device) -> bool:
-    """Whether to use bfloat16; "auto" uses it where the processor has instructions for it, since emulation is slow."""
+    """Whether to use bfloat16; "auto" uses it if the processor has instructions for it, because emulation is slow."""
     if precision == "auto":
         if device.type == "cuda":
             return torch.cuda.is_bf16_supported()

@@ -2,7 +2,7 @@
 
 All norms are over normalised features, except in the FK loss: its foot positions are in units of 20 cm, about
 their standard deviation. mask is (B, T): 0 after the end of a window, and otherwise scaled so that every window has
-the same weight. Means divide by B T, so that the mean over equal parts of a batch is the mean over the batch.
+the same weight. Means divide by B T, so averaging over equal parts of a batch gives the mean over the batch.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from motionkit.motion.skeleton import FOOT_JOINTS, PARENTS
 
 FOOT_UNIT = 20.0  # cm
 NEAR_GROUND = 15.0  # cm; the weight of a foot joint in the step loss falls to 0 at this height
-TYPICAL_SIGMA = 0.1  # standard deviation a trained network predicts
+TYPICAL_SIGMA = 0.1  # standard deviation that a trained network typically predicts
 WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency": 1.0, "trajectory": 1.0}
 
 
@@ -31,15 +31,15 @@ WEIGHTS = {"gauss": 1.0, "smooth": 10.0, "contact": 5.0, "fk": 5.0, "consistency
 class LossOptions:
     """How the losses are computed and weighted; the defaults are the paper's."""
 
-    outlier: float = math.inf  # deviations beyond which gaussian_loss is linear
+    outlier: float = math.inf  # number of standard deviations beyond which gaussian_loss is linear
     beta_nll: float = 0.0  # beta of gaussian_loss; 0 is the plain likelihood
     slip_weight: float = 1.0  # weight of foot slip in fk_loss
-    step_weight: float = 0.0  # weight in fk_loss of the movement of low feet; docs/results-log.md tries 50
-    step_except: tuple[str, ...] = ()  # types without step_weight
-    likelihood: str = "gauss"  # "l2" is the paper's ablation "L2 loss": squared errors, sigma untrained
-    # How foot slip is computed: "ground" after the root's movement is taken out, "paper" as eq. 8 is written.
+    step_weight: float = 0.0  # weight of the step loss in fk_loss; docs/results-log.md tries 50
+    step_except: tuple[str, ...] = ()  # types whose step_weight is 0
+    likelihood: str = "gauss"  # or "l2", the paper's ablation "L2 loss": squared errors, sigma untrained
+    # Foot slip: "ground" measures it over the ground, "paper" as eq. 8 is written (fk_loss, paper_foot_slip).
     foot_term: str = "ground"
-    weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))  # of the six losses in their sum
+    weights: dict[str, float] = field(default_factory=lambda: dict(WEIGHTS))  # weights of the six losses
 
 
 def _mean(values: Tensor, mask: Tensor) -> Tensor:
@@ -57,12 +57,12 @@ def gaussian_loss(
     """Return the negative log-likelihood per frame, summed over columns (L_G; also L_t over the trajectory).
 
     Values that are hard to predict get a large sigma, and the likelihood's gradient on their mean falls with its
-    square. Easy frames are then learned ever better and hard ones never. beta-NLL (Seitzer et al. 2022, "On the
+    square. So easy frames are learned ever better and hard ones never. beta-NLL (Seitzer et al. 2022, "On the
     Pitfalls of Heteroscedastic Uncertainty Estimation") therefore weights each term by (sigma / TYPICAL_SIGMA) to
     the power 2 x beta_nll, without gradient. 0 is the plain likelihood; 1 gives all errors the same weight.
 
-    Beyond `outlier` deviations the square continues as a straight line (Huber 1964). Exponential maps jump where
-    a joint turns past half a turn, once in a few hundred frames. Squared, that one frame would outweigh its batch.
+    Beyond `outlier` standard deviations the square continues as a straight line (Huber 1964). Exponential maps jump
+    where a joint turns past half a turn, once in a few hundred frames. Squared, that frame would outweigh its batch.
     """
     scaled = ((target - mean) * torch.exp(-log_sigma)).abs()
     inner = scaled.clamp(max=outlier)
@@ -103,11 +103,16 @@ LEGS, TOES = tuple(_leg(ankle) for ankle in FOOT_JOINTS[::2]), FOOT_JOINTS[1::2]
 
 
 def foot_positions(features: Tensor, offsets: Tensor, space: FeatureSpace) -> Tensor:
-    """Return foot positions (B, T, 4, 3) in cm relative to the root, in the facing frame; features are unnormalised."""
+    """Return foot positions (B, T, 4, 3) in cm relative to the root, in the heading frame.
+
+    Args:
+        features: (B, T, 276) unnormalised.
+        offsets: (B, 23, 3) of the bodies, in cm.
+    """
     joints = [joint for leg in LEGS for joint in leg]
     rotations = decode_rotations(features, space.reference_rotations, space.layout, joints)
     bends = rotations[..., 1:, :].unflatten(-2, (len(LEGS), -1)).unbind(-2)
-    turn = rotations[..., :1, :]  # of both legs, side by side
+    turn = rotations[..., :1, :]  # both legs side by side
     places = [torch.zeros_like(features[..., None, :3])]
     for pair, bend in zip((*zip(*LEGS, strict=True), TOES), (*bends, None), strict=True):
         bones = torch.stack([offsets[:, None, joint] for joint in pair], dim=-2)
@@ -126,13 +131,13 @@ def fk_loss(
 ) -> Tensor:
     """Return the distance of the feet from the true ones by forward kinematics, plus their slip in contact (L_FK).
 
-    Paper eq. 8 compares the feet of two frames in the root's space, where a standing foot moves as the body passes
-    over it. Here the root's movement between the frames is removed first. Contacts weight the slip without gradient,
-    so that feet learn to stand still and contacts are not unlearned.
+    Paper eq. 8 compares the feet of two frames in the root's space, where a planted foot moves as the body passes over
+    it. Here slip is measured over the ground. Contacts weight it without gradient; otherwise the loss would fall by
+    unlearning contacts.
 
-    Both terms of the paper compare predictions only, but a roll-out moves from its input frame to the frame
-    predicted from it. The step loss measures this movement of each foot over the ground against the recorded one,
-    with more weight on lower feet.
+    Both terms of the paper compare predictions only, but a roll-out steps from an input frame to the frame predicted
+    from it. The step loss compares the movement of each foot in this step with the recorded movement, with more weight
+    on lower feet.
 
     Args:
         slip_weight: weight of the slip.
@@ -161,7 +166,7 @@ def fk_loss(
             wanted = _foot_moves(truth[:, 1:], true[:, 1:], true[:, :-1], height[:, :-1], space)
             low = (1.0 - (true[:, 1:, :, 1] + height[:, 1:, None]) / NEAR_GROUND).clamp(0.0, 1.0)
         moves = _foot_moves(features[:, 1:], predicted[:, 1:], *start, space)
-        # Vertical movement is left out, because a body that is too high or too low must come back.
+        # Vertical movement does not count: a body that is too high or too low must be free to come back.
         off = (moves - wanted)[..., ::2].abs().sum(-1) / FOOT_UNIT
         weights = step_weight[:, 1:] if isinstance(step_weight, Tensor) else step_weight
         loss = loss + _mean(weights * (low * off).sum(-1), batch.mask[:, 1:])
@@ -171,10 +176,10 @@ def fk_loss(
 def paper_foot_slip(
     prediction: Prediction, feet: Tensor, features: Tensor, batch: Batch, space: FeatureSpace
 ) -> Tensor:
-    """Return the second term of eq. 8 as it is written.
+    """Return the foot slip, the second term of eq. 8, as the paper writes it.
 
-    The feet of one frame by forward kinematics, in the root's coordinate system, against the foot positions in the
-    mean of the next frame, weighted by the predicted contacts of both, through which gradients pass.
+    It compares the feet of one frame by forward kinematics, in the root's space, with the foot positions in the
+    predicted mean of the next frame. The predicted contacts of both frames weight it, with gradient.
 
     Args:
         feet: (B, T, 4, 3) foot positions in cm relative to the root, by forward kinematics.
@@ -193,7 +198,7 @@ def paper_foot_slip(
 def _foot_moves(
     features: Tensor, feet: Tensor, before: Tensor, height_before: Tensor, space: FeatureSpace
 ) -> Tensor:
-    """Return the movement (B, T, 4, 3) of the feet over the ground between two frames, in the later facing frame.
+    """Return the movement (B, T, 4, 3) in cm of the feet over the ground, in the later frame's heading frame.
 
     Args:
         features: (B, T, 276) unnormalised features of the later frames.
@@ -214,9 +219,9 @@ def consistency_loss(
     prediction: Prediction,
     batch: Batch,
 ) -> Tensor:
-    """Return how far shared channels differ between parts and from the shared data (L_con = L_feat + 2 L_root).
+    """Return how far shared channels differ between parts and from the recorded root (L_con = L_feat + 2 L_root).
 
-    The data are the recorded frames, not the inputs, which are noisy or predicted: the target of the frame before.
+    Recorded frames are the targets of the frames before, because inputs are noisy or predicted.
     """
     channels = network.config.embedding.shared_channels
     alike = feature_difference(prediction.shallow, channels) + feature_difference(prediction.deep, channels)
@@ -240,8 +245,7 @@ def training_losses(
     """Return all six losses by name, unweighted.
 
     Args:
-        step_share: (C,) weights whose product with a frame's controls is the share of step_weight the frame gets;
-            the whole of it if None.
+        step_share: (C,) weights whose product with a frame's controls is the factor on its step_weight; None for 1.
     """
     options = options or LossOptions()
     rules = (options.outlier, options.beta_nll)
@@ -274,6 +278,6 @@ def training_losses(
 
 
 def total_loss(terms: dict[str, Tensor], weights: dict[str, float] | None = None) -> Tensor:
-    """Return the weighted sum of the losses (paper eq. 4); terms that have no weight by name count once."""
+    """Return the weighted sum of the losses (paper eq. 4); a loss without a named weight has weight 1."""
     weights = WEIGHTS if weights is None else weights
     return torch.stack([weights.get(name, 1.0) * value for name, value in terms.items()]).sum()

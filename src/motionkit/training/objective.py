@@ -1,4 +1,4 @@
-"""A network together with what training minimises, as one module for processes that share the work."""
+"""A network and its losses as one module, as DistributedDataParallel needs it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from motionkit.training.losses import Batch, FeatureSpace, LossOptions, training
 
 
 class OwnLosses(nn.Module):
-    """A network that brings its losses along (Predictor.losses), as one module for DistributedDataParallel."""
+    """A network that defines its own losses (Predictor.losses), as one module."""
 
     def __init__(self, network: Predictor, dataset: Dataset) -> None:
         super().__init__()
@@ -30,11 +30,11 @@ class OwnLosses(nn.Module):
         self.space = self.space.to(device)
 
     def use(self, options: LossOptions) -> None:
-        """Compute the losses by these options from now on; here the network has its own."""
+        """Use these options for the losses from now on. A network with its own losses ignores them."""
 
     @property
     def weights(self) -> dict[str, float]:
-        """The weights of the losses in their sum; 1 for those that are not named."""
+        """The weights of the losses by name; 1 for those that are not named."""
         return {}
 
     def forward(self, batch: Batch, autocast: bool, progress: float) -> dict[str, Tensor]:
@@ -70,7 +70,7 @@ class TrainingModule(OwnLosses):
         kind = batch.inputs.device.type
         with torch.autocast(kind, torch.bfloat16) if autocast else nullcontext():
             prediction = self.network(batch.inputs, batch.contacts, batch.controls)
-        # The losses, consistency modules included, are computed in float32.
+        # Outside autocast, because losses and consistency modules need float32.
         return training_losses(
             self.network,
             self.consistency,
@@ -83,7 +83,7 @@ class TrainingModule(OwnLosses):
 
 
 def _step_share(types: tuple[str, ...], options: LossOptions) -> Tensor | None:
-    """Return (C,) weights whose product with controls is the share of types with step_weight; None for all."""
+    """Return weights (C,) whose product with controls is the share of types with step_weight; None if all have it."""
     unknown = set(options.step_except) - set(types)
     if unknown:
         raise DatasetError(

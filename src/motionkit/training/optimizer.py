@@ -1,8 +1,8 @@
 """The optimizer of a run: Muon for the matrices within the layers of a part transformer, AdamW for all else.
 
-Muon (Jordan et al. 2024) steps along the momentum of a matrix with all its singular values made alike, so that what few
-frames ask for moves the weights as far as what all ask for. Step lengths are those that AdamW would take on average
-(Liu et al. 2025, "Muon is Scalable for LLM Training"): one learning rate serves both.
+Muon (Jordan et al. 2024) steps along the momentum of a matrix with all singular values made equal. So gradients from
+few frames move the weights as far as gradients shared by all frames. Steps have the length that AdamW's would have on
+average (Liu et al. 2025, "Muon is Scalable for LLM Training"), so one learning rate serves both.
 """
 
 from __future__ import annotations
@@ -19,20 +19,21 @@ from motionkit.models.predictor import Predictor
 from motionkit.training.options import OptimizerOptions
 
 MOMENTUM = 0.95
-# An odd polynomial whose repetition takes singular values from nearly anywhere in 0 to 1 to about 0.7 to 1.2.
+# Coefficients of x, x^3 and x^5. Applied REPETITIONS times, the polynomial maps nearly all singular values in 0 to 1
+# to about 0.7 to 1.2.
 POLYNOMIAL = (3.4445, -4.7750, 2.0315)
 REPETITIONS = 5
-AS_ADAMW = 0.2  # root mean square of a usual update of AdamW at rate 1
+AS_ADAMW = 0.2  # usual root mean square of an AdamW update at rate 1
 
 
 def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
-    """Return matrices (B, M, N) with the singular vectors of x and singular values near 1, by Newton and Schulz.
+    """Return matrices (B, M, N) with the singular vectors of x and singular values near 1, by Newton-Schulz iteration.
 
     Args:
-        bfloat16: whether to multiply in 16 bits, where the processor is fast at it.
+        bfloat16: whether to multiply in 16 bits.
     """
     turned, dtype = x.shape[-2] > x.shape[-1], x.dtype
-    x = _low(x)  # squares of the shorter side are smaller
+    x = _low(x)  # x x^T is smaller than x^T x
     x = x / (torch.linalg.matrix_norm(x, keepdim=True) + 1e-7)
     if bfloat16:
         x = x.bfloat16()
@@ -45,10 +46,10 @@ def orthogonalized(x: Tensor, bfloat16: bool = False) -> Tensor:
 
 
 class Muon(torch.optim.Optimizer):
-    """Muon over parameters (P, M, C N): P parts with C matrices (M, N) side by side each.
+    """Muon for parameters (P, M, C N), which hold C matrices (M, N) side by side for each of P parts.
 
     Args:
-        parameters: each with its C.
+        parameters: pairs of a parameter and its C.
         bfloat16: as for orthogonalized.
     """
 
@@ -68,7 +69,7 @@ class Muon(torch.optim.Optimizer):
         counts = dict(zip(group["params"], self.counts, strict=True))
         moved = [p for p in group["params"] if p.grad is not None]
         ahead = dict(zip(moved, self._ahead(moved), strict=True))
-        # All matrices with the same shorter and longer side are made orthogonal in one product.
+        # Matrices with the same shorter and longer side are made orthogonal in one batch.
         alike: dict[tuple[int, ...], list[nn.Parameter]] = {}
         for p in moved:
             sides = (p.shape[-2], p.shape[-1] // counts[p])
@@ -86,14 +87,14 @@ class Muon(torch.optim.Optimizer):
             torch._foreach_add_([*members], whole, alpha=-group["lr"] * AS_ADAMW * longer**0.5)
 
     def _shared(self, x: Tensor) -> Tensor:
-        """Make matrices (N, M, M') orthogonal, each by one of the processes, so that all get the same."""
+        """Make matrices (N, M, M') orthogonal. Processes share the work and then exchange the results."""
         world = dist.get_world_size() if dist.is_initialized() else 1
         if world == 1:
             return orthogonalized(x, self.bfloat16)
         share = -(-len(x) // world)
         padded = F.pad(x, (0, 0, 0, 0, 0, world * share - len(x)))
         mine = orthogonalized(padded[dist.get_rank() * share :][:share], self.bfloat16)
-        # In 16 bits nothing is lost of what was multiplied in 16 bits.
+        # Products in 16 bits are sent in 16 bits, without loss.
         mine = (mine.bfloat16() if self.bfloat16 else mine).contiguous()
         found = torch.empty((world * share, *x.shape[1:]), dtype=mine.dtype, device=mine.device)
         # As bytes, because not every backend knows every number format.
@@ -101,7 +102,7 @@ class Muon(torch.optim.Optimizer):
         return found[: len(x)].to(x.dtype)
 
     def _ahead(self, moved: list[nn.Parameter]) -> list[Tensor]:
-        """Let the momenta follow the gradients of parameters, and return where Nesterov's would go."""
+        """Update the momenta of parameters by their gradients, and return the Nesterov directions."""
         for p in moved:
             if not self.state[p]:
                 self.state[p]["momentum"] = torch.zeros_like(p)
@@ -112,12 +113,12 @@ class Muon(torch.optim.Optimizer):
 
 
 def _low(x: Tensor) -> Tensor:
-    """Return matrices turned so that they are not higher than wide."""
+    """Return matrices, transposed if they have more rows than columns."""
     return x.transpose(-1, -2) if x.shape[-2] > x.shape[-1] else x
 
 
 def _adamw(parameters: Sequence[nn.Parameter], options: OptimizerOptions) -> torch.optim.AdamW:
-    """Return AdamW in one kernel where this release of torch has it, which is three times as fast on a CPU."""
+    """Return AdamW, fused into one kernel if this torch supports it, which is three times as fast on a CPU."""
     settings: dict[str, Any] = {
         "lr": options.rate,
         "betas": options.betas,
@@ -125,17 +126,17 @@ def _adamw(parameters: Sequence[nn.Parameter], options: OptimizerOptions) -> tor
     }
     try:
         return torch.optim.AdamW(parameters, fused=True, **settings)
-    except RuntimeError:  # not for this device
+    except RuntimeError:  # no fused kernel for this device
         return torch.optim.AdamW(parameters, **settings)
 
 
 def make_optimizers(
     module: nn.Module, network: Predictor, options: OptimizerOptions, bfloat16: bool
 ) -> list[torch.optim.Optimizer]:
-    """Return the optimizers of all parameters of a module that holds a network.
+    """Return the optimizers for all parameters of a module that contains a network.
 
     Args:
-        bfloat16: whether products of Muon may be in 16 bits.
+        bfloat16: whether Muon may multiply in 16 bits.
     """
     counts = network.layer_matrices() if options.method == "muon" else {}
     own = dict(network.named_parameters())

@@ -1,4 +1,4 @@
-"""Settings of a training run, grouped by what they belong to. The model card records all of them."""
+"""Settings of a training run, in groups. The model card records all of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from motionkit.training.losses import WEIGHTS, LossOptions
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 from motionkit.training.windows import ControlSampling, SamplerOptions
 
-# The paper's weights, but for smoothness: the paper's weight of 10 damps every movement (docs/training.md).
+# The paper's weights except for smoothness, whose weight of 10 damps every movement (docs/training.md).
 SHIPPED_WEIGHTS = WEIGHTS | {"smooth": 1.0}
 SHIPPED_LOSSES = LossOptions(outlier=3.0, beta_nll=0.5, slip_weight=10.0, weights=SHIPPED_WEIGHTS)
 
@@ -21,22 +21,22 @@ SHIPPED_LOSSES = LossOptions(outlier=3.0, beta_nll=0.5, slip_weight=10.0, weight
 class OptimizerOptions:
     """The optimizer, its batches and learning rate, and the running average of the weights."""
 
-    method: str = "muon"  # or "adamw": for the matrices within layers too (training/optimizer.py)
+    method: str = "muon"  # for the matrices within layers; "adamw" for all weights (training/optimizer.py)
     batch: int = 16  # windows per step, over all processes
     rate: float = 1e-3  # peak learning rate
     warmup: int = 200  # steps of linear warm-up
-    final_rate: float = 0.02  # share of the peak rate at the end of the cosine
+    final_rate: float = 0.02  # rate at the end of the cosine, as a share of the peak
     weight_decay: float = 0.01
     betas: tuple[float, float] = (0.9, 0.98)
     schedule: str = "cosine"  # or "halving": the rate halves at every quarter of the run, as in the paper
     clip_norm: float = 1.0  # largest norm of the gradient
-    ema: float = 0.998  # decay of the running average that becomes the model
+    ema: float = 0.998  # decay per step of the running average that becomes the model
     precision: str = "auto"  # arithmetic of the network: "auto", "float32" or "bfloat16"
 
 
 @dataclass(frozen=True)
 class OutputOptions:
-    """What a run writes, and how often. A resumed run may change these."""
+    """What a run writes, and how often. A resumed run may have other values."""
 
     checkpoint_seconds: float = 40.0  # between checkpoints
     score_minutes: float = 10.0  # between roll-out scores
@@ -47,10 +47,10 @@ class OutputOptions:
 
 @dataclass(frozen=True)
 class Stage:
-    """A part of a run, from a share of its length on, with settings that differ from those of the run.
+    """A part of a run with settings of its own.
 
     Attributes:
-        begins: the share of the run, 0 to 1.
+        begins: share of the run, 0 to 1, at which the stage begins.
         changes: options of losses, windows or scheduled sampling by name.
     """
 
@@ -60,7 +60,7 @@ class Stage:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """Settings of a run. It ends after steps or minutes; with both, after whichever comes first.
+    """Settings of a run, which ends after so many steps or minutes, whichever come first.
 
     Raises:
         MotionkitError: if neither steps nor minutes are given.
@@ -77,10 +77,10 @@ class TrainOptions:
     sampler: SamplerOptions = field(default_factory=SamplerOptions)
     scheduled_sampling: ScheduledSamplingOptions = field(default_factory=ScheduledSamplingOptions)
     output: OutputOptions = field(default_factory=OutputOptions)
-    stages: tuple[Stage, ...] = ()  # in order; each keeps the changes of those before it
+    stages: tuple[Stage, ...] = ()  # in order; a stage keeps the changes of earlier ones
 
     def at(self, progress: float) -> TrainOptions:
-        """Return the settings at a share of the run; a run that starts from a model is in the last stage throughout."""
+        """Return the settings at a share of the run. A run that starts from a model is always in its last stage."""
         changes: dict[str, Any] = {}
         for stage in self.stages:
             if self.init is not None or stage.begins <= progress:
@@ -105,7 +105,7 @@ GROUPS: dict[str, type] = {
     "scheduled_sampling": ScheduledSamplingOptions,
     "output": OutputOptions,
 }
-# Each option's name to that of its group; no two groups have an option of the same name.
+# The group of each option, by name; no two groups have options of the same name.
 GROUP_OF = {
     option.name: group
     for group, kind in GROUPS.items()
@@ -116,7 +116,7 @@ _GROUP_WORDS = {group.rpartition(".")[2] for group in GROUPS}
 
 
 def with_changes(options: TrainOptions, changes: Mapping[str, Any]) -> TrainOptions:
-    """Return options with some of any group changed by name. Raises TypeError if a name is unknown."""
+    """Return options with changes by name, in whichever group a name is. Raises TypeError if a name is unknown."""
     grouped: dict[str, Any] = {}
     for name, value in changes.items():
         values = grouped
@@ -127,12 +127,12 @@ def with_changes(options: TrainOptions, changes: Mapping[str, Any]) -> TrainOpti
 
 
 def _groups(name: str) -> list[str]:
-    """Return the groups that an option is in, outermost first."""
+    """Return the nested groups that contain an option, outermost first."""
     return GROUP_OF[name].split(".") if name in GROUP_OF else []
 
 
 def _replaced(record: Any, changes: Mapping[str, Any]) -> Any:
-    """Return a record with changed fields; for a field that is a record, changes may be a mapping likewise."""
+    """Return a dataclass with changed fields; the change of a field that is a dataclass may be a mapping of changes."""
     values = dict(changes)
     for name, value in changes.items():
         now = getattr(record, name, None)
@@ -141,7 +141,7 @@ def _replaced(record: Any, changes: Mapping[str, Any]) -> Any:
     return replace(record, **values)
 
 
-# Names in checkpoints of earlier releases.
+# Present names of options, by their names in checkpoints of earlier releases.
 EARLIER_NAMES = {
     "evenness": "beta_nll",
     "self_feed": "scheduled_sampling",
@@ -152,9 +152,9 @@ EARLIER_NAMES = {
 
 
 def flat_options(options: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of to_dict by names such as "optimizer.rate".
+    """Return the values of to_dict under flat names such as "optimizer.rate".
 
-    Options of a checkpoint of an earlier release, which had other groups, get today's names.
+    Options from checkpoints of earlier releases, which had other groups, get their present names.
     """
     flat: dict[str, Any] = {}
     for key, value in options.items():

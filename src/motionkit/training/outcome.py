@@ -1,4 +1,4 @@
-"""The model that a run has come to: averaged weights, sampling presets, and scores of roll-outs."""
+"""The resulting model of a run: averaged weights, sampling presets, and scores of roll-outs."""
 
 from __future__ import annotations
 
@@ -31,9 +31,9 @@ class Outcome:
         self.path, self.dataset, self.beginning = path, dataset, beginning
         self.learner, self.report = learner, report
         self.options = report.progress.options
-        self.frames = int(self.options.output.score_seconds * dataset.fps)  # of a roll-out; 0 for no scores
+        self.frames = int(self.options.output.score_seconds * dataset.fps)  # per roll-out; 0 for no scores
         self.scores: tuple[TypeScore, ...] = ()
-        # Reference gains, and noise without references, found at the end.
+        # By type, calibrated at the end of the run: reference gains, and noise without references.
         self.gains: dict[str, float] = {}
         self.noises: dict[str, float] = {}
 
@@ -42,9 +42,9 @@ class Outcome:
         save_model(self.path, self.model(), self.options.output.half)
 
     def model(self) -> MotionModel:
-        """Return the current model: averaged weights, on the CPU."""
+        """Return the present model, with averaged weights, on the CPU."""
         trained, at = self.learner.network, self.report.progress
-        with torch.random.fork_rng(devices=[]):  # leaves the random state of the run alone
+        with torch.random.fork_rng(devices=[]):  # keeps the random state of the run
             network = build(trained.config, trained.control_size)
         average = {n: t.cpu() for n, t in self.learner.average.items()}
         network.load_state_dict(self.beginning.part_way_back(average))
@@ -63,12 +63,12 @@ class Outcome:
         return with_presets(model, "noise_alone", self.noises)
 
     def calibrate_and_score(self) -> bool:
-        """Find the sampling presets and score roll-outs, if the options ask for scores; say whether either worked."""
+        """Calibrate sampling presets and score roll-outs if options ask for scores; return whether either succeeded."""
         calibrated = self.frames > 0 and self.report.attempt("the sampling presets", self._calibrate)
         return self.score() or calibrated
 
     def _calibrate(self) -> None:
-        # There are many of these roll-outs: half the length of those that are scored will do.
+        # Calibration takes many roll-outs, so they have half the length of scored ones.
         kept, frames = self.beginning.kept, self.frames // 2
         gains = calibrated_gains(self.model(), self.dataset, frames)
         self.gains = {kind: gain for kind, gain in gains.items() if kind not in kept}
@@ -76,7 +76,7 @@ class Outcome:
         self.noises = {kind: noise for kind, noise in noises.items() if kind not in kept}
 
     def score(self) -> bool:
-        """Score roll-outs and write samples, if the options ask for it, and return whether that worked."""
+        """Score roll-outs and write samples if the options ask for scores; return whether that succeeded."""
         threads, random_state = torch.get_num_threads(), torch.get_rng_state()
         scored = self.frames > 0 and self.report.attempt("the score", self._score)
         torch.set_num_threads(threads)

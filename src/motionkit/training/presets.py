@@ -1,4 +1,4 @@
-"""Training settings by preset name: the shipped recipe, the paper's own, and those of fine-tuning."""
+"""Training settings by preset name: the shipped recipe, the paper's, and that of fine-tuning."""
 
 from __future__ import annotations
 
@@ -14,9 +14,11 @@ from motionkit.training.options import OptimizerOptions, Stage, TrainOptions, wi
 from motionkit.training.scheduled_sampling import ScheduledSamplingOptions
 from motionkit.training.windows import ControlSampling, SamplerOptions
 
-# A run from random weights. At first no prediction is near enough to be an input. To follow reference poses is soon
-# learnt, to move without them is not: for most of the run few windows have them. Feet are to stand where they stood
-# once there are steps to speak of, and what is still hard is shown more often at the end (docs/training.md).
+# Stages of a run from random weights (docs/training.md):
+# - No scheduled sampling at first, because predictions are still too far off to be inputs.
+# - Few reference poses until 0.8: following them is learnt quickly, moving without them slowly.
+# - The step loss from 0.4 on, once the network makes steps.
+# - Types almost equally often from 0.6 on, so that rare, hard types are learnt.
 STAGES = (
     Stage(0.0, {"share": 0.0, "reference_dropout": 0.8}),
     Stage(0.04, {"share": 0.4}),
@@ -25,8 +27,8 @@ STAGES = (
     Stage(0.8, {"reference_dropout": 0.5}),
 )
 
-# Paper section 4.3: 56 windows of 300 frames cut at intervals by type, AdamW, learning rate 1e-4 halved every 500 of
-# 2000 epochs, no warm-up, no average of the weights, no clipping of the gradient.
+# Paper section 4.3: batches of 56 windows of 300 frames, cut at intervals that depend on the type; AdamW; learning rate
+# 1e-4, halved every 500 of 2000 epochs; no warm-up, no average of the weights, no clipping of the gradient.
 PAPER: dict[str, Any] = {
     "optimizer": OptimizerOptions(
         method="adamw",
@@ -52,11 +54,11 @@ PAPER: dict[str, Any] = {
     "scheduled_sampling": ScheduledSamplingOptions(share=0.0),
 }
 
-# Where a run is given neither steps nor minutes: from random weights, and from a model.
+# Default length of a run from random weights, and of one from a model.
 TRAIN_MINUTES, FINE_TUNE_MINUTES = 30.0, 5.0
-KEPT_SHARE = 0.5  # of the windows of a run that keeps the types that its model knew
+KEPT_SHARE = 0.5  # share of windows with kept types, if a run keeps its model's types
 
-# From a trained model: a small step, short averages, and few splices, since minutes are all there is.
+# Fine-tuning lasts minutes: a low rate, a short average of the weights, and few splices.
 FINE_TUNE: dict[str, Any] = {"method": "adamw", "rate": 5e-4, "warmup": 50, "ema": 0.99, "splices": 400}
 
 
@@ -71,9 +73,9 @@ def train_options(
 
     Args:
         name: the preset.
-        budget: a name in BUDGETS, for presets that train as the paper does; other arguments come before it.
-        changes: options of any group by name, such as rate=1e-4, window=64 or step_weight=35. None leaves an
-            option as the preset has it.
+        budget: a name in BUDGETS, for presets with the paper's training; other arguments override it.
+        changes: options of any group by name, such as rate=1e-4, window=64 or step_weight=35; None keeps the
+            preset's value.
 
     Raises:
         ModelError: if the preset is unknown.
@@ -91,7 +93,7 @@ def train_options(
             wanted["config"] = {**size.config, **wanted.get("config", {})}
     recipe = PAPER if as_in_paper else {"stages": STAGES}
     options = TrainOptions(preset=name, steps=steps, minutes=minutes, **recipe)
-    # What is asked for holds in all stages.
+    # Changes hold in all stages.
     stages = tuple(
         Stage(stage.begins, {k: v for k, v in stage.changes.items() if k not in wanted})
         for stage in options.stages
@@ -102,7 +104,7 @@ def train_options(
 def fine_tune_options(
     name: str, init: str = BUNDLED, steps: int | None = None, minutes: float | None = None, **changes: Any
 ) -> TrainOptions:
-    """Return the options of a run that begins from a model; arguments as for train_options.
+    """Return the options of a run that starts from a model; arguments as for train_options.
 
     Args:
         init: the model file, or "bundled".

@@ -15,7 +15,7 @@ from motionkit.errors import DatasetError, MotionkitError
 
 @dataclass(frozen=True)
 class Processes:
-    """A process among those of a run: its device, its number, and how many there are."""
+    """One process of a run: its device, its rank, and the number of processes."""
 
     device: torch.device
     rank: int = 0
@@ -33,18 +33,18 @@ class Processes:
 
     @property
     def first(self) -> bool:
-        """Whether this process writes and tells; the others only compute."""
+        """Whether this is the process that writes and reports; the others only compute."""
         return self.rank == 0
 
     def places(self, batch: int) -> range:
-        """Which windows of a batch are this process's. Raises DatasetError if they cannot be shared evenly."""
+        """This process's share of the windows of a batch. Raises DatasetError if the batch does not divide evenly."""
         if batch % self.world:
             raise DatasetError(f"--batch {batch}: expected a multiple of the {self.world} processes")
         share = batch // self.world
         return range(self.rank * share, (self.rank + 1) * share)
 
     def shared(self, module: nn.Module) -> nn.Module:
-        """The module with gradients that are the mean over all processes."""
+        """The module, with gradients averaged over all processes."""
         if self.world == 1:
             return module
         ids = [self.device.index] if self.device.type == "cuda" else None
@@ -66,14 +66,14 @@ class Processes:
         return float(value)
 
     def leave(self) -> None:
-        """Wait for the others and end the group: all processes have stopped at the same step."""
+        """Wait for the other processes and end the group."""
         if self.world > 1:
             dist.barrier()
             dist.destroy_process_group()
 
 
 def resolve_device(name: str) -> torch.device:
-    """Return a device by name; "auto" is CUDA if available. Raises MotionkitError if it is unknown or missing."""
+    """Return a device by name; "auto" is CUDA if available. Raises MotionkitError for an unknown or missing device."""
     if name == "auto":
         name = f"cuda:{os.environ.get('LOCAL_RANK', '0')}" if torch.cuda.is_available() else "cpu"
     try:

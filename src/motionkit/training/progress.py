@@ -1,4 +1,4 @@
-"""How far a run is, and what follows from it: when it ends, and its learning rate."""
+"""The progress of a run, and its learning rate."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 from motionkit.training.options import TrainOptions
 
-PAPER_FRAMES = 2000 * 60_962 * 300  # of the paper's training: epochs, windows, frames
+PAPER_FRAMES = 2000 * 60_962 * 300  # frames of the paper's training: epochs x windows x frames per window
 
 
 @dataclass
 class Progress:
-    """The steps and seconds of a run so far, and the losses of its last step by name."""
+    """Steps and seconds of a run so far, and the losses of the last step by name."""
 
     options: TrainOptions
     step: int = 0
@@ -21,7 +21,7 @@ class Progress:
 
     @property
     def share(self) -> float:
-        """The share of the run that is done, 0 to 1."""
+        """The finished share of the run, 0 to 1."""
         shares = [0.0]
         if self.options.steps:
             shares.append(self.step / self.options.steps)
@@ -31,9 +31,9 @@ class Progress:
 
     @property
     def rate(self) -> float:
-        """The learning rate of this step: linear warm-up, then a cosine down to a small share of the peak.
+        """The learning rate of this step: linear warm-up, then a cosine down to final_rate times the peak.
 
-        The paper halves the rate every 500 of 2000 epochs, so at every quarter of the run.
+        The schedule "halving" halves the rate at every quarter of the run, as the paper does every 500 of 2000 epochs.
         """
         options = self.options.optimizer
         warm = min(1.0, (self.step + 1) / max(1, options.warmup))
@@ -44,7 +44,7 @@ class Progress:
 
 
 def beside_the_paper(options: TrainOptions, cuts: int) -> list[str]:
-    """Say how a run compares with the paper's schedule (section 4.3), if its windows are cut as the paper's."""
+    """Return a line that compares a run with the paper's (section 4.3), if its windows are cut as in the paper."""
     if not cuts or not options.steps:
         return []
     batch, window = options.optimizer.batch, options.sampler.window

@@ -1,7 +1,7 @@
-"""Keeps the types of a model while it learns new ones: its own roll-outs become recordings to train on.
+"""Keeps a model's types while it learns new ones, by training on its own roll-outs.
 
-A model file does not hold the clips it was trained on. What the model makes of them stands in for them (Robins 1995,
-"Catastrophic forgetting, rehearsal and pseudorehearsal").
+A model file does not hold the clips it was trained on, so roll-outs stand in for them (Robins 1995, "Catastrophic
+forgetting, rehearsal and pseudorehearsal").
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ from motionkit.inference.noise import Noise
 from motionkit.inference.rollout import RolloutState, run, start_batch
 from motionkit.models.model import MotionModel
 
-ROLLOUTS, SECONDS = 4, 15.0  # of each type; a performance begins again when it is over
-IN_CONTACT = 0.5  # least probability of a contact label
+ROLLOUTS, SECONDS = 4, 15.0  # number and length of roll-outs of each type; performances repeat
+IN_CONTACT = 0.5  # predicted probability above which a contact is labelled
 
 
 def keep_types(dataset: Dataset, model: MotionModel, seed: int = 0) -> tuple[str, ...]:
@@ -43,7 +43,7 @@ def keep_types(dataset: Dataset, model: MotionModel, seed: int = 0) -> tuple[str
 
 
 def roll_out(model: MotionModel, names: tuple[str, ...], seconds: float, seed: int = 0) -> list[ClipData]:
-    """Roll out a character for each name of a type, side by side, as clips of type 0 without reference poses."""
+    """Roll out one character for each type name; returns clips with type id 0 and without reference poses."""
     frames = round(seconds * model.fps)
     state = RolloutState(model, len(names), Noise(), seed)
     weights = np.eye(len(model.types), dtype=np.float32)[[model.type_id(name) for name in names]]

@@ -1,7 +1,7 @@
-"""Work on tensors of fixed shapes as a CUDA graph.
+"""Runs a function of tensors with fixed shapes as a CUDA graph.
 
-The network is small: on a GPU most of a step is spent launching its two thousand kernels one by one. A graph launches
-them at once. On a CPU the work is simply done.
+The network is small, so on a GPU most of a step is spent on launching two thousand kernels one by one. A graph launches
+them at once. On a CPU the function is simply called.
 """
 
 from __future__ import annotations
@@ -11,14 +11,14 @@ from collections.abc import Callable
 from torch import Tensor, cuda
 
 Work = Callable[..., tuple[Tensor, ...]]
-WARM_UP = 3  # calls before the capture, in which libraries choose their kernels
+WARM_UP = 3  # calls before the capture, so that libraries have chosen their kernels
 
 
 class Replayed:
-    """A function of tensors that a GPU replays as a graph; its results are overwritten by the next call.
+    """A function of tensors that a GPU replays as a graph; the next call overwrites its results.
 
-    The function must do the same at every call: no value may come back to Python or decide what is done. Gradients
-    that it computes stay where they are, so it should set them to None at its beginning.
+    The function must launch the same kernels at every call, so it must not read values of tensors in Python. Gradients
+    stay in the same memory, so it should set them to None at its beginning.
     """
 
     def __init__(self, work: Work) -> None:
@@ -40,7 +40,8 @@ class Replayed:
 
     def _capture(self, inputs: tuple[Tensor, ...]) -> None:
         device = inputs[0].device
-        random_state = cuda.get_rng_state(device)  # a resumed run captures anew, and must not draw more
+        # The warm-up must not change the random state: a resumed run captures again and must draw the same numbers.
+        random_state = cuda.get_rng_state(device)
         self._inputs = [x.detach().clone() for x in inputs]
         stream = cuda.Stream(device)
         stream.wait_stream(cuda.current_stream(device))

@@ -1,4 +1,4 @@
-"""What a run tells while it goes on: events for its caller, and log.jsonl in its folder."""
+"""Reports of a run in progress: events for the caller, and log.jsonl in the run's folder."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ from motionkit.training.scores import TypeScore
 class TrainEvent:
     """A report of a run.
 
-    kind is "prepare" while spliced transitions are made, "step" after every step, "log" after some, "score",
-    "checkpoint", "note", or "stop" when Ctrl-C or SIGTERM is heard. share is what is done of the run, or of the
-    preparation, 0 to 1.
+    Attributes:
+        kind: "prepare" while spliced transitions are made, "step" after every step, "log" after some steps, "score",
+            "checkpoint", "note", or "stop" after Ctrl-C or SIGTERM.
+        share: finished share of the run, or of the preparation, 0 to 1.
     """
 
     kind: str
@@ -32,12 +33,12 @@ class TrainEvent:
 
 
 class RunReport:
-    """Tells how a run goes on.
+    """Sends the events of a run and writes its log.
 
     Args:
-        folder: where log.jsonl is.
-        on_event: called with each event; None if nobody listens.
-        writes: whether to tell anything at all, as the first process of a run does.
+        folder: the folder of log.jsonl.
+        on_event: called with each event.
+        writes: whether to report at all; only the first process of a run does.
     """
 
     def __init__(
@@ -48,21 +49,21 @@ class RunReport:
         self._logs = True  # false once writing log.jsonl has failed
 
     def clear(self) -> None:
-        """Remove what an earlier run has left in the folder: it would be taken for this one's."""
+        """Remove files of an earlier run, which would be taken for this run's."""
         stale = [self.folder / "checkpoint.safetensors"]
         stale += [file for name in ("samples", "preview") for file in self.folder.glob(f"{name}/*.bvh")]
-        with suppress(OSError):  # writing says what is wrong
+        with suppress(OSError):  # a folder that cannot be written is reported later
             if (self.folder / "log.jsonl").exists():
                 (self.folder / "log.jsonl").open("w").close()
             for file in stale:
                 file.unlink(missing_ok=True)
 
     def note(self, text: str) -> None:
-        """Tell a line of text."""
+        """Report a line of text."""
         self.emit("note", text)
 
     def attempt(self, what: str, work: Callable[[], None]) -> bool:
-        """Do optional work: an error becomes a note instead of ending hours of training."""
+        """Do optional work; an error becomes a note instead of ending hours of training. Returns whether it worked."""
         try:
             work()
         except Exception as fault:
@@ -74,7 +75,7 @@ class RunReport:
     def emit(
         self, kind: str, text: str = "", share: float | None = None, scores: tuple[TypeScore, ...] = ()
     ) -> None:
-        """Tell an event of a kind (TrainEvent), and log it if it has numbers."""
+        """Report an event of a kind of TrainEvent, and log it if it has numbers."""
         if not self.writes:
             return
         at = self.progress

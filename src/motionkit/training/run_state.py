@@ -1,4 +1,4 @@
-"""The checkpoint of a training run: everything to resume from, as safetensors, written atomically."""
+"""The checkpoint of a training run: all that resuming needs, as safetensors, written atomically."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ from motionkit.training.progress import Progress
 from motionkit.training.window_blocks import BlockStart
 
 FORMAT = "motionkit-run-1"
-ADAMW = ("step", "exp_avg", "exp_avg_sq")  # what it keeps of each parameter
+ADAMW = ("step", "exp_avg", "exp_avg_sq")  # state per parameter
 MUON = ("momentum",)
 MOST_BYTES = 4 * 2**30
-MOST_STEPS = 10**12  # also the limit of seconds
-MOST_BLOCK = 1000  # steps of a block
+MOST_STEPS = 10**12  # also the most seconds
+MOST_BLOCK = 1000  # most steps of a block
 # Options that a resumed run may change: its length and its outputs.
 FREE_ON_RESUME = ("steps", "minutes", "output.")
 
 
 class Checkpoint:
-    """The checkpoint of a run, which resumes with the same options and clips only.
+    """The checkpoint of a run; a run can only be resumed with the same options and clips.
 
     Args:
         folder: the folder of the run.
@@ -45,10 +45,10 @@ class Checkpoint:
         self.data, self.digest = dataset.folder, dataset.digest()
 
     def save(self, learner: Learner, at: Progress, block: BlockStart | None) -> None:
-        """Write weights, their running average, optimizer moments, the random state, options and progress.
+        """Write weights, their running average, optimizer states, the random state, options and progress.
 
         Args:
-            block: the start of the block that the run is within, if it is.
+            block: the start of the present block; None between blocks.
         """
         facts = {
             "format": FORMAT,
@@ -74,11 +74,11 @@ class Checkpoint:
             file.write(save(tensors, metadata={"run": json.dumps(facts)}))
 
     def load(self, learner: Learner, at: Progress) -> BlockStart | None:
-        """Restore what save wrote; return the start of the block that the run was within.
+        """Restore what save wrote; return the start of the present block, or None between blocks.
 
         Raises:
-            DatasetError: if there is no checkpoint, or it is of a run with other clips.
-            ModelError: if it is damaged, or of a run with other options, except FREE_ON_RESUME.
+            DatasetError: if there is no checkpoint, or the run had other clips.
+            ModelError: if it is damaged, or the run had other options, except FREE_ON_RESUME.
         """
         path = self.path
         if not path.is_file():
@@ -93,7 +93,7 @@ class Checkpoint:
                 raise ModelError(
                     f"{path}: the checkpoint does not fit this preset or is damaged ({error})"
                 ) from None
-        if facts.get("data", self.digest) != self.digest:  # earlier releases have not written it
+        if facts.get("data", self.digest) != self.digest:  # earlier releases did not write it
             raise DatasetError(
                 f"{path}: the run was started with other training clips than those of "
                 f"{self.data}; resume it with the same, or delete {path.parent} and start anew"
@@ -107,7 +107,7 @@ class Checkpoint:
 
     def _check_options(self, before: dict[str, Any]) -> None:
         """Raise ModelError if the run was started with other options."""
-        # Earlier releases had AdamW alone and did not write it.
+        # Earlier releases had only AdamW and did not write the method.
         before = {"optimizer.method": "adamw"} | before
         now = flat_options(json.loads(json.dumps(self.options.to_dict())))
         changed = [k for k in before if k in now and before[k] != now[k] and not k.startswith(FREE_ON_RESUME)]
@@ -119,14 +119,14 @@ class Checkpoint:
 
 
 def run_options(path: Path) -> dict[str, Any]:
-    """The options of the run of a checkpoint, by the names of flat_options; raises ModelError if it is damaged."""
+    """The options of a checkpoint's run, by the names of flat_options; raises ModelError if it is damaged."""
     with _open_run(path) as (_, facts):
         return flat_options(facts["options"])
 
 
 @contextmanager
 def _open_run(path: Path) -> Iterator[tuple[TensorFile, dict[str, Any]]]:
-    """A checkpoint and its facts, checked; raises ModelError if it is none of this release."""
+    """Open a checkpoint; yields the file and its checked metadata. Raises ModelError if it is not of this release."""
     with open_tensors(path, "run", "a training checkpoint", MOST_BYTES) as file:
         facts = file.metadata
         if not isinstance(facts, dict) or facts.get("format") != FORMAT:
@@ -139,7 +139,7 @@ def _open_run(path: Path) -> Iterator[tuple[TensorFile, dict[str, Any]]]:
 
 
 def _restore(path: Path, tensors: dict[str, Tensor], learner: Learner) -> None:
-    """Set the random state, weights, their average and the optimizers to those of a checkpoint."""
+    """Set random state, weights, their running average and optimizers to those of a checkpoint."""
     try:
         torch.set_rng_state(tensors["random.cpu"])
         if torch.cuda.is_available() and "random.cuda" in tensors:
@@ -153,27 +153,27 @@ def _restore(path: Path, tensors: dict[str, Tensor], learner: Learner) -> None:
     for name, p in learner.module.named_parameters():
         optimizer = owners[p]
         kept = {key: tensors.get(f"optimizer.{key}.{name}") for key in _kept(optimizer)}
-        # A fused optimizer has its steps where its parameters are, any other on the CPU.
+        # A fused optimizer has its step counts on the parameters' device, any other on the CPU.
         at = p.device if optimizer.defaults.get("fused") else torch.device("cpu")
         optimizer.state[p] = {
             key: value.reshape(()).to(at) if key == "step" else value.to(p.device)
             for key, value in kept.items()
-            if value is not None  # before the first step
+            if value is not None  # there is no state before the first step
         }
 
 
 def _owners(learner: Learner) -> dict[nn.Parameter, torch.optim.Optimizer]:
-    """Return which of the optimizers moves each parameter."""
+    """Return the optimizer of each parameter."""
     return {p: each for each in learner.optimizers for group in each.param_groups for p in group["params"]}
 
 
 def _kept(optimizer: torch.optim.Optimizer) -> tuple[str, ...]:
-    """Return what an optimizer keeps of each parameter."""
+    """Return the names of an optimizer's state per parameter."""
     return MUON if isinstance(optimizer, Muon) else ADAMW
 
 
 def _check_facts(facts: dict[str, Any]) -> None:
-    """Raise ModelError for a step, a time or options that no run can have."""
+    """Raise ModelError for steps, times or options that no run can have."""
     step: Any = facts.get("step")
     check_number("step", step, 0, MOST_STEPS, whole=True)
     check_number("seconds", facts.get("seconds"), 0, MOST_STEPS)
@@ -188,7 +188,7 @@ def _check_facts(facts: dict[str, Any]) -> None:
 
 
 def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, within_block: bool) -> None:
-    """Raise ModelError unless a file has exactly the tensors of this run, with their shapes and types."""
+    """Raise ModelError if a file does not have exactly the tensors of this run, with their shapes and types."""
     module, average = learner.module, learner.average
     expected = {f"weights.{name}": tuple(value.shape) for name, value in module.state_dict().items()}
     expected |= {f"average.{name}": tuple(value.shape) for name, value in average.items()}
@@ -197,7 +197,7 @@ def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, within_block:
     owners = _owners(learner)
     for name, p in module.named_parameters():
         keys = {key: f"optimizer.{key}.{name}" for key in _kept(owners[p])}
-        if any(key in found for key in keys.values()):  # none before the first step
+        if any(key in found for key in keys.values()):  # there is no state before the first step
             expected |= {name: (1,) if key == "step" else tuple(p.shape) for key, name in keys.items()}
     expected["random.cpu"] = tuple(torch.get_rng_state().shape)
     if "random.cuda" in found:
@@ -209,7 +209,7 @@ def _check_fit(found: Mapping[str, TensorFacts], learner: Learner, within_block:
 
 
 def _check_numbers(tensors: dict[str, Tensor]) -> None:
-    """Raise ModelError for numbers with which training cannot continue."""
+    """Raise ModelError for values with which training cannot continue."""
     check_values((name, value.numpy()) for name, value in tensors.items())
     for key, least in (("step", 1.0), ("exp_avg_sq", 0.0)):
         for name, value in _under(tensors, f"optimizer.{key}.").items():

@@ -1,7 +1,7 @@
 """Training windows, balanced over types, from recordings and spliced transitions.
 
-Every window has its own random generator, seeded by (seed, step, place in the batch). A resumed run, and a run on
-several processes, therefore sees the same windows.
+Every window has its own random generator, seeded by (seed, step, place in the batch). So a resumed run, and a run on
+several processes, sees the same windows.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from motionkit.training.losses import Batch
 from motionkit.training.splices import Span, Splice, make_splices, type_spans
 from motionkit.training.windows import SamplerOptions, WindowMaker
 
-LEAST_CUT = 60  # frames of the shortest cut window, of clips that have as many
-# Frames that are read beyond a window: its last target, and where the trajectories of it and of the last frame lead.
+LEAST_CUT = 60  # frames of the shortest window at the end of a clip (cut_windows)
+# Frames to read beyond a window: the last target, and the trajectories of the last frame and of that target.
 BEYOND = TRAJECTORY_OFFSETS[-1] + 2
 
 
 def window_generator(
     seed: int, step: int, place: int, purpose: int = 0, device: torch.device | str = "cpu"
 ) -> torch.Generator:
-    """Return the random generator of one window of one step, the same in every process."""
+    """Return the random generator of one window of a step, the same in every process."""
     words = np.random.SeedSequence([seed, step, place, purpose]).generate_state(2, np.uint32)
     return torch.Generator(device).manual_seed(int(words[0]) << 31 | int(words[1]))
 
@@ -47,8 +47,8 @@ class WindowSampler:
         """Index the training clips.
 
         Args:
-            kept: types of the dataset that together have options.kept_share of the windows.
-            controls: the kind of control signals (features/control.py).
+            kept: types that together get options.kept_share of the windows.
+            controls: kind of control signals (features/control.py).
         """
         self.dataset, self.options, self.seed, self.kept = dataset, options, seed, kept
         self.clips = dataset.select("train")
@@ -66,25 +66,25 @@ class WindowSampler:
         return [self.dataset.clip_types(clip) for clip in self.clips]
 
     def _weigh(self) -> None:
-        """Set how often each type is drawn, or the windows that are drawn alike."""
+        """Set the probability of each type, or the list of cut windows, which are equally probable."""
         frames = {kind: sum(map(len, spans)) for kind, spans in self.spans.items()}
         self.probabilities = type_probabilities(self.dataset, frames, self.options, self.kept)
         self.cuts = cut_windows(self._tracks(), self.options, len(self.dataset.types))
 
     def use(self, options: SamplerOptions) -> None:
-        """Sample the coming windows by other options. The spliced transitions stay."""
+        """Use other options from now on; the spliced transitions stay."""
         if options != self.options:
             self.options = options
             self._weigh()
 
     def make_splices(self, progress: Callable[[float], None] | None = None) -> None:
-        """Make the spliced transitions, the same for a seed; progress is called with the share that is done."""
+        """Make the spliced transitions, which the seed determines; progress is called with the finished share."""
         count = self.options.splices
         self.splices = make_splices(self.dataset, self.spans, self.probabilities, count, self.seed, progress)
         self.splice_spans = type_spans([each.data.types for each in self.splices])
 
     def batch(self, step: int, size: int, first: int = 0, count: int | None = None) -> Batch:
-        """Return windows first to first + count of the batch of the given size at a step."""
+        """Return windows first to first + count of the batch of a step, which has `size` windows."""
         count = size if count is None else count
         windows = [self._window(window_generator(self.seed, step, first + i)) for i in range(count)]
         arrays = {name: np.stack([w[name] for w in windows]) for name in windows[0]}
@@ -118,10 +118,14 @@ class WindowSampler:
 def type_probabilities(
     dataset: Dataset, frames: dict[int, int], options: SamplerOptions, kept: Sequence[str] = ()
 ) -> Tensor:
-    """How often (N,) windows of each type are drawn, of training clips with so many frames of the types by id.
+    """Probability (N,) of each type to be drawn for a window.
+
+    Args:
+        frames: training frames by type id.
+        kept: types that together get options.kept_share.
 
     Raises:
-        DatasetError: if the weights of the options name an unknown type, or leave none.
+        DatasetError: if options.type_weights names an unknown type, or excludes all types.
     """
     recorded = torch.zeros(len(dataset.types), dtype=torch.float64)
     for kind, count in frames.items():
@@ -144,12 +148,13 @@ def type_probabilities(
 
 
 def cut_windows(tracks: Sequence[Array], options: SamplerOptions, types: int) -> list[tuple[int, int]]:
-    """Clip and first frame of the paper's windows (section 4.3, steps 1 to 4); none without options.interval.
+    """Clip and first frame of each of the paper's windows (section 4.3, steps 1 to 4); none without options.interval.
 
-    Windows at the end of a clip are shorter, down to LEAST_CUT frames: most free clips are shorter than 300.
+    Windows at the end of a clip are shorter, down to LEAST_CUT frames, because most free clips are shorter than 300.
 
     Args:
-        tracks: type ids (T,) of each clip, below `types`.
+        tracks: type ids (T,) of each clip.
+        types: number of types.
     """
     if not options.interval:
         return []

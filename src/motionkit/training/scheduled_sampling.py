@@ -1,10 +1,10 @@
-"""Scheduled sampling (Bengio et al. 2015): training inputs that are predictions of the network.
+"""Scheduled sampling (Bengio et al. 2015): predictions of the network as training inputs.
 
 In plain training every input frame is recorded; in a roll-out none is. A network that is slightly too slow on
 recorded frames gets slower on its own frames, and in the end it stands still. Here some windows are run frame by
 frame, and each prediction becomes the next input. By chance, or if the prediction is too far off, the recorded
-frame takes over again. The target stays the recorded next frame, so the network learns to come back. These runs
-must be short: once the rhythm of the motion is lost, the best guess of the recorded frame is the mean pose.
+frame is the input again. The target is always the recorded next frame, so the network learns to come back.
+Sequences of predictions must be short: once the rhythm is lost, the best guess of the recorded frame is the mean pose.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from motionkit.training.replay import Replayed
 
 @dataclass(frozen=True)
 class ScheduledSamplingOptions:
-    """How windows use predictions as inputs."""
+    """Settings of scheduled sampling."""
 
-    share: float = 0.4  # share of windows with predictions; 0 for none
-    period: int = 16  # steps whose windows are run together, with the weights at the first of them
+    share: float = 0.4  # share of windows with predictions as inputs
+    period: int = 16  # steps whose windows are run together, with the weights of the first step
     back: float = 0.08  # probability per frame of returning to the recorded frame
-    limit: float = 0.5  # RMS of the normalised error beyond which the recorded frame takes over
-    # The same with reference poses or a phase. They keep the rhythm, so runs can be longer.
+    limit: float = 0.5  # RMS of the normalised error above which the recorded frame is the input again
+    # The same for frames with reference poses or a phase, which keep the rhythm and so allow longer sequences.
     reference_back: float = 0.02
     reference_limit: float = 1.0
-    temperature: float = 0.1  # of the noise on predictions, correlated in time as in synthesis
-    rho: float = 0.95  # correlation of the noise from frame to frame
+    temperature: float = 0.1  # sampling temperature of the predictions
+    rho: float = 0.95  # correlation of the noise from frame to frame, as in synthesis
 
 
 class PredictedInputs:
-    """Replaces inputs of windows by predictions of a network. On a GPU the whole roll-out is one graph.
+    """Replaces inputs of windows by predictions of a network. On a GPU the whole roll-out is one CUDA graph.
 
     Args:
-        reference_matrix: (276, 72) matrix of the ReferenceMap, which makes reference poses relative to predictions.
-        space: the meaning of the normalised features.
+        reference_matrix: (276, 72) matrix of the ReferenceMap, to make reference poses relative to predictions.
+        space: converts normalised features to units.
     """
 
     def __init__(self, network: Predictor, reference_matrix: Tensor, space: FeatureSpace) -> None:
@@ -58,13 +58,13 @@ class PredictedInputs:
     def __call__(
         self, batch: Batch, options: ScheduledSamplingOptions, generators: list[torch.Generator]
     ) -> Batch:
-        """Return a batch whose inputs and contacts are, in short runs, predictions of the network.
+        """Return a batch in which short sequences of inputs and contacts are predictions of the network.
 
-        Each window has its own generator, so that the result does not depend on which windows are run together.
-        Frames at which the recorded frame takes over do not count in the losses, because no body makes that step.
+        A frame at which the input returns to the recorded frame is masked from the losses, because no body makes that
+        step.
 
         Args:
-            generators: one random generator per window, on the device of the batch.
+            generators: one per window, on the device of the batch, so that windows do not depend on each other.
         """
         if options != self.options:
             self.options, self._roll_out = options, Replayed(self._frames)
@@ -76,12 +76,17 @@ class PredictedInputs:
         self.network.eval()
         made = self._roll_out(*given, fresh, chance)
         self.network.train(was_training)
-        # Copies, because the next call overwrites what a graph has made.
+        # Copies, because the next call overwrites a graph's results.
         inputs, contacts, controls, mask = (x.clone() for x in made)
         return replace(batch, inputs=inputs, contacts=contacts, controls=controls, mask=mask)
 
     def _frames(self, *tensors: Tensor) -> tuple[Tensor, ...]:
-        """Roll out: tensors are inputs, targets, contacts, controls and mask of a batch, noise and chances."""
+        """Roll out and return inputs, contacts, controls and mask.
+
+        Args:
+            tensors: inputs, targets, contacts, controls and mask of a batch, normal noise (B, T, F), and uniform
+                random numbers (B, T).
+        """
         inputs, targets, contacts, controls, mask, fresh, chance = tensors
         options, network, device = self.options, self.network, inputs.device
         step = _frame_step(network, len(inputs), device)
@@ -112,7 +117,7 @@ class PredictedInputs:
         return inputs, contacts, controls, mask
 
     def _keep_rotation(self, frame: Tensor) -> Tensor:
-        """Return normalised frames (B, 276) whose root rotation is one, as synthesis makes it in every frame."""
+        """Return normalised frames (B, 276) whose root rotation is orthonormal, as in synthesis."""
         columns = feature_layout(self.space.layout)
         if not columns.root_is_sixd:
             return frame
@@ -125,7 +130,7 @@ class PredictedInputs:
 def _frame_step(
     network: Predictor, batch: int, device: torch.device
 ) -> Callable[[Tensor, Tensor, Tensor], Drawn]:
-    """Return what predicts the next frame from a frame: on a CPU the step of synthesis, else the network's stream."""
+    """Return a function that predicts the next frame: the C step of synthesis on a CPU, else the network's stream."""
     if device.type != "cpu" or why_not_packable(network.config) is not None:
         return network.stream(batch).step
     state = stepper(network.weights(), batch)
@@ -151,5 +156,5 @@ def take_windows(batch: Batch, indices: list[int] | slice) -> Batch:
 
 
 def sampled_windows(first: int, count: int, share: float) -> list[int]:
-    """Return which of the windows first to first + count of a step use predictions, counted from first."""
+    """Return which of the windows first to first + count of a step use predictions, as indices from first."""
     return [i for i in range(count) if int((first + i + 1) * share) > int((first + i) * share)]

@@ -1,7 +1,7 @@
-"""Scores of roll-outs per type, since losses alone do not show how a model moves on its own.
+"""Scores of roll-outs by type, because losses do not show how a model moves in closed loop.
 
-Each type runs closed-loop from its own start poses, with reference poses as in synthesis. The scores compare it
-with the recorded motion of the type.
+Each type starts from its own start pose and has reference poses as in synthesis. The scores compare its roll-out with
+the type's recordings.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from motionkit.models.motion_type import StartPose
 from motionkit.motion.bvh import write_bvh
 from motionkit.motion.skeleton import FOOT_JOINTS, JOINT_COUNT
 
-LOW_TOE = 5.0  # cm; the toe joint of a standing body is at 4.1
-MAX_REAL_FRAMES = 1200  # per type
+LOW_TOE = 5.0  # cm below which a toe is low; the toe joint of a standing body is at 4.1
+MAX_REAL_FRAMES = 1200  # recorded frames per type that are compared
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class TypeScore:
 
     Attributes:
         type: the name of the type.
-        joint_speed: mean joint speed divided by the recorded one (0: frozen, 1: as recorded).
+        joint_speed: mean angular speed of the joints divided by the recorded one (0: frozen, 1: as recorded).
         pose_distance: mean distance per joint in cm to the nearest pose of the type's training clips.
         slide: horizontal speed of low toes divided by the recorded one.
         height: lowest and highest root height in cm.
@@ -108,7 +108,7 @@ def rollout_types(model: MotionModel, frames: int, seed: int = 0, noise: Noise |
 
 
 def _real_frames(dataset: Dataset, kind: int) -> Array:
-    """At most MAX_REAL_FRAMES frames of a type, evenly from all its training clips: recordings begin with standing."""
+    """At most MAX_REAL_FRAMES training frames of a type, evenly spread, because clips begin with standing."""
     clips = [(clip, np.flatnonzero(dataset.clip_types(clip) == kind)) for clip in dataset.select("train")]
     every = 1 + sum(len(rows) for _, rows in clips) // MAX_REAL_FRAMES
     parts = [dataset.read(clip).features[rows[::every]] for clip, rows in clips if len(rows)]

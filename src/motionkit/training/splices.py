@@ -1,4 +1,4 @@
-"""Spliced transitions for training: ends of training stretches joined to starts of others."""
+"""Makes the spliced transitions of a run: ends of training stretches joined to starts of others."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from motionkit.data.phases import type_stretches
 from motionkit.data.splice import splice_clips
 from motionkit.features.reference import BEFORE_EVENT, PAUSE, event_begins
 
-MIN_SPAN = 12  # frames; shorter stretches of a type are not used for splices
+MIN_SPAN = 12  # frames of the shortest stretch that is spliced
 
 
 @dataclass(frozen=True)
 class Span:
-    """A stretch of one type in a source: a clip or a spliced transition."""
+    """Frames start to end (exclusive) of one type in a source, which is a clip or a spliced transition."""
 
     source: int
     start: int
@@ -30,7 +30,7 @@ class Span:
 
 
 def type_spans(tracks: Sequence[Array]) -> dict[int, list[Span]]:
-    """The stretches of each type in the types (T,) of some sources."""
+    """The stretches of each type id, from the type ids (T,) of each source."""
     spans: dict[int, list[Span]] = {}
     for source, types in enumerate(tracks):
         for start, end, kind in type_stretches(types):
@@ -40,7 +40,7 @@ def type_spans(tracks: Sequence[Array]) -> dict[int, list[Span]]:
 
 @dataclass(frozen=True, eq=False)
 class Splice:
-    """A spliced transition, and its body, an index into the dataset's bodies."""
+    """A spliced transition; body is an index into the dataset's bodies."""
 
     data: ClipData
     body: int
@@ -54,13 +54,15 @@ def make_splices(
     seed: int,
     progress: Callable[[float], None] | None = None,
 ) -> list[Splice]:
-    """Make spliced transitions, the same for a seed; of two bodies there are none, so they may be fewer.
+    """Make spliced transitions, which the seed determines.
+
+    Draws of two clips with different bodies are skipped, so there may be fewer than `count`.
 
     Args:
-        spans: of the dataset's training clips.
-        chances: (N,) of each type to be drawn.
-        count: how many to draw.
-        progress: called with the share that is done, 0 to 1.
+        spans: stretches of the dataset's training clips by type id.
+        chances: (N,) probability of each type to be drawn.
+        count: number of draws.
+        progress: called with the finished share, 0 to 1.
     """
     generator = torch.Generator().manual_seed(seed + 7_919)
     usable = {k: [s for s in v if len(s) >= MIN_SPAN] for k, v in spans.items()}
@@ -77,7 +79,7 @@ def make_splices(
         if progress:
             progress(made / count)
         before, after = (int(torch.multinomial(weights, 1, generator=generator)) for _ in range(2))
-        # Half of the performances, strikes and jumps follow another of their type, as reference players ask for.
+        # Half of the performances, strikes and jumps follow one of the same type, as in synthesis of several in a row.
         again = made % 2 == 1 and dataset.types[after] in dataset.phase_seconds
         first = _random_span(usable[after if again else before], generator)
         second = _random_span(usable[after], generator)
@@ -94,14 +96,14 @@ def make_splices(
 
 
 def _random_span(spans: Sequence[Span], generator: torch.Generator) -> Span:
-    """One of some stretches."""
-    # Long stretches hold more motion, but only their ends are joined: the square root is a compromise.
+    """A random stretch, drawn by the square root of its length."""
+    # A compromise: long stretches hold more motion, but only their ends are joined.
     sizes = torch.tensor([len(s) ** 0.5 for s in spans])
     return spans[int(torch.multinomial(sizes, 1, generator=generator))]
 
 
 def from_event(dataset: Dataset, clip: Clip, span: Span, pick: Callable[[int], int]) -> Span:
-    """The rest of a stretch of a clip from shortly before one of its strikes or jumps; a whole performance."""
+    """The rest of a stretch from BEFORE_EVENT frames before a random strike or jump; the whole stretch without one."""
     phases = dataset.read(clip, span.start, span.end).phases
     begins = event_begins(phases)
     begins = begins[begins < len(phases) - MIN_SPAN]

@@ -1,4 +1,4 @@
-"""The training loop: windows in, a model file out. A stopped run resumes as if it had never stopped."""
+"""The training loop: windows in, a model file out. A run that stops and resumes gives the same result."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ from motionkit.training.run_state import Checkpoint
 from motionkit.training.sampler import WindowSampler
 from motionkit.training.window_blocks import WindowBlocks
 
-TWICE = 1.0  # seconds within which two signals are one
+TWICE = 1.0  # seconds within which a second signal counts as the first
 
 
 @dataclass(frozen=True)
 class TrainResult:
-    """The result of a run; finished is false if it was stopped before its end."""
+    """The result of a run; finished is false if the run was stopped before its end."""
 
     model: Path
     steps: int
@@ -53,11 +53,11 @@ def train(
     """Train on a dataset folder and write one model file. Needs torch.
 
     Args:
-        dataset_folder: the folder that preprocess wrote, or a dataset that is open.
+        dataset_folder: the folder that preprocess wrote, or an open dataset.
         output: the model file, written at the end and on Ctrl-C; an old one is replaced.
         options: from train_options; by default the preset tptn for 5 minutes from the bundled model.
-        resume: continue from the run folder's checkpoint, with the same losses as a run without a break.
-        run_folder: folder for the checkpoint and log.jsonl; output with the ending ".run" by default.
+        resume: continue from the run folder's checkpoint; losses are the same as without the break.
+        run_folder: folder for the checkpoint and log.jsonl; by default output with the ending ".run".
         device: "auto", "cpu", "cuda" or "cuda:1".
         on_event: called with each report, in the first process only.
 
@@ -74,7 +74,7 @@ def train(
 
 
 class TrainingRun:
-    """A run of train(), whose arguments it takes."""
+    """A run of train(), with the same arguments."""
 
     def __init__(
         self,
@@ -88,7 +88,7 @@ class TrainingRun:
         folder = Path(run_folder) if run_folder else output.with_suffix(".run")
         self.processes = Processes.join(device)
         places = self.processes.places(options.optimizer.batch)
-        try:  # before training, not hours later when the model is written
+        try:  # now, not hours later when the model is written
             check_names(list(dataset.types), list(dict.fromkeys(["default", *dataset.characters])))
         except ModelError as error:
             raise DatasetError(f"{dataset.folder}: {error}") from None
@@ -105,11 +105,11 @@ class TrainingRun:
         self.asked_to_stop = self.stops = False
 
     def resume(self) -> None:
-        """Go on from the checkpoint. Raises DatasetError or ModelError if there is none that fits this run."""
+        """Continue from the checkpoint. Raises DatasetError or ModelError if there is none or it does not fit."""
         self.blocks.start = self.checkpoint.load(self.learner, self.progress)
 
     def go(self) -> TrainResult:
-        """Train to the end, or until a signal, and write the model and the checkpoint."""
+        """Train until the end or a signal, and write the model and the checkpoint."""
         self._prepare()
         previous = self._catch_signals()
         finished = False
@@ -126,15 +126,15 @@ class TrainingRun:
             if not finished:
                 self.report.note("stopped; continue with --resume")
             elif self.outcome.calibrate_and_score():
-                self.outcome.save()  # again, with reference gains, and scores in the card
+                self.outcome.save()  # again, now with sampling presets and scores
         self.processes.leave()
         at = self.progress
         return TrainResult(self.outcome.path, at.step, at.seconds, finished, at.losses)
 
     def _prepare(self) -> None:
-        """Make folders and spliced transitions, and say what is trained."""
+        """Make folders and spliced transitions, and report the size of the run."""
         report, at = self.report, self.progress
-        for folder in (report.folder, self.outcome.path.parent):  # fails now, not after hours
+        for folder in (report.folder, self.outcome.path.parent):  # an error comes now, not after hours
             try:
                 folder.mkdir(parents=True, exist_ok=True)
             except OSError as error:
@@ -156,9 +156,9 @@ class TrainingRun:
             report.note(line)
 
     def _catch_signals(self) -> dict[int, Any]:
-        """Make Ctrl-C and SIGTERM end the run after the current step, because a checkpoint holds whole steps only.
+        """Make Ctrl-C and SIGTERM end the run after the present step, because a checkpoint holds whole steps only.
 
-        A second one, not before a second later, ends it at once: timeout and torchrun send one twice.
+        A second signal after more than TWICE seconds ends it at once; timeout and torchrun send every signal twice.
         """
         heard = 0.0
 
@@ -201,13 +201,13 @@ class TrainingRun:
         at, processes = self.progress, self.processes
         self.learner.trainable.train()
         if processes.world > 1:
-            # Dropout must differ between processes and be the same after a resume, but the checkpoint holds
-            # the random state of the first process only. So each step seeds it.
+            # Dropout must differ between processes and be the same after a resume. The checkpoint holds only the
+            # first process's random state, so each step sets its own seed.
             torch.manual_seed((at.options.seed + 1) * 1_000_003 + at.step * processes.world + processes.rank)
         batch = self.blocks.next(at.step, at.share)
         terms = self.learner.step(batch, self.blocks.options, at)
         at.step += 1
-        stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # all processes stop at the same step
+        stop = terms["gradient"].new_tensor(float(self.asked_to_stop))  # shared, to stop at the same step
         *means, stops = processes.mean(torch.stack([*terms.values(), stop]))
         self.stops = stops > 0
         return dict(zip(terms, means, strict=True))
@@ -217,7 +217,7 @@ class TrainingRun:
         self.report.emit("checkpoint")
 
     def _save_all(self) -> None:
-        """Write the model and the checkpoint, each even if the other fails. Raises the first error at the end."""
+        """Write the model and the checkpoint, even if one of them fails, and then raise the first error."""
         faults = []
         for save in (self.outcome.save, self._save_checkpoint):
             try:

@@ -1,4 +1,4 @@
-"""Start a run from the weights of a trained model."""
+"""Starts a run from the weights of a trained model."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from motionkit.models.model import MotionModel
 from motionkit.models.motion_type import ReferenceClip, facing_velocity
 from motionkit.models.predictor import Predictor
 
-# Share of the way that the weights of a run which keeps types go back to those it began from (Wortsman et al. 2022,
-# "Robust fine-tuning of zero-shot models"); docs/results-log.md has what it does.
+# If a run keeps types, its weights are interpolated by this share towards the initial ones (Wortsman et al. 2022,
+# "Robust fine-tuning of zero-shot models"); docs/results-log.md has its effect.
 WAY_BACK = 0.25
-USUAL_SPEED = 50.0  # cm/s, which counts as much as a deviation of a pose
+USUAL_SPEED = 50.0  # cm/s that weigh as much as a unit of the pose embedding when types are compared
 CONTROL_WEIGHTS = ("shallow.embed_controls.weight", "deep.embed_controls.weight")
 
 
 def check_start(dataset: Dataset, model: MotionModel) -> None:
-    """Raise ModelError unless the features of a dataset are relative to the model's reference rotations."""
+    """Raise ModelError if dataset and model have different reference rotations."""
     # A quaternion and its negative are the same rotation.
     turned = 1.0 - np.abs((dataset.reference_rotations * model.reference_rotations).sum(-1))
     if float(turned.max()) > 1e-4:
@@ -35,12 +35,13 @@ def check_start(dataset: Dataset, model: MotionModel) -> None:
 
 
 def warm_start(network: Predictor, dataset: Dataset, model: MotionModel) -> None:
-    """Copy a model's weights into a network. A type takes those of its name, or else of the type that moves most alike.
+    """Copy a model's weights into a network.
 
-    The dataset takes over the model's scaling and pose embedding, because the weights depend on them.
+    A type that the model lacks gets the control weights of the type that moves most alike. The dataset gets the model's
+    scaling and pose embedding, because the weights depend on them.
 
     Raises:
-        ModelError: if the networks differ in size; nothing has been changed then.
+        ModelError: if the networks differ in size; nothing is changed then.
     """
     layout = ControlLayout(dataset.types, network.config.controls)
     _check_fit(network, model, layout)
@@ -65,7 +66,7 @@ def _its_preset(model: MotionModel) -> str:
 
 
 def _check_fit(network: Predictor, model: MotionModel, layout: ControlLayout) -> None:
-    """Raise ModelError unless the weights of a model fit a network whose controls have this layout."""
+    """Raise ModelError if the weights of a model do not fit a network with this layout of controls."""
     if layout.kind != model.controls.kind:
         raise ModelError("the model has other control signals than the preset: expected the same preset")
     old = model.network.arrays
@@ -80,7 +81,7 @@ def _check_fit(network: Predictor, model: MotionModel, layout: ControlLayout) ->
 def _copy_controls(
     new: Tensor, old: Tensor, layout: ControlLayout, before: ControlLayout, likes: dict[str, str]
 ) -> None:
-    """Copy the rows of control embeddings (P, C, D), signal by signal; likes names the type that each type follows."""
+    """Copy the rows of control embeddings (P, C, D), signal by signal; likes names the old type for each new type."""
     added = () if layout.kind == "paper" else ("flag", "phase", "reference", "reference_gain")
     for name in ("skeleton", "trajectory", *added):
         new[:, getattr(layout, name)] = old[:, getattr(before, name)]
@@ -94,9 +95,9 @@ def _copy_controls(
 def part_way_back(
     weights: dict[str, Tensor], begun: dict[str, Tensor], layout: ControlLayout, new_types: Sequence[str]
 ) -> dict[str, Tensor]:
-    """Weights WAY_BACK between those of a run and those it began from, so that it keeps what the model knew.
+    """The weights of a run, interpolated by WAY_BACK towards the initial ones (begun), so that less is forgotten.
 
-    The rows of control embeddings that stand for new types stay as they are: no model knew them.
+    Rows of control embeddings for new types stay unchanged, because the initial model had none.
     """
     out = {name: torch.lerp(value, begun[name], WAY_BACK) for name, value in weights.items()}
     size = len(layout.types)
@@ -111,9 +112,9 @@ def part_way_back(
 
 
 def similar_types(dataset: Dataset, model: MotionModel) -> dict[str, str]:
-    """For each type of a dataset the type of a model to begin from: that of its name, or the one that moves most alike.
+    """For each type of a dataset, the model's type to start from: that of the same name, or the most similar one.
 
-    Movement is described by poses and by the velocity over the ground. The dataset has the model's pose embedding.
+    Types are compared by poses and by velocity over the ground. The dataset must have the model's pose embedding.
     """
     known = {
         name: _movement([_clip_rows(c, model.fps) for c in t.reference_clips])
@@ -131,7 +132,7 @@ def similar_types(dataset: Dataset, model: MotionModel) -> dict[str, str]:
 
 
 def _movement(rows: list[Array]) -> Array | None:
-    """Means and deviations of rows (T, 26) of poses and velocities; None without rows."""
+    """Means and standard deviations (52,) over all rows (T, 26) of poses and velocities; None without rows."""
     if not rows:
         return None
     whole = np.concatenate(rows)
@@ -139,12 +140,12 @@ def _movement(rows: list[Array]) -> Array | None:
 
 
 def _clip_rows(clip: ReferenceClip, fps: float) -> Array:
-    """Pose embeddings and velocity (L - 1, 26) of a reference clip."""
+    """Pose embeddings and scaled ground velocities (L - 1, 26) of a reference clip."""
     return np.concatenate([clip.poses[1 : len(clip)], facing_velocity(clip, fps) / USUAL_SPEED], axis=1)
 
 
 def _type_rows(dataset: Dataset, kind: int) -> list[Array]:
-    """Pose embeddings and velocities (T, 26) of the training frames of a type."""
+    """Pose embeddings and scaled ground velocities (T, 26) of a type in each training clip that has it."""
     block, rows = dataset.layout.blocks["root_xz_velocity"], []
     for clip in dataset.select("train"):
         shown = dataset.clip_types(clip) == kind

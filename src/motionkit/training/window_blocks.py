@@ -1,8 +1,8 @@
-"""Batches of windows, made in blocks of steps.
+"""Makes batches of windows in blocks of steps.
 
-Windows with scheduled sampling are run on the network's predictions frame by frame. That pays for many windows at
-once, so those of a block of steps run together, with the weights and the stage of the run at its first step. Both are
-kept, so that a run can stop and resume at any step within a block.
+Windows with scheduled sampling run frame by frame on the network's predictions, which is efficient for many windows at
+once. So the windows of a block of steps run together, with the weights and settings of its first step. Both are kept,
+so that a run can stop and resume within a block.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from motionkit.training.window_loader import WindowLoader
 
 @dataclass(frozen=True, eq=False)
 class BlockStart:
-    """The run at the first step of a block: its share that is done, and the weights of the network."""
+    """The state of a run at the first step of a block: progress, the finished share, and the network's weights."""
 
     step: int
     progress: float
@@ -38,8 +38,8 @@ class WindowBlocks:
     """The batches of a run, or of one process's share of the windows.
 
     Attributes:
-        start: where the present block began; None before the first. A resumed run sets it.
-        options: the settings of the present block.
+        start: state at the first step of the present block; None before the first block. A resumed run sets it.
+        options: settings of the present block.
     """
 
     def __init__(
@@ -58,24 +58,24 @@ class WindowBlocks:
         self._loader = WindowLoader(sampler, options.optimizer.batch, places)
 
     def next(self, step: int, progress: float) -> Batch:
-        """Return the batch of a step; progress is the share of the run that is done."""
+        """Return the batch of a step; progress is the finished share of the run."""
         if not self._coming:
             weights = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
             self._begin(BlockStart(step, progress, weights))
         return self._coming.pop(0)
 
     def close(self) -> None:
-        """Drop the batches that have been made, and end the processes that make more."""
+        """Drop the remaining batches, and end the processes that make windows."""
         self._coming = []
         self._loader.close()
 
     @property
     def unfinished(self) -> BlockStart | None:
-        """The start of a block whose batches are not all used; None between blocks."""
+        """The start of the present block if some of its batches are not used yet; else None."""
         return self.start if self._coming else None
 
     def resume(self, step: int) -> None:
-        """Continue the block that has begun at start, if it has, at a step within it, as if it had never stopped."""
+        """Make the batches of the block that began at self.start again, if there is one, and continue at a step."""
         start = self.start
         if start is None:
             return
@@ -91,13 +91,13 @@ class WindowBlocks:
         self._coming = self._make(range(start.step, self._end(start.step)))
 
     def _end(self, step: int) -> int:
-        """Return the first step of the block after that of a step."""
+        """Return the step after the last one of a step's block."""
         period = self.options.scheduled_sampling.period if self.options.scheduled_sampling.share else 1
         end = (step // period + 1) * period
         return min(end, self.run.steps) if self.run.steps else end
 
     def _make(self, steps: range) -> list[Batch]:
-        """Make the batches of some steps, with scheduled sampling in some of their windows."""
+        """Make the batches of some steps, with scheduled sampling in some windows."""
         options, places = self.options, self.places
         device = next(self.network.parameters()).device
         batches = [batch.to(device) for batch in self._windows(steps, device)]
@@ -118,7 +118,7 @@ class WindowBlocks:
         ]
 
     def _windows(self, steps: range, device: torch.device) -> list[Batch]:
-        """Return the windows of some steps as they are recorded; for a GPU other processes make them."""
+        """Return the windows of some steps with recorded inputs; for a GPU other processes make them."""
         if device.type != "cpu":
             return [self._loader.next(step) for step in steps]
         size, places = self.options.optimizer.batch, self.places

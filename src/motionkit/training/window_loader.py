@@ -1,4 +1,4 @@
-"""Windows made by other processes while a GPU works on those before them."""
+"""Makes windows in other processes while a GPU trains on earlier ones."""
 
 from __future__ import annotations
 
@@ -19,22 +19,27 @@ AHEAD = 2  # batches that each process makes in advance
 
 
 class WindowLoader:
-    """The batches of a sampler step after step, or one process's share of the windows.
+    """The batches of a sampler, step by step, or one process's share of their windows.
 
-    A window costs Python a millisecond, and a GPU takes some thousands a second. Processes that are forked have the
-    spliced transitions in common with this one; where there is no fork, batches are made when they are asked for.
+    A window takes Python a millisecond, and a GPU trains on thousands a second. Forked processes share the memory of
+    the spliced transitions; without fork, batches are made in this process as they are needed.
     """
 
     def __init__(self, sampler: WindowSampler, size: int, places: range) -> None:
-        """Args: size: windows of a whole batch; places: which of them are wanted."""
+        """Make no batch yet.
+
+        Args:
+            size: windows of a whole batch.
+            places: the windows of the batch that this process needs.
+        """
         self.sampler, self.size, self.places = sampler, size, places
         self._step, self._options = -1, sampler.options
         self._coming: Iterator[dict[str, Tensor]] = iter(())
 
     def next(self, step: int) -> Batch:
-        """Return the windows of a step, sampled as the sampler is set now."""
+        """Return the windows of a step, with the sampler's present options."""
         options = self.sampler.options
-        if step != self._step or options != self._options:  # the processes know the sampler as it was
+        if step != self._step or options != self._options:  # the processes have a copy of the earlier sampler
             self._options, self._coming = options, self._begin(step)
         self._step = step + 1
         return Batch(**next(self._coming))
@@ -70,9 +75,9 @@ class _Steps(Dataset[dict[str, Tensor]]):
 
 
 def _leave_signals(_: int) -> None:
-    """Ctrl-C reaches every process of a terminal: only the run itself is to answer, after the current step.
+    """Ignore Ctrl-C and SIGTERM in a worker: they reach every process, but only the run itself handles them.
 
-    Processes whose run has died see it and end.
+    Workers end by themselves if the run dies.
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)

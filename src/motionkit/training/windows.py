@@ -1,4 +1,4 @@
-"""A window of a clip as training sees it: normalised features, and controls of which some are left out or wrong."""
+"""Makes training windows of clips: normalised features, and controls of which some are dropped or changed."""
 
 from __future__ import annotations
 
@@ -24,24 +24,24 @@ from motionkit.features.layout import FEATURE_COUNT
 from motionkit.features.reference import reference_map
 from motionkit.motion.skeleton import canonical_skeleton
 
-GAP_FRAMES = 30  # of the shortest gap in reference poses; the longest is twice as long
-STRAIGHT = 0.95  # of its way, that a window gets on by: it goes straight
+GAP_FRAMES = 30  # frames of the shortest gap in reference poses; the longest is twice as long
+STRAIGHT = 0.95  # a window goes straight if its displacement is at least this share of its path length
 
 
 @dataclass(frozen=True)
 class ControlSampling:
-    """How often windows go without some of their controls, or with wrong ones, so that the network learns to cope."""
+    """How often controls of a window are dropped or changed, so that the network learns to do without them."""
 
     trajectory_dropout: float = 0.5  # share of windows without a trajectory
-    # Standard deviation of a factor on the length of a window's trajectory. A network that is fed its own trajectory,
-    # and has only seen true ones, hands on whatever speed it is given, a little higher every time. Only windows that go
-    # straight have it: a gait keeps its speed, but the way of a dance is where its next step shows.
+    # Standard deviation of a random factor on the length of a trajectory. A network that has only seen true
+    # trajectories passes on the speed of its own predicted ones, slightly higher every time. Only straight windows get
+    # the factor: a gait keeps its speed, but the trajectory of a dance tells its next step.
     trajectory_drift: float = 0.0
-    # Share of windows without reference poses; before and after a change of type it is sampled separately.
+    # Share of windows without reference poses, drawn separately before and after a change of type.
     reference_dropout: float = 0.5
-    reference_gaps: float = 0.25  # share of windows that lack reference poses for half a second to a second
-    lead_share: float = 0.5  # share of windows whose type changes before the motion does
-    lead_frames: int = 30  # by at most this many frames
+    reference_gaps: float = 0.25  # share of windows with a gap in their reference poses (GAP_FRAMES)
+    lead_share: float = 0.5  # share of windows whose type weights change before the motion does
+    lead_frames: int = 30  # largest number of frames between the two
 
 
 @dataclass(frozen=True)
@@ -49,23 +49,23 @@ class SamplerOptions:
     """How windows are sampled."""
 
     window: int = 96  # frames per window (paper: 300)
-    balance: float = 0.75  # 0: types as often as recorded; 1: all equally often (paper)
-    # Factor for types with a phase, such as flips; the paper favours hard types too.
+    balance: float = 0.75  # 0 draws types as often as recorded, 1 all equally often (paper)
+    # Factor on the probability of types with a phase, such as flips; the paper favours hard types too.
     phase_weight: float = 3.0
-    type_weights: dict[str, float] = field(default_factory=dict)  # factors for single types
+    type_weights: dict[str, float] = field(default_factory=dict)  # factors on the probability of single types
     splices: int = 2000  # spliced transitions made before training
     splice_share: float = 0.4  # share of windows from spliced transitions
     controls: ControlSampling = field(default_factory=ControlSampling)
-    # Frames between the windows that are cut from every clip, and drawn alike (paper: 4); longer where a type has many
-    # frames and shorter where it has few, by balance. 0 draws windows type by type instead.
+    # Frames between the starts of windows that are cut from every clip and drawn with equal probability (paper: 4).
+    # Depending on balance, it is longer for types with many frames. 0 draws a type first and then a window instead.
     interval: float = 0.0
     noise: float = 0.01  # standard deviation of the noise on normalised inputs (paper: 0.05)
-    # Share of windows of the types that the model a run begins from has, and the dataset has not; 0 drops those types.
+    # Share of windows with types that the initial model has but the dataset lacks; 0 drops these types.
     kept_share: float = 0.0
 
 
 class WindowMaker:
-    """Makes windows of the clips of a dataset.
+    """Makes training windows from clips of a dataset.
 
     Args:
         controls: the columns of the control vectors.
@@ -79,13 +79,13 @@ class WindowMaker:
     def make(
         self, data: ClipData, body: int, options: SamplerOptions, shown: float, generator: torch.Generator
     ) -> dict[str, Array]:
-        """The fields of a Batch without its first dimension, of one window.
+        """One window: the fields of a Batch without its first dimension.
 
         Args:
-            data: as many frames as the window and those that its controls look ahead; fewer where the clip ends.
+            data: frames of the window and those that its controls look ahead to; fewer where the clip ends.
             body: an index into the dataset's bodies.
-            shown: a random number below 1, which says whether the window has a trajectory.
-            generator: of all else that is random in the window.
+            shown: a random number in [0, 1); the window has a trajectory if it reaches trajectory_dropout.
+            generator: for everything else that is random.
         """
         T, settings = options.window, options.controls
         frames = min(T, len(data.types) - 1)
@@ -125,7 +125,7 @@ class WindowMaker:
 
 
 def _asked_early(types: Array, options: ControlSampling, generator: torch.Generator) -> Array:
-    """Types (T,) of a window, in some windows those of some frames later: the type changes before the motion does."""
+    """Types (T,) of a window. In a share of windows they come some frames early, so types change before the motion."""
     if torch.rand((), generator=generator) >= options.lead_share:
         return types
     lead = int(torch.randint(options.lead_frames + 1, (), generator=generator))
@@ -133,10 +133,11 @@ def _asked_early(types: Array, options: ControlSampling, generator: torch.Genera
 
 
 def drifted(trajectory: Array, ground: Array, drift: float, generator: torch.Generator) -> Array:
-    """Trajectories (T, 24) of a window, longer or shorter by one factor of this deviation if it goes straight.
+    """Trajectories (T, 24) of a window; a straight window's are scaled by a random factor.
 
     Args:
         ground: (T + 1, 3) root x, z (cm) and heading (radians).
+        drift: standard deviation of the factor around 1.
     """
     if drift == 0.0:
         return trajectory
@@ -150,7 +151,7 @@ def drifted(trajectory: Array, ground: Array, drift: float, generator: torch.Gen
 
 
 def _with_reference(types: Array, options: ControlSampling, generator: torch.Generator) -> Array:
-    """Return the reference gain (T,), 0 or 1: one value before the first change of type, one after it, and gaps."""
+    """Return the reference gain (T,), 0 or 1: a value before the first change of type, one after it, and 0 in gaps."""
     before, after = (torch.rand(2, generator=generator) >= options.reference_dropout).float().tolist()
     unchanged = np.logical_and.accumulate(types == types[0])
     gain = np.where(unchanged, np.float32(before), np.float32(after))
