@@ -5,7 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from itertools import cycle
 
+import numpy as np
+
 from motionkit.control.script import TypePart
+from motionkit.control.speeds import acceleration_limit as limit_of_model
 from motionkit.lab.scoreboard.limits import REAL_SHARE, acceleration_limit, accelerations, turn_limit
 from motionkit.lab.scoreboard.report import Goal, Section, at_least, at_most
 from motionkit.lab.scoreboard.roles import Roles, find_roles
@@ -15,9 +18,9 @@ from motionkit.lab.scoreboard.visible import DEPTH, fastest_joint, flips, value_
 from motionkit.metrics.leaps import leaps
 from motionkit.metrics.touch import lowest_points
 from motionkit.tables import Cell, Table
-from motionkit.training.verdict.real import RealMotion
 from motionkit.training.verdict.rolling import Plan, Progress, Take, grouped
 
+AT_LIMIT = 0.98  # share of the limit of acceleration from which on it counts as holding the root
 LASTING_SECONDS = 3.0  # for types that have no length of their own
 
 
@@ -65,12 +68,11 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
     ]
     takes = grouped(trial.roll(plans, lambda share: progress(0.7 * share)), settings.repeats)
     limit, largest = turn_limit(trial.real)
-    found = [
-        _measured(trial.real, sequence, mine, limit) for sequence, mine in zip(known, takes, strict=True)
-    ]
+    found = [_measured(trial, sequence, mine, limit) for sequence, mine in zip(known, takes, strict=True)]
     columns = (
         "sequence", "fastest joint, degrees/s", "joint", "/ real", "raw / real", "acceleration, m/s^2",
-        "real acceleration", "lowest joint, cm", "raw lowest joint, cm", "leaps a minute", "flipped",
+        "real acceleration", "frames at the limit", "lowest joint, cm", "raw lowest joint, cm",
+        "leaps a minute", "flipped",
     )  # fmt: skip
     tables = [Table("Transitions that no clip contains", columns, [row for row, _ in found])]
     goals = [goal for _, of_sequence in found for goal in of_sequence]
@@ -80,7 +82,8 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
         f"real: {limit:.0f} degrees/s; the fastest joint is slower in {REAL_SHARE:.1%} of the recorded frames; the "
         f"largest recorded value, {largest:.0f} degrees/s, is not used",
         f"acceleration: of the root over the ground, between velocities over 0.2 s; real: {REAL_SHARE:.1%} of the "
-        "frames of the sequence's types are below it",
+        "frames of the sequence's types are below it; finishing holds the root below the same limit of the model's own "
+        f"recordings, and frames at the limit is the share that it holds (within {1 - AT_LIMIT:.0%})",
     ]
     if begun := starts_and_stops(trial, lambda share: progress(0.7 + 0.3 * share)):
         tables.append(begun[0])
@@ -94,12 +97,21 @@ def smoothness_section(trial: Trial, progress: Progress) -> Section:
 
 
 def _measured(
-    real: RealMotion, sequence: tuple[str, ...], takes: Sequence[Take], limit: float
+    trial: Trial, sequence: tuple[str, ...], takes: Sequence[Take], limit: float
 ) -> tuple[tuple[Cell, ...], list[Goal]]:
     """The row and the goals of a sequence; limit is that of recorded joints in degrees per second."""
     bodies, raw = [take.default for take in takes], [take.raw for take in takes]
     fastest, joint = fastest_joint(bodies)
-    brakes, most = max(float(accelerations(b).max()) for b in bodies), acceleration_limit(real, sequence)
+    brakes, most = (
+        max(float(accelerations(b).max()) for b in bodies),
+        acceleration_limit(trial.real, sequence),
+    )
+    held = limit_of_model(trial.model, sequence)
+    at_limit = (
+        None
+        if held is None
+        else float(np.mean([(accelerations(b) > AT_LIMIT * held).mean() for b in bodies]))
+    )
     lowest, raw_lowest = (
         min(value_of(lowest_points(b.positions)[-1]) for b in each) for each in (bodies, raw)
     )
@@ -112,7 +124,7 @@ def _measured(
     if most is not None:
         goals.append(at_most(f"{name}: acceleration / real", brakes / most, 1.0))
     row = (
-        name, fastest, joint, fastest / limit, fastest_joint(raw)[0] / limit, brakes, most, lowest, raw_lowest, leaping,
-        sum(map(flips, bodies)),
+        name, fastest, joint, fastest / limit, fastest_joint(raw)[0] / limit, brakes, most, at_limit, lowest,
+        raw_lowest, leaping, sum(map(flips, bodies)),
     )  # fmt: skip
     return row, goals
