@@ -18,9 +18,7 @@ from motionkit.motion.skeleton import FOOT_JOINTS
 # Weights of foot joints fall from 1 at a height of FLOOR cm to 0 at REACHES cm above it, in the order of FOOT_JOINTS.
 FLOOR = 2.2
 REACHES = (10.85, 1.55, 10.85, 1.55)
-STIFFNESS = (
-    60.0  # cm^2; the body turns more where the standing joints are further apart than the root of this
-)
+STIFFNESS = 60.0  # cm^2, added to the spread of standing joints: close together they turn the body little
 LIMIT = 0.5  # sliding (cm per frame) at which the correction halves; a larger movement is a step
 
 
