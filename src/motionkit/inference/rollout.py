@@ -177,9 +177,8 @@ class RolloutState:
         """
         made = self.advance(asked)
         features, contacts, ground = made.features, made.contacts, made.ground
-        if not (
-            np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER
-        ):  # also catches NaN, which compares false
+        # The negation also catches NaN.
+        if not (np.abs(features).max() <= MAX_NUMBER and np.abs(ground).max() <= MAX_NUMBER):
             raise ModelError(
                 "the roll-out failed: the network predicts numbers that are not finite or far too large "
                 "(damaged weights, or a start unlike any motion)"
