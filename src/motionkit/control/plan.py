@@ -45,7 +45,7 @@ class Segment:
 
 @dataclass(frozen=True)
 class Stand:
-    """A body stands in a type from one frame up to another (exclusive), or to the end."""
+    """A span of frames, from first to end (exclusive) or to the end of the plan, in which the body stands."""
 
     type: str
     first: int

@@ -61,7 +61,7 @@ SIBLINGS = 32
 
 @dataclass(frozen=True)
 class GaitClip:
-    """Where a clip of a gait keeps its speed.
+    """Entry frames and braking of a clip of a gait or of standing.
 
     Attributes:
         entries: possible entry frames.

@@ -32,9 +32,7 @@ Span = tuple[int, int]  # first frame, and the frame after the last
 
 # Frames count at 60 fps, as in LOCK; _frames converts them to other rates.
 MIN_LOCK_FRAMES = 4  # shorter contacts are ignored
-LIFT_FRAMES = (
-    2  # a toe that is too low is raised this many frames early, and starts to rise as many frames before
-)
+LIFT_FRAMES = 2  # a toe that is too low reaches its height this many frames early, after a rise of as many
 # Longest step in frames, and the speed (cm per frame) below which a foot is at rest. A step ends with the foot at rest.
 LONGEST_STEP, STEP_REST = 32, 0.2
 FLOOR_FADE = 6.0  # cm above CONTACT_HEIGHTS over which a predicted contact fades out
@@ -42,7 +40,7 @@ RATE = 60.0
 
 
 def lock_feet(motion: Motion, contacts: Array) -> Motion:
-    """Hold the feet of a motion while they touch the floor, and keep toes above it.
+    """Lock the feet of a motion during contacts, and keep its toes above the floor.
 
     Args:
         motion: T frames on the canonical joints, in cm, the floor at height zero.

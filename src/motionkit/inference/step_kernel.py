@@ -126,9 +126,7 @@ class StepProgram:
         """Return the linear maps in the order of the kernel: part by part, layer by layer."""
         maps = []
         heads, D = weights.position.shape[2], weights.out.shape[-1]
-        turn = (
-            np.arange(D).reshape(heads, -1).T.ravel()
-        )  # channel-major, as the kernel wants: the heads of a channel are neighbours
+        turn = np.arange(D).reshape(heads, -1).T.ravel()  # puts the heads of a channel side by side
         three = np.concatenate([turn, D + turn, 2 * D + turn])
         for part in range(len(weights.embed)):
             maps.append(self._map(weights.embed[part], weights.embed_bias[part]))

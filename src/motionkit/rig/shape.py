@@ -35,8 +35,8 @@ _STUB = 0.1  # share of a shin or forearm; a shorter end is no foot or hand
 _NO_END = 1.0  # cost of a leg without a foot, or an arm without a hand
 _EXTRA = 0.4  # cost of a joint along a bone, such as a twist joint
 _FINGERS = 1.5  # cost of a hand or foot below a joint that branches
-_BENT = 0.06  # deviation of how much shorter a bone is than the path through its joints, as a share
-# Height of ankles below the hips, and of wrists above the shoulders, as shares of the limb.
+_BENT = 0.06  # deviation of the share by which a bone is shorter than the path through its joints
+# Mean and deviation of the height of ankles below the hips, and of wrists above the shoulders, as shares of the limb.
 _LEG_DOWN, _WRIST = (1.0, 0.35), (0.0, 1.2)
 _UPSIDE_DOWN = 3.0  # cost if the fork of the legs descends from that of the arms
 _APART = 1.0  # cost if neither fork descends from the other
